@@ -18,7 +18,8 @@ from msgspec import Meta
 
 from emulator.rig.top_level import TOP_LEVEL
 from emulator.sensor.presets import PRESETS
-from emulator.tables.typed_table import RigFile, bounds_of, field_types, item_type, kinds_of, table_type
+from emulator.tables.typed_table import RigFile, field_types, item_type, kinds_of, table_type
+from firmware_protocol.bounds import bounds_of
 
 PAGE = Path(__file__).with_name("rigs.md")
 MARKER = "<!-- from here on written by docs/rig_reference.py -->"
@@ -114,7 +115,8 @@ def _lines_of_kind(place: str, cls: Any, common: dict[str, Row]) -> list[str]:
         if key not in common or row.meaning != common[key].meaning:
             distinct.append(row)
         else:
-            parts.append(f"`{key}`" if value == common[key].values[0] else f"`{key} = {value.strip('`')}`")
+            text = value if value.startswith("`") else f"`{value}`"
+            parts.append(f"`{key}`" if value == common[key].values[0] else f"`{key} = {text[1:]}")
     inner = {name: annotation for name, annotation in field_types(cls).items() if _tables(annotation)}
     parts += [f"`[{_inner_path(place, name, annotation)}]`" for name, annotation in inner.items()]
     name = f'<h3 id="{place}-{cls.kind}"><code>kind = "{cls.kind}"</code></h3>'

@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypeVar
 
 from emulator.rig.kinds import assigned_fault, convert_fault
 from emulator.rig.loading import Rig, load_rig, with_options
+from emulator.run import fill_standard_descriptors
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.kernels import parts_of, prepare, uncompiled
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
-from emulator.run.standard_descriptors import fill_standard_descriptors
 from emulator.run.truth.source import check_truth
 from evstim.deliveries import Delivery, forwarding
 from firmware_protocol.events import Events
@@ -292,11 +292,7 @@ class LiveRun(Generic[Batch]):
             log.warning("compiling, once on this machine: %s", ", ".join(part.name for part in missing))
             prepare(missing)
         setups = link_setups(self.rig, self._record)
-        with (
-            build_scene(self.rig) as scene,
-            self._opened_truth() as truth,
-            self._forwarding(setups) as links,
-        ):
+        with build_scene(self.rig) as scene, self._opened_truth() as truth, self._forwarding(setups) as links:
             session = build_session(self.rig, scene, links, MonotonicClock(), truth)
             with self._changed:
                 self._session = session

@@ -32,20 +32,11 @@ from typing import Any
 
 _PACKAGE = "vizProtobufferMessage"
 
+_STATE = {"position": (2, "double*"), "velocity": (3, "double*"), "rotation": (4, "double*")}
 _FIELDS: Mapping[str, Mapping[str, tuple[int, str]]] = {
     "TimeStamp": {"frameNumber": (1, "int64"), "simTimeElapsed": (2, "double")},
-    "CelestialBody": {
-        "bodyName": (1, "string"),
-        "position": (2, "double*"),
-        "velocity": (3, "double*"),
-        "rotation": (4, "double*"),
-    },
-    "Spacecraft": {
-        "spacecraftName": (1, "string"),
-        "position": (2, "double*"),
-        "velocity": (3, "double*"),
-        "rotation": (4, "double*"),
-    },
+    "CelestialBody": {"bodyName": (1, "string"), **_STATE},
+    "Spacecraft": {"spacecraftName": (1, "string"), **_STATE},
     "CameraConfig": {
         "cameraID": (1, "int64"),
         "parentName": (2, "string"),

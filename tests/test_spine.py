@@ -23,7 +23,7 @@ MOST_LINES, MOST_MODULES = 20_000, 85
 VALUES = {
     "emulator.geometry.attitude", "emulator.geometry.camera", "emulator.tables.typed_table",
     "emulator.threads", "emulator.trajectory.pose",
-    "firmware_protocol.compiled", "firmware_protocol.events", "firmware_protocol.frames",
+    "firmware_protocol.bounds", "firmware_protocol.compiled", "firmware_protocol.events", "firmware_protocol.frames",
     "firmware_protocol.imu_samples", "firmware_protocol.recordings.part",
     "transports.connections", "transports.faults.kinds", "transports.faults.script", "transports.needs",
     "transports.network", "transports.output_file", "transports.registry",

@@ -81,13 +81,7 @@ def _check(link: FileLink, camera: CameraFacts) -> None:
         raise Unsuitable(f"{form.title} numbers {limit} pixels, not {camera.size}", "path")
 
 
-FILE = LinkKind(
-    FileLink,
-    serves="plain",
-    endpoint="transports.file:factory_of",
-    check=_check,
-    has_readings=True,
-)
+FILE = LinkKind(FileLink, serves="plain", endpoint="transports.file:factory_of", check=_check, has_readings=True)
 
 
 _MOST_EVENTS = 1 << 16  # passed on at once
@@ -165,10 +159,7 @@ class FileEndpoint(Endpoint):
         summary = self._recorder.summary
         lost = self._handed - Counter(summary.written) - Counter(summary.left_out)
         records = self._parts.frame_records
-        readings = {
-            ReadingKind.IMU: lost["imu"],
-            ReadingKind.FRAMES: sum(records[len(records) - lost["frames"] :]),
-        }
+        readings = {ReadingKind.IMU: lost["imu"], ReadingKind.FRAMES: sum(records[len(records) - lost["frames"] :])}
         self._device.retract(Numbers(lost["events"], lost["edges"], +Counter(readings)))
 
     @property

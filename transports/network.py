@@ -16,10 +16,18 @@ import ipaddress
 import socket
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 LOOPBACK = ("127.0.0.0/8", "::1/128")
 """Addresses that may connect if a rig gives no list."""
+
+DestinationPort = Annotated[int, Meta(ge=1, le=65535)]
+"""Port that data are sent to."""
+
+DatagramRate = Annotated[float, Meta(ge=0.1, le=100_000)]
+"""Highest rate of datagrams, Mbit/s of payload."""
 
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
@@ -69,12 +77,6 @@ def check_destination(host: str, *, elsewhere: bool) -> None:
         raise ValueError("host is empty: give the receiver's address, for example 127.0.0.1")
     if not (elsewhere or is_loopback(host)):
         raise ValueError(f"host {host!r} is another machine: set elsewhere = true if that is intended")
-
-
-def check_port(port: int, key: str = "port", *, least: int = 0) -> None:
-    """Check a port of a rig; raises ValueError."""
-    if not least <= port <= 65535:
-        raise ValueError(f"{key} must be {least or '0 (any free one)'} to 65535, got {port}")
 
 
 def _network(entry: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:

@@ -64,11 +64,7 @@ class Registry(Mapping[str, T], Generic[T]):
     """
 
     def __init__(
-        self,
-        group: str,
-        record: Any,
-        built_in: Mapping[str, str | T],
-        name_of: Callable[[T], str] = attrgetter("name"),
+        self, group: str, record: Any, built_in: Mapping[str, str | T], name_of: Callable[[T], str] = attrgetter("name")
     ) -> None:
         self._group = group
         self._record = record

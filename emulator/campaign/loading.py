@@ -25,14 +25,16 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+from msgspec import Meta
 from scipy.stats import binomtest
 
 from emulator.campaign.sampling import LAWS, Law, Sampling
 from emulator.rig.loading import find_rig, parse_rig, read_rig
 from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
 from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types
+from firmware_protocol.bounds import Share, check_bounds
 from transports.registry import unknown
 
 _COMPARE: dict[str, Callable[[Any, Any], bool]] = {
@@ -167,15 +169,14 @@ class Program:
     argv: tuple[str, ...]
     start: Literal["with", "after"] = "with"
     ends_run: bool = False
-    grace_s: float = 10.0
+    grace_s: Annotated[float, Meta(ge=0, le=1e6)] = 10.0
 
     def __post_init__(self) -> None:
         if not self.argv:
             raise ValueError("argv must name a program")
         if self.ends_run and self.start == "after":
             raise ValueError('ends_run is for start = "with": a program that starts after the run cannot end it')
-        if not 0 <= self.grace_s <= 1e6:
-            raise ValueError(f"grace_s must be 0 to 1e6, got {self.grace_s}")
+        check_bounds(self)
 
 
 @dataclass(frozen=True)
@@ -241,11 +242,11 @@ class Settings:
     title: str = ""
     sampling: Sampling = "sobol"
     count: int = 0
-    repeats: int = 1
+    repeats: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
     seed: int = 1
     success: tuple[SuccessRule, ...] = ()
-    min_success: float = 0.0
-    timeout_s: float = 3600.0
+    min_success: Share = 0.0
+    timeout_s: Annotated[float, Meta(gt=0, le=1e7)] = 3600.0
     record: str = ""
     parameters: tuple[Law, ...] = ()
     program: Program | None = None
@@ -257,12 +258,7 @@ class Settings:
             raise ValueError("count is for samples: a grid has as many points as its values; see repeats")
         if self.sampling != "grid" and not 1 <= self.count <= 10_000_000:
             raise ValueError(f"count must be 1 to 10000000, got {self.count}")
-        if not 1 <= self.repeats <= 1_000_000:
-            raise ValueError(f"repeats must be 1 to 1000000, got {self.repeats}")
-        if not 0 <= self.min_success <= 1:
-            raise ValueError(f"min_success must be 0 to 1, got {self.min_success}")
-        if not 0 < self.timeout_s <= 1e7:
-            raise ValueError(f"timeout_s must be above 0 and at most 1e7, got {self.timeout_s}")
+        check_bounds(self)
         if self.record and not self.record.startswith("."):
             raise ValueError(f'record must be a suffix such as ".npz", got {self.record!r}')
 

@@ -106,11 +106,7 @@ class WarmWorker:
                 env={**os.environ, "LP_NUM_THREADS": str(self._threads), "PYTHONPATH": os.pathsep.join(sys.path)},
             )
         self._socket = Connection(parent_end.detach())
-        setup = {
-            "source": asdict(self._campaign.source),
-            "folder": str(self._folder),
-            "threads": self._threads,
-        }
+        setup = {"source": asdict(self._campaign.source), "folder": str(self._folder), "threads": self._threads}
         self._socket.send_bytes(json.dumps(setup).encode())
         _answer(self._socket, _START_TIMEOUT_S)
         return self._socket

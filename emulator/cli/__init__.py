@@ -17,7 +17,7 @@ def main() -> None:
     """Run the command line and exit with its code."""
     gc.set_threshold(_OBJECTS_WHILE_STARTING)  # what is imported stays, so a search for garbage finds little
     # Imported here: each link's process begins by importing the script that calls this, and needs no verbs.
-    from emulator.run.standard_descriptors import fill_standard_descriptors
+    from emulator.run import fill_standard_descriptors
 
     fill_standard_descriptors()
     from emulator.cli.signals import exit_on_stop_signals, interrupt_on_stop_signals

@@ -200,13 +200,7 @@ def campaign_failures() -> Iterator[None]:
 
 
 def again(
-    file: Path,
-    index: int,
-    /,
-    *,
-    record: Path | None = None,
-    folder: Path | None = None,
-    json: Json = False,
+    file: Path, index: int, /, *, record: Path | None = None, folder: Path | None = None, json: Json = False
 ) -> int:
     """Do one run of a campaign once more, and compare it with its row.
 
@@ -267,14 +261,7 @@ def _print_row(row: Row, different: list[str] | None) -> None:
         console.print("equal to the row of the campaign: all counts and digests of events", markup=False)
 
 
-def report(
-    file: Path,
-    /,
-    *,
-    folder: Path | None = None,
-    to: Path | None = None,
-    json: Json = False,
-) -> int:
+def report(file: Path, /, *, folder: Path | None = None, to: Path | None = None, json: Json = False) -> int:
     """Write the report of the runs that are done; also while the campaign goes on.
 
     Parameters

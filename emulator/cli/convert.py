@@ -22,15 +22,7 @@ _PROGRESS_S = 2.0
 _LATE = "as they come in the file after data of a later time"
 
 
-def convert(
-    source: Path,
-    target: Path,
-    /,
-    *,
-    to: str = "",
-    size: str | None = None,
-    json: Json = False,
-) -> int:
+def convert(source: Path, target: Path, /, *, to: str = "", size: str | None = None, json: Json = False) -> int:
     """Convert a recording of events to another format, piece by piece: memory does not grow with the file.
 
     Parameters
@@ -127,14 +119,7 @@ def _check_apart(source: Path, target: Path) -> None:
         raise Failure(f"{target}: is the input itself", WRONG_USE)
 
 
-def recover(
-    source: Path,
-    target: Path,
-    /,
-    *,
-    size: str | None = None,
-    json: Json = False,
-) -> int:
+def recover(source: Path, target: Path, /, *, size: str | None = None, json: Json = False) -> int:
     """Save the readable part of a recording that was cut or never finished.
 
     Parameters

@@ -35,14 +35,7 @@ class _Stop:
 
 
 def dynamics(
-    fmu: Path,
-    /,
-    *,
-    map: Path,
-    seconds: float,
-    to: str = "127.0.0.1:10364",
-    stamped: Flag = False,
-    json: Json = False,
+    fmu: Path, /, *, map: Path, seconds: float, to: str = "127.0.0.1:10364", stamped: Flag = False, json: Json = False
 ) -> int:
     """Fly an FMU in real time, and send its poses to a rig with a path of kind "live". See docs/loops.md.
 

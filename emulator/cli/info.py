@@ -136,13 +136,7 @@ class Survey:
         self._bin = [int(bins[starts[-1]]), int(counts[-1])]
 
 
-def info(
-    file: Path,
-    /,
-    *,
-    size: str | None = None,
-    json: Json = False,
-) -> int:
+def info(file: Path, /, *, size: str | None = None, json: Json = False) -> int:
     """Show the format, the camera and every stream of a recording or a truth file, and which programs open it.
 
     Parameters

@@ -32,10 +32,10 @@ from emulator.cli.run_summary import (
     Truth,
     begin_trace,
     changes_lines,
+    latency_text,
     lateness_lines,
     link_json,
     link_lines,
-    quantile_text,
     timing_json,
     timing_lines,
     verdict_line,
@@ -356,11 +356,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
         for line in timing_lines(link.name, report):
             console.print(line)
         if report.latency.p50 is not None:
-            console.print(
-                f"{link.name}: event to socket p50 {quantile_text(report.latency.p50)} us, "
-                f"p99 {quantile_text(report.latency.p99)} us, "
-                f"max {report.latency.max:.0f} us"
-            )
+            console.print(f"{link.name}: event to socket {latency_text(report.latency)}")
     if advice := undersampled_advice(result):
         console.print(advice)
     if result.scene_counts:

@@ -23,6 +23,7 @@ from emulator.run.link_process import traced
 from emulator.run.outcome import Judgement, LinkLedger, RunResult
 from firmware_protocol.device.fates import Counts
 from transports.faults.script import FaultRecord
+from transports.link.deliveries import LatencySummary
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 
@@ -82,6 +83,11 @@ def fault_line(fault: FaultRecord) -> str:
 def quantile_text(value_us: float | None) -> str:
     """Return a quantile of latencies, us; "-" where nothing was measured."""
     return "-" if value_us is None else f"{value_us:.0f}"
+
+
+def latency_text(latency: LatencySummary) -> str:
+    """Return the quantiles and the largest of measured latencies, us."""
+    return f"p50 {quantile_text(latency.p50)} us, p99 {quantile_text(latency.p99)} us, max {latency.max or 0:.0f} us"
 
 
 _REPORTED_LATENESS_US = 1000.0

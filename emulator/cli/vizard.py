@@ -26,13 +26,14 @@ from emulator.cli.output import (
     status,
 )
 from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
-from emulator.cli.run_summary import quantile_text
+from emulator.cli.run_summary import latency_text
 from emulator.report.pictures import check_png, grey_png
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.basilisk import BasiliskRun, camera_differs, connected
 from emulator.run.outcome import RunResult, good, judge
 from emulator.trajectory.basilisk import ConnectedPath
 from firmware_protocol.vizard import Update
+from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
 from transports.needs import install_command
 from transports.network import check_allow
@@ -196,11 +197,7 @@ def _print(counts: dict[str, Any], problems: Sequence[str]) -> None:
         f"cameras' images, {counts['other_peers_refused']} messages of other peers refused"
     )
     for event, name in (("first event handed to a link", "first_event_us"), ("reply", "answer_us")):
-        latency = counts[name]
-        if latency["p50"] is not None:
-            console.print(
-                f"basilisk: update to {event} p50 {quantile_text(latency['p50'])} us, p99 "
-                f"{quantile_text(latency['p99'])} us, max {latency['max']:.0f} us"
-            )
+        if counts[name]["p50"] is not None:
+            console.print(f"basilisk: update to {event} {latency_text(LatencySummary(**counts[name]))}")
     for problem in problems:
         console.print(f"NOT GOOD: {problem}", markup=False)

@@ -32,11 +32,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
+
+from msgspec import Meta
 
 from emulator.light import MachineLacks
 from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
 from emulator.tables.typed_table import TableError, convert
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.pose_message import NOW, PoseMessage, PoseMessageError
 
 
@@ -113,17 +116,14 @@ class Mapping:
 
     position_m: tuple[str | float, str | float, str | float]
     q_world_from_body: tuple[str | float, str | float, str | float, str | float] = (1.0, 0.0, 0.0, 0.0)
-    step_s: float = 0.01
-    body: int = 0
+    step_s: Annotated[float, Meta(ge=1e-5, le=10)] = 0.01
+    body: Annotated[int, Meta(ge=0, le=65535)] = 0
     start: dict[str, float] = field(default_factory=dict)
     file: InputFile | None = None
     can: Bus | None = None
 
     def __post_init__(self) -> None:
-        if not 1e-5 <= self.step_s <= 10:
-            raise ValueError(f"step_s must be 1e-5 to 10, got {self.step_s:g}")
-        if not 0 <= self.body < 1 << 16:
-            raise ValueError(f"body must be 0 to 65535, got {self.body}")
+        check_bounds(self)
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -168,9 +168,7 @@ def check_ui() -> None:
         raise MachineLacks(f"--serve needs {error.name}: {install_command('ui')}") from error
 
 
-def with_trigger_button(
-    setups: Sequence[LinkSetup[Any]],
-) -> tuple[list[LinkSetup[Any]], EdgeSink | None]:
+def with_trigger_button(setups: Sequence[LinkSetup[Any]]) -> tuple[list[LinkSetup[Any]], EdgeSink | None]:
     """Return links connected to a button, and the button; None where an input is in use, or there is no link."""
     if not setups or any(setup.timing.edges is not None for setup in setups):
         return list(setups), None

@@ -38,7 +38,7 @@ from msgspec import Meta
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.photometry.reflectance import LUMENS_A_WATT
-from emulator.tables.typed_table import check_bounds
+from firmware_protocol.bounds import check_bounds
 
 _WAVELENGTH_M = 555e-9
 _ELECTRON_C, _PLANCK_J_S, _LIGHT_M_S = 1.602176634e-19, 6.62607015e-34, 299_792_458.0

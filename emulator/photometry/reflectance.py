@@ -39,20 +39,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
+
+from firmware_protocol.bounds import Share, check_bounds
 
 Floats = npt.NDArray[np.float64]
 
 _TINY = 1e-12
-
-
-def _require(owner: object, name: str, low: float, high: float) -> None:
-    value = getattr(owner, name)
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value}: it must be {low:g} to {high:g}")
+_Asymmetry = Annotated[float, Meta(ge=-0.99, le=0.99)]
 
 
 def henyey_greenstein(phase_rad: float | Floats, asymmetry: float) -> Floats:
@@ -76,10 +74,10 @@ class Lambert:
     """
 
     kind: ClassVar[str] = "lambert"
-    albedo: float = 0.5
+    albedo: Share = 0.5
 
     def __post_init__(self) -> None:
-        _require(self, "albedo", 0, 1)
+        check_bounds(self)
 
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
@@ -103,12 +101,11 @@ class LommelSeeliger:
     """
 
     kind: ClassVar[str] = "lommel-seeliger"
-    single_scattering_albedo: float = 0.33
-    asymmetry: float = -0.25
+    single_scattering_albedo: Share = 0.33
+    asymmetry: _Asymmetry = -0.25
 
     def __post_init__(self) -> None:
-        _require(self, "single_scattering_albedo", 0, 1)
-        _require(self, "asymmetry", -0.99, 0.99)
+        check_bounds(self)
 
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
@@ -132,10 +129,10 @@ class LunarLambert:
     """
 
     kind: ClassVar[str] = "lunar-lambert"
-    albedo: float = 0.12
+    albedo: Share = 0.12
 
     def __post_init__(self) -> None:
-        _require(self, "albedo", 0, 1)
+        check_bounds(self)
 
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
@@ -172,16 +169,13 @@ class Hapke:
     """
 
     kind: ClassVar[str] = "hapke"
-    single_scattering_albedo: float = 0.33
-    asymmetry: float = -0.25
-    surge: float = 1.0
-    surge_width: float = 0.05
+    single_scattering_albedo: Share = 0.33
+    asymmetry: _Asymmetry = -0.25
+    surge: Annotated[float, Meta(ge=0, le=10)] = 1.0
+    surge_width: Annotated[float, Meta(ge=1e-4, le=10)] = 0.05
 
     def __post_init__(self) -> None:
-        _require(self, "single_scattering_albedo", 0, 1)
-        _require(self, "asymmetry", -0.99, 0.99)
-        _require(self, "surge", 0, 10)
-        _require(self, "surge_width", 1e-4, 10)
+        check_bounds(self)
 
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
@@ -221,14 +215,12 @@ class Glossy:
     """
 
     kind: ClassVar[str] = "glossy"
-    albedo: float = 0.2
-    shine: float = 0.5
-    sharpness: float = 200.0
+    albedo: Share = 0.2
+    shine: Share = 0.5
+    sharpness: Annotated[float, Meta(ge=1, le=1e5)] = 200.0
 
     def __post_init__(self) -> None:
-        _require(self, "albedo", 0, 1)
-        _require(self, "shine", 0, 1)
-        _require(self, "sharpness", 1, 1e5)
+        check_bounds(self)
 
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
@@ -282,13 +274,12 @@ class Sun:
     """
 
     direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    distance_au: float = 1.0
+    distance_au: Annotated[float, Meta(ge=0.01, le=1000)] = 1.0
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         if not any(self.direction) or not all(map(math.isfinite, self.direction)):
             raise ValueError(f"direction is {self.direction}: it must be finite and point somewhere")
-        if not 0.01 <= self.distance_au <= 1000:
-            raise ValueError(f"distance_au is {self.distance_au}: it must be 0.01 to 1000")
 
     @property
     def irradiance_w_m2(self) -> float:

@@ -10,11 +10,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from msgspec import Meta
 
 from emulator.light import MachineLacks, SceneError
 from emulator.scene.kind import SceneKind
 from emulator.tables.typed_table import NO_FILE, RigFile
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.events import Events, join_events
 from transports.needs import Need, package
 from transports.recording.files import OpenRecording
@@ -41,15 +44,14 @@ class RecordingParameters:
 
     kind: ClassVar[str] = "recording"
     path: RigFile = NO_FILE
-    time_scale: float = 1.0
+    time_scale: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
     loop: bool = True
     through_readout: bool = False
 
     def __post_init__(self) -> None:
         if not self.path:
             raise ValueError("path is missing: name a recording, .npz or .aedat4")
-        if not 1e-6 <= self.time_scale <= 1e6:
-            raise ValueError(f"time_scale is {self.time_scale}: it must be 1e-6 to 1e6")
+        check_bounds(self)
 
 
 def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
@@ -62,10 +64,7 @@ def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
 
 
 RECORDING = SceneKind(
-    RecordingParameters,
-    "emulator.playback.replay:blank",
-    events="emulator.playback.replay:replay",
-    needs=_needs,
+    RecordingParameters, "emulator.playback.replay:blank", events="emulator.playback.replay:replay", needs=_needs
 )
 
 

@@ -11,7 +11,8 @@ from msgspec import Meta
 from emulator.optics.lens import LensParameters
 from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
-from emulator.tables.typed_table import Seed, Share, check_bounds
+from emulator.tables.typed_table import Seed
+from firmware_protocol.bounds import Share, check_bounds
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes

@@ -47,6 +47,7 @@ from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import RecorderFactory
 from transports.link.edges import EdgeRing, EdgeSink, EdgeSource, ListedEdges, PeriodicEdges
+from transports.link.endpoint import Endpoint, LinkFactory
 from transports.link.feed import Timing
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
 from transports.link.pacing import Clock
@@ -366,7 +367,9 @@ def _link_setup(
     facts = _facts(rig, kind)
     camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
     wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
-    endpoint = LINKS.imported(kind.name, kind.endpoint)(link, wiring)
+    made_by = LINKS.imported(kind.name, kind.endpoint)
+    is_endpoint = isinstance(made_by, type) and issubclass(made_by, Endpoint)
+    endpoint = LinkFactory(made_by, link, wiring) if is_endpoint else made_by(link, wiring)
     setup = LinkSetup(
         link.name, ring, _device(rig, link, kind, is_master), endpoint, _recorder(record), timing=timing, facts=facts
     )

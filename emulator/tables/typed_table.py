@@ -5,9 +5,6 @@ a union of dataclasses with a class attribute `kind`, and the table's own `kind`
 checks plain values; unknown keys, missing ones and the path of the key at fault are found here. A dataclass that
 refuses a value in its `__post_init__` starts its message with the key's name.
 
-The bounds of a number stand once, in the annotation of its field: `Annotated[float, Meta(ge=0, le=1)]`. `check_bounds`
-holds a dataclass to them wherever it is made; the schema, the reference of rigs and the live page show them.
-
 Files that a rig names are found beside the rig file, not in the folder of the command. A dataclass of a rig marks such
 a key by the type `RigFile`.
 """
@@ -27,6 +24,8 @@ from typing import Annotated, Any, Literal, NewType, TypeVar
 import msgspec
 from msgspec import Meta
 
+from firmware_protocol.bounds import Share as Share
+from firmware_protocol.bounds import check_bounds as check_bounds
 from transports.registry import unknown
 
 KeyPath = tuple[str | int, ...]
@@ -121,38 +120,11 @@ def table_type(annotation: Any) -> Any:
     return next((member for member in members if dataclasses.is_dataclass(member)), None)
 
 
-Share = Annotated[float, Meta(ge=0, le=1)]
-"""A part of a whole."""
-
 Seed = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
 """Seed of random numbers."""
 
 TimeScale = Annotated[float, Meta(gt=0, le=1e6)]
 """Speed of motion relative to reality."""
-
-
-@cache
-def bounds_of(target: type) -> Mapping[str, Meta]:
-    """Return the bounds of a dataclass's numbers, by field."""
-    hints = typing.get_type_hints(target, include_extras=True)
-    return {name: of.__metadata__[0] for name, of in hints.items() if typing.get_origin(of) is Annotated}
-
-
-def range_text(bounds: Meta) -> str:
-    """Return bounds in words, such as "0 to 1"."""
-    named = {"above": bounds.gt, "at least": bounds.ge, "at most": bounds.le}
-    words = {name: str(n) if isinstance(n, int) else f"{n:.10g}" for name, n in named.items() if n is not None}
-    is_range = [*words] == ["at least", "at most"]
-    return " to ".join(words.values()) if is_range else ", ".join(map(" ".join, words.items()))
-
-
-def check_bounds(owner: Any) -> None:
-    """Raise ValueError where a number of a dataclass lies outside the bounds of its field, or is NaN."""
-    for name, bounds in bounds_of(owner.__class__).items():
-        value = getattr(owner, name)
-        above = value > bounds.gt if bounds.gt is not None else bounds.ge is None or value >= bounds.ge
-        if not (above and (bounds.le is None or value <= bounds.le)):
-            raise ValueError(f"{name} must be {range_text(bounds)}, got {value!r}")
 
 
 def _is_union(annotation: Any) -> bool:

@@ -10,13 +10,18 @@ import math
 import re
 from dataclasses import dataclass
 from ipaddress import IPv4Address
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
+
+from msgspec import Meta
 
 from emulator.tables.typed_table import NO_FILE, RigFile
 from emulator.trajectory.laws import LANDING, Elements, Gate
+from firmware_protocol.bounds import check_bounds
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
+_Port = Annotated[int, Meta(ge=0, le=65535)]
+_Wait = Annotated[float, Meta(ge=0, le=60_000)]
 _UP: _Triple = (0.0, 0.0, 1.0)
 _AS_THE_WORLD: _Quaternion = (1.0, 0.0, 0.0, 0.0)
 
@@ -25,6 +30,7 @@ class _Checked:
     """Base of the tables: numbers must be finite, attitudes unit quaternions, and directions not zero."""
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         for name, value in vars(self).items():
             numbers = value if isinstance(value, tuple) else (value,)
             if any(isinstance(n, float) and not math.isfinite(n) for n in numbers):
@@ -214,7 +220,7 @@ class FilePath(_Checked):
     kind: ClassVar[str] = "file"
     path: RigFile = NO_FILE
     attitude_path: RigFile = NO_FILE
-    period_s: float = 0.04
+    period_s: Annotated[float, Meta(gt=0)] = 0.04
     axes: Literal["opencv", "opengl"] = "opencv"
     look_at_m: _Triple | None = None
     up: _Triple = _UP
@@ -223,8 +229,6 @@ class FilePath(_Checked):
         super().__post_init__()
         if not self.path:
             raise ValueError("path is missing: name a .csv, .oem or .fli file")
-        if not self.period_s > 0:
-            raise ValueError(f"period_s is {self.period_s:g}: it must be above 0")
 
 
 @dataclass(frozen=True)
@@ -248,20 +252,15 @@ class LivePath(_Checked):
 
     kind: ClassVar[str] = "live"
     host: str = "127.0.0.1"
-    port: int = 10364
+    port: _Port = 10364
     allow: tuple[str, ...] = ()
     position_m: _Triple = (0.0, 0.0, 0.0)
     q_world_from_body: _Quaternion = _AS_THE_WORLD
-    hold_ms: float = 100.0
-    ahead_ms: float = 1000.0
+    hold_ms: _Wait = 100.0
+    ahead_ms: _Wait = 1000.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.port <= 65535:
-            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
-        for name in ("hold_ms", "ahead_ms"):
-            if not 0 <= getattr(self, name) <= 60_000:
-                raise ValueError(f"{name} must be 0 to 60000, got {getattr(self, name):g}")
         _require_senders(self.host, self.allow)
 
 
@@ -328,7 +327,7 @@ class SpicePath(_Checked):
     frame: str = "J2000"
     camera_frame: str = ""
     start_utc: str = ""
-    duration_s: float = 1.0
+    duration_s: Annotated[float, Meta(ge=1e-3, le=1e9)] = 1.0
     aberration: Literal["NONE", "LT", "LT+S", "CN", "CN+S"] = "NONE"
     up: _Triple = _UP
 
@@ -337,8 +336,6 @@ class SpicePath(_Checked):
         for name in ("kernels", "observer", "target", "frame", "start_utc"):
             if not getattr(self, name):
                 raise ValueError(f"{name} is missing")
-        if not 1e-3 <= self.duration_s <= 1e9:
-            raise ValueError(f"duration_s is {self.duration_s:g}: it must be 0.001 to 1e9")
 
 
 TrajectoryParameters = (

@@ -40,13 +40,10 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from transports.can_bus.bus import CanBus, TimedFrame, from_message, to_message
-from transports.can_bus.carriage import sources
 from transports.can_bus.endpoint import CanEndpoint
-from transports.can_bus.faulty_bus import BusFaults
 from transports.can_bus.kind import CanLink
-from transports.can_bus.node import Node
-from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
+from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock
 from transports.link.rings import EventRing
 
@@ -124,10 +121,7 @@ class FakeCanBus:
         self._ring = EventRing(_RING_EVENTS)
         deliveries = Deliveries(self._ring, self._clock)
         self._wire = _Wire(self._clock)
-        node = Node(p, self.instrument, deliveries, None)
-        faults = BusFaults(FaultPlan(), p.rates, deliveries)
-        carried = sources(self.instrument, deliveries, p)
-        self._endpoint = CanEndpoint([self._wire], faults, node, carried, self._clock)
+        self._endpoint = CanEndpoint(p, Wiring(), self.instrument, deliveries, [self._wire])
         self._loop = asyncio.new_event_loop()
         self._loop.run_until_complete(self._endpoint.start())
         self._t_us = 0

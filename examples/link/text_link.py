@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from firmware_protocol.device.plain_device import PlainDevice, own_time
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import Endpoint
 from transports.link.kind import LinkKind, LinkParameters, Wiring
 
 MOST_EVENTS = 50  # in a datagram: their lines fit a packet of Ethernet
@@ -35,22 +35,8 @@ class TextLink(LinkParameters):
     name: str = "text"
 
 
-@dataclass(frozen=True)
-class TextFactory(EndpointFactory[PlainDevice]):
-    """Factory of the endpoint, sent to the link's process."""
-
-    link: TextLink
-
-    def build(self, device: PlainDevice, deliveries: Deliveries) -> TextEndpoint:
-        return TextEndpoint(self.link, device, deliveries)
-
-
-def factory_of(link: TextLink, wiring: Wiring) -> TextFactory:
-    return TextFactory(link)
-
-
 class TextEndpoint(Endpoint):
-    def __init__(self, link: TextLink, device: PlainDevice, deliveries: Deliveries) -> None:
+    def __init__(self, link: TextLink, wiring: Wiring, device: PlainDevice, deliveries: Deliveries) -> None:
         self._address = (link.host, link.port)
         self._device = device
         self._deliveries = deliveries
@@ -83,4 +69,4 @@ class TextEndpoint(Endpoint):
         return f"{self._sent} lines to {self._address[0]}:{self._address[1]}"
 
 
-TEXT = LinkKind(TextLink, serves="plain", endpoint="text_link:factory_of")
+TEXT = LinkKind(TextLink, serves="plain", endpoint="text_link:TextEndpoint")

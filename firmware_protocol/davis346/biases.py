@@ -27,16 +27,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 _FULL_SCALE_A = (11e-12, 94e-12, 756e-12, 6.054e-9, 48.437e-9, 387.5e-9, 3.1e-6, 24.8e-6)
-
-
-def _check(field: str, value: int, maximum: int) -> None:
-    if not 0 <= value <= maximum:
-        raise ValueError(f"{field} {value} is not in 0..{maximum}")
+_SixBits = Annotated[int, Meta(ge=0, le=63)]
+_TwoBits = Annotated[int, Meta(ge=0, le=3)]
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,15 @@ class CoarseFine:
 
     BITS: ClassVar[int] = 15
 
-    coarse: int
-    fine: int
+    coarse: Annotated[int, Meta(ge=0, le=7)]
+    fine: Annotated[int, Meta(ge=0, le=255)]
     n_type: bool = True
     enabled: bool = True
     cascode: bool = False
     low_current: bool = False
 
     def __post_init__(self) -> None:
-        _check("coarse", self.coarse, 7)
-        _check("fine", self.fine, 255)
+        check_bounds(self)
 
     @classmethod
     def parse(cls, word: int) -> CoarseFine:
@@ -90,12 +89,11 @@ class Vdac:
 
     BITS: ClassVar[int] = 9
 
-    voltage: int
-    current: int
+    voltage: _SixBits
+    current: Annotated[int, Meta(ge=0, le=7)]
 
     def __post_init__(self) -> None:
-        _check("voltage", self.voltage, 63)
-        _check("current", self.current, 7)
+        check_bounds(self)
 
     @classmethod
     def parse(cls, word: int) -> Vdac:
@@ -115,16 +113,13 @@ class ShiftedSource:
 
     BITS: ClassVar[int] = 16
 
-    ref: int
-    reg: int
-    mode: int = 0
-    level: int = 0
+    ref: _SixBits
+    reg: _SixBits
+    mode: _TwoBits = 0
+    level: _TwoBits = 0
 
     def __post_init__(self) -> None:
-        _check("ref", self.ref, 63)
-        _check("reg", self.reg, 63)
-        _check("mode", self.mode, 3)
-        _check("level", self.level, 3)
+        check_bounds(self)
 
     @classmethod
     def parse(cls, word: int) -> ShiftedSource:

@@ -34,9 +34,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """Distance between two streams, and between two numbers of a stream."""
@@ -98,6 +102,9 @@ Times = npt.NDArray[np.int64]
 
 _SECOND_NS = 1_000_000_000
 _KEPT_SECONDS = 3600
+_YEAR_S = 3.2e7
+_StreamSeconds = Annotated[float, Meta(ge=0, le=_YEAR_S)]
+_Ppm = Annotated[float, Meta(ge=-1000, le=1000)]
 _AHEAD_SECONDS = 64
 _PPT_PER_PPM = 1_000_000
 _PPT_PER_PPB = 1000
@@ -115,14 +122,11 @@ class ClockStep:
         Its size, microseconds; above 0 the clock jumps forward.
     """
 
-    at_s: float
-    by_us: float
+    at_s: _StreamSeconds
+    by_us: Annotated[float, Meta(ge=-1e12, le=1e12)]
 
     def __post_init__(self) -> None:
-        if not 0 <= self.at_s <= 3.2e7:
-            raise ValueError(f"at_s must be 0 to 3.2e7 (a year), got {self.at_s}")
-        if not abs(self.by_us) <= 1e12:
-            raise ValueError(f"by_us must be -1e12 to 1e12, got {self.by_us}")
+        check_bounds(self)
 
 
 @dataclass(frozen=True)
@@ -145,28 +149,18 @@ class ClockSettings:
         Stream times at which it restarts at zero, as by a pulse on a DAVIS346's synchronisation input.
     """
 
-    offset_us: float = 0.0
-    drift_ppm: float = 0.0
-    walk_ppb: float = 0.0
-    ramp_ppm: float = 0.0
-    ramp_from_s: float = 0.0
-    ramp_seconds: float = 60.0
+    offset_us: Annotated[float, Meta(ge=0, le=1e15)] = 0.0
+    drift_ppm: _Ppm = 0.0
+    walk_ppb: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    ramp_ppm: _Ppm = 0.0
+    ramp_from_s: _StreamSeconds = 0.0
+    ramp_seconds: Annotated[float, Meta(gt=0, le=_YEAR_S)] = 60.0
     steps: tuple[ClockStep, ...] = ()
     restarts_s: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 <= self.offset_us <= 1e15:
-            raise ValueError(f"offset_us must be 0 to 1e15, got {self.offset_us}")
-        for name in ("drift_ppm", "ramp_ppm"):
-            if not abs(getattr(self, name)) <= 1000:
-                raise ValueError(f"{name} must be -1000 to 1000, got {getattr(self, name)}")
-        if not 0 <= self.walk_ppb <= 1000:
-            raise ValueError(f"walk_ppb must be 0 to 1000, got {self.walk_ppb}")
-        if not 0 <= self.ramp_from_s <= 3.2e7:
-            raise ValueError(f"ramp_from_s must be 0 to 3.2e7, got {self.ramp_from_s}")
-        if not 0 < self.ramp_seconds <= 3.2e7:
-            raise ValueError(f"ramp_seconds must be above 0 and at most 3.2e7, got {self.ramp_seconds}")
-        if not all(0 < at_s <= 3.2e7 for at_s in self.restarts_s):
+        check_bounds(self)
+        if not all(0 < at_s <= _YEAR_S for at_s in self.restarts_s):
             raise ValueError(f"restarts_s must be above 0 and at most 3.2e7, got {self.restarts_s}")
 
 

@@ -29,7 +29,8 @@ from firmware_protocol.dvxplorer.words import (
     entry,
 )
 from firmware_protocol.events import empty_events
-from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time
+from firmware_protocol.evt.evt3 import put_event
+from firmware_protocol.evt.words import EVENT_BYTES
 from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
 from firmware_protocol.fx3.words import (
     KIND,
@@ -148,11 +149,7 @@ def _put_pixels(events: _Bytes, at: int, time_us: int, x: int, rows: int) -> int
     """
     row, bits, on = rows & 0xFFFF, rows >> 16 & 0xFF, not rows >> 16 & OFF_BIT
     while bits:
-        put_time(events, at, time_us)
-        put_short(events, at + 8, x)
-        put_short(events, at + 10, row + LOWEST_BIT[np.uint64(bits)])
-        events[np.uint64(at + 12)] = on
-        at += EVENT_BYTES
+        at = put_event(events, at, time_us, x, row + LOWEST_BIT[np.uint64(bits)], on)
         bits &= bits - 1
     return at
 

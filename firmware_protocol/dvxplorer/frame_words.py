@@ -28,7 +28,8 @@ import numpy.typing as npt
 from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.dvxplorer.words import LOWEST_BIT
 from firmware_protocol.events import Events, bytes_of, empty_events
-from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time, short_at, time_at
+from firmware_protocol.evt.evt3 import put_event
+from firmware_protocol.evt.words import EVENT_BYTES, put_time, short_at, time_at
 from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
 
 FRAME_WORD = np.dtype("<u4")
@@ -155,10 +156,7 @@ def put_keys(events: _Bytes, keys: _Keys, out: _Bytes) -> None:
     """Write the events of keys[0], (2, n), with the times of (13 n,) bytes of `events`, into `out`, (13 n,)."""
     for k in range(keys.shape[1]):
         at, key = k * EVENT_BYTES, int(keys[0, np.uint64(k)])
-        put_time(out, at, time_at(events, at))
-        put_short(out, at + 8, key >> 10)
-        put_short(out, at + 10, key >> 1 & 0x1F8 | key & 7)
-        out[np.uint64(at + 12)] = key >> 3 & 1
+        put_event(out, at, time_at(events, at), key >> 10, key >> 1 & 0x1F8 | key & 7, key >> 3 & 1)
 
 
 @entry
@@ -390,11 +388,7 @@ def _put_groups(word: int, state: _State, events: _Bytes, at: int) -> int:
         if state[_AT_X] < 0 or state[_NOW] < 0 or group >= state[_ROWS]:
             continue
         while bits:
-            put_time(events, at, state[_NOW])
-            put_short(events, at + 8, state[_AT_X])
-            put_short(events, at + 10, group * 8 + LOWEST_BIT[np.uint64(bits)])
-            events[np.uint64(at + 12)] = 1 - off
-            at += EVENT_BYTES
+            at = put_event(events, at, state[_NOW], state[_AT_X], group * 8 + LOWEST_BIT[np.uint64(bits)], 1 - off)
             bits &= bits - 1
     return at
 

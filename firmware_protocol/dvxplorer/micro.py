@@ -197,7 +197,7 @@ class DvxplorerMicro(Dvxplorer):
         filters = MicroFilters(self._fates) if self.settings.has_new_firmware else ChipFilters(self._fates)
         filters.power_on()
         self._frames = FrameStream(SIZE, self.settings.fifo_bytes)
-        settings_in = micro_imu_settings if self.settings.has_new_firmware else _no_imu
+        settings_in = micro_imu_settings if self.settings.has_new_firmware else lambda *_, **__: ImuSettings()
         has_imu = self.settings.imu_unit != 0
         self._samples = SampleOutput(self._registers, self._fates, settings_in, has_imu=has_imu)
         return Parts(self._frames, filters, self._samples, _NoStatistics())
@@ -252,11 +252,6 @@ class DvxplorerMicro(Dvxplorer):
         else:
             runs = chip_of(self._registers)(Chip.MODE) == _STREAM
         return RunGate(timestamps=runs, reset=False, words=runs, events=runs)
-
-
-def _no_imu(values: RegisterFile, *, words: bool) -> ImuSettings:
-    """Return the settings of a camera without an inertial unit."""
-    return ImuSettings()
 
 
 RUN = 3

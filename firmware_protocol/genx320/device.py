@@ -59,22 +59,18 @@ class Genx320Settings(TreuzellSettings):
     ----------
     biases
         Effect of the biases on the sensor.
-    surroundings
-        Readings of the sensor's own instruments.
+    surroundings, board
+        Readings of the sensor's own instruments; identity of the board.
     """
 
     biases: BiasModel = field(default_factory=lambda: BiasModel(SLOPES))
     surroundings: Surroundings = field(default_factory=Surroundings)
+    board: BoardIdentity = BOARD
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) of the sensor, pixels."""
         return SIZE
-
-    @property
-    def identity_of_board(self) -> BoardIdentity:
-        """Identity of the board."""
-        return BOARD
 
     @property
     def chip_names(self) -> _Names:

@@ -120,11 +120,6 @@ class Evk4Settings(TreuzellSettings):
         return SIZE
 
     @property
-    def identity_of_board(self) -> BoardModel:
-        """Identity of the board."""
-        return self.board
-
-    @property
     def chip_names(self) -> Chip:
         """Names of the sensor."""
         return self.board.chip

@@ -11,8 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
 from firmware_protocol.davis346.biases import sensor_factors
 from firmware_protocol.imx636.registers import BIASES as IMX_BIASES
@@ -52,37 +55,26 @@ class InstrumentSettings:
 
     tick_us: Literal[1, 10, 100, 1000] = 1
     coding: Literal["smallest", "flat", "rows", "bitmap"] = "smallest"
-    block_events: int = 2048
-    block_bytes: int = 1024
+    block_events: Annotated[int, Meta(ge=1, le=65_535)] = 2048
+    block_bytes: Annotated[int, Meta(ge=64, le=8192)] = 1024
     region: tuple[int, ...] = ()
-    keep_every: int = 1
-    rate_limit: int = 0
+    keep_every: Annotated[int, Meta(ge=1, le=64)] = 1
+    rate_limit: Annotated[int, Meta(ge=0, le=0xFFFF_FFFF)] = 0
     when_full: Literal["drop_oldest", "drop_newest"] = "drop_oldest"
     queue_events: int = 65_536
-    queue_ms: float = 100.0
+    queue_ms: Annotated[float, Meta(ge=1, le=60_000)] = 100.0
     housekeeping_s: float = 1.0
     autostart: bool = True
-    temperature_c: float = 20.0
+    temperature_c: Annotated[float, Meta(ge=-273, le=300)] = 20.0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.block_events <= 65_535:
-            raise ValueError(f"block_events must be 1 to 65535, got {self.block_events}")
-        if not 64 <= self.block_bytes <= 8192:
-            raise ValueError(f"block_bytes must be 64 to 8192, got {self.block_bytes}")
+        check_bounds(self)
         if self.region and (len(self.region) != 4 or min(self.region) < 0 or 0 in self.region[2:]):
             raise ValueError(f"region must be [x, y, width, height] in pixels, or empty, got {list(self.region)}")
-        if not 1 <= self.keep_every <= 64:
-            raise ValueError(f"keep_every must be 1 (all) to 64, got {self.keep_every}")
-        if not 0 <= self.rate_limit <= 0xFFFF_FFFF:
-            raise ValueError(f"rate_limit must be 0 (none) to {0xFFFF_FFFF} events a second, got {self.rate_limit}")
         if not self.block_events <= self.queue_events <= 1 << 24:
             raise ValueError(f"queue_events must be block_events to {1 << 24}, got {self.queue_events}")
-        if not 1 <= self.queue_ms <= 60_000:
-            raise ValueError(f"queue_ms must be 1 to 60000, got {self.queue_ms}")
         if not (self.housekeeping_s == 0 or 0.01 <= self.housekeeping_s <= 86_400):
             raise ValueError(f"housekeeping_s must be 0 (none) or 0.01 to 86400, got {self.housekeeping_s}")
-        if not -273 <= self.temperature_c <= 300:
-            raise ValueError(f"temperature_c must be -273 to 300, got {self.temperature_c}")
 
     @property
     def bounds(self) -> QueueBounds:

@@ -53,12 +53,14 @@ import struct
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 from xml.sax.saxutils import escape
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
+from firmware_protocol.bounds import Share, check_bounds
 from firmware_protocol.events import EVENT, EdgeKind, Edges, Events, empty_edges
 from firmware_protocol.recordings.aedat import encode_aedat2, encode_aedat31
 
@@ -91,22 +93,19 @@ class PictureSettings:
     """
 
     channels: tuple[Channel, ...] = ("on", "off", "first_us", "last_us", "level")
-    filter_ms: float = 100.0
+    filter_ms: Annotated[float, Meta(ge=0.1, le=60_000)] = 100.0
     on_colour: Colour = (0, 255, 0)
     off_colour: Colour = (255, 0, 0)
     both_colour: Colour = (255, 255, 0)
     background: Colour = (32, 32, 32)
-    light_share: float = 0.0
+    light_share: Share = 0.0
     light_below_events: bool = False
-    contrast: float = 0.25
+    contrast: Annotated[float, Meta(ge=0.001, le=10)] = 0.25
 
     def __post_init__(self) -> None:
         if not self.channels or len(set(self.channels)) != len(self.channels):
             raise ValueError(f"channels must be one or more, each once, got {list(self.channels)}")
-        bounds = {"filter_ms": (0.1, 60_000), "light_share": (0, 1), "contrast": (0.001, 10)}
-        for name, (low, high) in bounds.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} must be {low:g} to {high:g}, got {getattr(self, name)}")
+        check_bounds(self)
         for name in ("on_colour", "off_colour", "both_colour", "background"):
             if not all(0 <= value <= 255 for value in getattr(self, name)):
                 raise ValueError(f"{name} must be red, green, blue from 0 to 255, got {list(getattr(self, name))}")

@@ -49,10 +49,10 @@ Source: ECSS-E-ST-70-41C, clauses 7.4.3 and 7.4.4, as the spacepackets library a
 
 from __future__ import annotations
 
+from binascii import crc_hqx
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from firmware_protocol.crc import crc16
 from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.wire_layout import Field, Layout, choices_of
 
@@ -233,7 +233,7 @@ TC_HEADER = Layout(
 """Secondary header of telecommands."""
 ERROR_CONTROL = Layout(Field("error_control", 16, "CRC-16-CCITT-FALSE of all octets before it"))
 """Last field of each packet."""
-_CRC_BYTES = ERROR_CONTROL.octets
+_CRC_BYTES, _CRC_START = ERROR_CONTROL.octets, 0xFFFF
 TM_OVERHEAD = PRIMARY_HEADER.octets + TM_HEADER.octets + _CRC_BYTES
 """Octets of a telemetry packet beside its source data."""
 TC_OVERHEAD = PRIMARY_HEADER.octets + TC_HEADER.octets + _CRC_BYTES
@@ -254,7 +254,7 @@ class Acknowledge(IntFlag):
 def _sealed(type_: PacketType, apid: int, sequence_count: int, data: bytes) -> bytes:
     """Return a whole packet with its error control."""
     packet = bytes(SpacePacket(type_, apid, sequence_count, data + bytes(_CRC_BYTES)))[:-_CRC_BYTES]
-    return packet + crc16(packet).to_bytes(_CRC_BYTES, "big")
+    return packet + crc_hqx(packet, _CRC_START).to_bytes(_CRC_BYTES, "big")
 
 
 def _unsealed(octets: bytes, type_: PacketType, header: Layout) -> SpacePacket:
@@ -262,7 +262,7 @@ def _unsealed(octets: bytes, type_: PacketType, header: Layout) -> SpacePacket:
     packet = SpacePacket.parse(octets)
     if len(packet.data) < header.octets + _CRC_BYTES:
         raise PacketError("short")
-    if crc16(octets):
+    if crc_hqx(octets, _CRC_START):  # it is zero over data that end in their own checksum
         raise PacketError("crc")
     if packet.type != type_:
         raise PacketError("type")

@@ -33,6 +33,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from firmware_protocol.bounds import Share, check_bounds
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 _WITHOUT_EFFECT = {
@@ -61,19 +62,16 @@ class BiasSlopes:
         Of the inverse of the refractory period, likewise.
     """
 
-    diff_on: float = 0.0143
-    diff_off: float = 0.0208
-    diff_off_above: float = 0.0136
-    largest_exponent: float = 1.0
-    off_delay: float = 0.0445
-    fo: float = 0.012
-    refr: float = 0.05
+    diff_on: Share = 0.0143
+    diff_off: Share = 0.0208
+    diff_off_above: Share = 0.0136
+    largest_exponent: Share = 1.0
+    off_delay: Share = 0.0445
+    fo: Share = 0.012
+    refr: Share = 0.05
 
     def __post_init__(self) -> None:
-        for slope in fields(self):
-            value = getattr(self, slope.name)
-            if not 0 <= value <= 1:
-                raise ValueError(f"{slope.name} must be 0 to 1 a step, got {value}")
+        check_bounds(self)
 
 
 @dataclass(frozen=True)

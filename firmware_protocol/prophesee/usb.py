@@ -229,8 +229,8 @@ class TreuzellSettings(UsbCameraSettings):
 
     @property
     @abstractmethod
-    def identity_of_board(self) -> BoardIdentity:
-        """Identity of the board."""
+    def board(self) -> BoardIdentity:
+        """Identity of the board; a subclass has it as a field."""
 
     @property
     @abstractmethod
@@ -240,12 +240,12 @@ class TreuzellSettings(UsbCameraSettings):
     @property
     def identity(self) -> Identity:
         """The camera as a host's bus lists it."""
-        vendor, product = self.identity_of_board.usb_id
+        vendor, product = self.board.usb_id
         return Identity(vendor, product, self.bcd_device, self.speed, interfaces=(_INTERFACE_CLASS,))
 
     def descriptors(self) -> DescriptorSet:
         """Return all descriptors at the camera's speed."""
-        board, other = self.identity_of_board, OTHER_SPEED.get(self.speed)
+        board, other = self.board, OTHER_SPEED.get(self.speed)
         return DescriptorSet(
             device=DeviceDescriptor(self.speed, *board.usb_id, self.bcd_device, strings=(1, 2, 0)),
             configuration=_configuration(self.speed),
@@ -255,7 +255,7 @@ class TreuzellSettings(UsbCameraSettings):
 
     def facts(self) -> BoardFacts:
         """Return what the board reports of itself."""
-        names, short_frames = self.chip_names, self.identity_of_board.short_frames
+        names, short_frames = self.chip_names, self.board.short_frames
         serial = int(self.serial, 16)
         return BoardFacts(serial, self.release, self.build_unix_s, names.name, names.compatible, short_frames)
 
@@ -283,7 +283,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         self._registers, self._selection = registers, selection
         super().__init__(settings.size, settings.biases, self._new_outflow(0), settings.pulse_us)
         self._standard = StandardControl(settings.descriptors())
-        self._kind = bytes((settings.identity_of_board.kind, 0))
+        self._kind = bytes((settings.board.kind, 0))
         self._board = Board(settings.facts(), self)
         self._answers: deque[bytes] = deque()
         self._was_running = False

@@ -93,7 +93,7 @@ def usbip_events() -> float:
     """
     clock = MonotonicClock()
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
-    setup = LinkSetup("bench", EventRing(), camera, UsbipFactory("127.0.0.1", 0, "1-1"))
+    setup = LinkSetup("bench", EventRing(), camera, UsbipFactory(UsbipLink(port=0)))
     link = LinkProcess(setup, clock)
     link.wait_ready()
     receiver = _Receiver(link.report.address or "")

@@ -60,8 +60,10 @@ def test_a_key_of_a_class_without_a_text_would_be_noticed():
 
 
 def test_a_kind_names_the_common_keys_that_it_has_and_defaults_of_its_own():
-    assert re.search(r"\|<h4 id=\"faults-rate\"><code>rate</code></h4>\|`1\.0`\|Probability", TABLES)
-    assert re.search(r"\|<h3 id=\"faults-stall\">.*\|`link`, `at_s`, `for_s = 0\.1`\|The receiver", TABLES)
+    assert re.search(
+        r"\|<h4 id=\"faults-rate\"><code>rate</code></h4>\|`1\.0`, >&nbsp;0, ≤&nbsp;1\|Probability", TABLES
+    )
+    assert re.search(r"\|<h3 id=\"faults-stall\">.*\|`link`, `at_s`, `for_s = 0\.1`, [^|]*\|The receiver", TABLES)
     assert re.search(r"\|<h3 id=\"scene-stars\">.*`\[\[scene\.points\]\]`\|A sky", TABLES)
 
 

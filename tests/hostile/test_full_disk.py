@@ -14,7 +14,7 @@ from emulator.cli.output import Failure
 from firmware_protocol.events import EVENT
 from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faults
-from transports.link.feed import ClockReport, ClockTruth
+from transports.output_file import OutputFile
 from transports.recording.part import Part
 from transports.recording.record import Recorder, load_record
 
@@ -83,9 +83,9 @@ def test_a_record_that_fits_has_no_trouble(tiny):
 
 
 def test_the_truth_of_a_clock_stops(full):
-    truth = ClockTruth(full("truth.csv"))
+    truth = OutputFile(full("truth.csv"), "truth")
     for k in range(2000):
-        truth.add(k, ClockReport(k, 0.5, 1.0))
+        truth.write(f"{k},{k},0.500\n".encode())
     truth.close()
     assert truth.trouble.startswith(f"truth stopped: {NO_SPACE}")
 

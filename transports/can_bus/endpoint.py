@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 from firmware_protocol.can_frames.frame import BusShare, Frame
@@ -20,21 +20,11 @@ from transports.can_bus.bus import BusDown, CanBus, PythonCanBus
 from transports.can_bus.carriage import FrameSource, sources
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.can_bus.kind import CanLink
-from transports.can_bus.node import Node, TriggerCallback
+from transports.can_bus.node import Node
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import QueuedFrame, Tracker
-from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import (
-    BUSY_NS,
-    HOSTED_NS,
-    REST_NS,
-    Endpoint,
-    EndpointFactory,
-    EndpointReport,
-    LineUse,
-    Reopening,
-)
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointReport, LineUse, Reopening
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 
@@ -44,31 +34,6 @@ _MAKE_UP_NS = 5_000_000  # bus time that a late tick may catch up
 _NAMES = ("A", "B")
 _MOST_ANSWERS = 1024  # limit of the urgent frames that wait while other nodes occupy the bus
 _DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # at the end, queued frames get one second to leave
-
-
-@dataclass(frozen=True)
-class CanFactory(EndpointFactory[Instrument]):
-    """Factory of the endpoint of an instrument on a CAN bus; `sink` receives the bus's SYNCs as triggers."""
-
-    parameters: CanLink
-    sink: TriggerCallback | None = None
-    faults: FaultPlan = field(default_factory=FaultPlan)
-
-    def build(self, device: Instrument, deliveries: Deliveries) -> CanEndpoint:
-        """Return the endpoint; its buses are not open yet."""
-        p, clock = self.parameters, deliveries.clock
-        if p.interface == "served":
-            buses: list[CanBus] = [ServedBus(p, clock)]
-        else:
-            buses = [PythonCanBus(p, channel) for channel in (p.channel, p.channel_b) if channel]
-        faults = BusFaults(self.faults, p.rates, deliveries)
-        node = Node(p, device, deliveries, self.sink)
-        return CanEndpoint(buses, faults, node, sources(device, deliveries, p), clock)
-
-
-def factory_of(parameters: CanLink, wiring: Wiring) -> CanFactory:
-    """Return the endpoint's factory."""
-    return CanFactory(parameters, wiring.sink, wiring.faults)
 
 
 @dataclass
@@ -81,19 +46,23 @@ class _Slot:
 
 
 class CanEndpoint(Endpoint):
-    """Endpoint of an instrument on a CAN bus."""
+    """Endpoint of an instrument on a CAN bus; `buses` stand in for those of the link's table."""
 
     faulty: BusFaults
 
     def __init__(
-        self, buses: list[CanBus], faults: BusFaults, node: Node, carried: list[FrameSource], clock: Clock
+        self, link: CanLink, wiring: Wiring, device: Instrument, deliveries: Deliveries, buses: Sequence[CanBus] = ()
     ) -> None:
-        p = node.parameters
+        p, clock = link, deliveries.clock
+        self.faulty = faults = BusFaults(wiring.faults, p.rates, deliveries)
+        if not buses and p.interface == "served":
+            buses = [ServedBus(p, clock)]
+        elif not buses:
+            buses = [PythonCanBus(p, channel) for channel in (p.channel, p.channel_b) if channel]
         self._slots = [_slot(FaultyBus(bus, index, faults), clock) for index, bus in enumerate(buses)]
-        self.faulty = faults
-        self._instrument = node.instrument
-        self._node = node
-        self._sources = carried
+        self._instrument = device
+        self._node = Node(p, device, deliveries, wiring.sink)
+        self._sources = sources(device, deliveries, p)
         self._clock = clock
         self._share = BusShare(p.rates, p.share, _MAKE_UP_NS)
         self._urgent: deque[Frame] = deque()

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.can_frames.canopen import SelectorSettings
 from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import BitRates
@@ -15,11 +18,13 @@ from firmware_protocol.can_frames.transport import IsoTpSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiverSettings
 from transports.faults.kinds import CAN_BUS
-from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, Unsuitable, check_region
+from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, Port, Unsuitable, check_region
 from transports.needs import Need, network_interface
-from transports.network import check_allow, check_port
+from transports.network import check_allow
 
 Option = str | int | float | bool
+_Period = Annotated[int, Meta(ge=0, le=65_535)]
+_CspAddress = Annotated[int, Meta(ge=0, le=16_382)]
 
 
 @dataclass(frozen=True)
@@ -89,24 +94,24 @@ class CanLink(InstrumentLink):
     channel: str = "can0"
     channel_b: str = ""
     host: str = "127.0.0.1"
-    port: int = 29536
+    port: Port = 29536
     allow: tuple[str, ...] = ()
     bitrate: int = 1_000_000
     data_bitrate: int = 5_000_000
     fd: bool = False
-    share: float = 0.9
+    share: Annotated[float, Meta(ge=0.01, le=1)] = 0.9
     carriage: Literal["raw", "isotp", "cfp"] = "raw"
     flow_control: bool = True
-    answer_ms: int = 1000
-    epoch_ms: float = 10.0
-    node: int = 0x22
-    heartbeat_ms: int = 500
-    sync_ms: int = 0
+    answer_ms: Annotated[int, Meta(ge=1, le=60_000)] = 1000
+    epoch_ms: Annotated[float, Meta(ge=0.1, le=1000)] = 10.0
+    node: Annotated[int, Meta(ge=1, le=127)] = 0x22
+    heartbeat_ms: _Period = 500
+    sync_ms: _Period = 0
     sync_counter: bool = True
-    time_ms: int = 0
+    time_ms: _Period = 0
     follow_time: bool = False
-    csp_address: int = 10
-    csp_peer: int = 1
+    csp_address: _CspAddress = 10
+    csp_peer: _CspAddress = 1
     options: dict[str, Option] = field(default_factory=dict)
     identifiers: Identifiers = field(default_factory=Identifiers)
     redundancy: SelectorSettings = field(default_factory=SelectorSettings)
@@ -115,20 +120,7 @@ class CanLink(InstrumentLink):
 
     def __post_init__(self) -> None:
         self._check_bus()
-        if not 0.01 <= self.share <= 1:
-            raise ValueError(f"share must be 0.01 to 1, got {self.share}")
-        if not 1 <= self.node <= 127:
-            raise ValueError(f"node must be 1 to 127, got {self.node}")
-        if not 0.1 <= self.epoch_ms <= 1000:
-            raise ValueError(f"epoch_ms must be 0.1 to 1000, got {self.epoch_ms}")
-        if not 1 <= self.answer_ms <= 60_000:
-            raise ValueError(f"answer_ms must be 1 to 60000, got {self.answer_ms}")
-        for name in ("heartbeat_ms", "sync_ms", "time_ms"):
-            if not 0 <= getattr(self, name) <= 65_535:
-                raise ValueError(f"{name} must be 0 (none) to 65535, got {getattr(self, name)}")
-        for name in ("csp_address", "csp_peer"):
-            if not 0 <= getattr(self, name) < 0x3FFF:
-                raise ValueError(f"{name} must be 0 to 16382, got {getattr(self, name)}")
+        check_bounds(self)
         try:
             BitRates(self.bitrate, self.data_bitrate)
         except ValueError as error:
@@ -145,7 +137,6 @@ class CanLink(InstrumentLink):
             raise ValueError('fd: socketcand\'s protocol has classic frames only; use "udp_multicast" or "socketcan"')
         if self.fd and self.carriage == "cfp":
             raise ValueError("fd: CSP's fragmentation protocol has classic frames only")
-        check_port(self.port)
         if self.interface == "served":
             check_allow(self.host, self.allow)
 
@@ -218,7 +209,7 @@ def _check(parameters: CanLink, camera: CameraFacts) -> None:
 CAN = LinkKind(
     CanLink,
     serves="instrument",
-    endpoint="transports.can_bus.endpoint:factory_of",
+    endpoint="transports.can_bus.endpoint:CanEndpoint",
     has_sync=True,
     carrier=CAN_BUS,
     listener=Listener("can", "Read a camera on a CAN bus.", "emulator.cli.listen.can:can"),

@@ -11,9 +11,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Protocol
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
+from msgspec import Meta
 
 from firmware_protocol.can_frames.frame import BitRates, Frame, frame_bits
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
@@ -109,12 +110,7 @@ class ReorderedFrames(HitFault):
 
     kind: ClassVar[str] = "reordered_frames"
     carriers = (CAN_BUS,)
-    behind: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.behind <= 1000:
-            raise ValueError(f"behind must be 1 to 1000 frames, got {self.behind}")
+    behind: Annotated[int, Meta(ge=1, le=1000)] = 1
 
     def stage(self, random: np.random.Generator, carrier: BitRates) -> Stage:
         """Return the delay of frames until `behind` others have passed."""
@@ -253,15 +249,8 @@ class BabblingIdiot(_OfBus):
     kind: ClassVar[str] = "babbling_idiot"
     carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = Babbler
-    identifier: int = 0
-    load: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.identifier < 1 << 11:
-            raise ValueError(f"identifier must be 0 to 2047, got {self.identifier}")
-        if not 0 < self.load <= 1:
-            raise ValueError(f"load must be above 0 and at most 1, got {self.load}")
+    identifier: Annotated[int, Meta(ge=0, le=2047)] = 0
+    load: Annotated[float, Meta(gt=0, le=1)] = 1.0
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.profile import Profile
@@ -53,12 +54,7 @@ class LateDatagrams(HitFault):
 
     kind: ClassVar[str] = "late_datagrams"
     carriers = (DATAGRAMS, GIGE_STREAM)
-    overtaken_by: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.overtaken_by <= 1000:
-            raise ValueError(f"overtaken_by must be 1 to 1000 datagrams, got {self.overtaken_by}")
+    overtaken_by: Annotated[int, Meta(ge=1, le=1000)] = 1
 
     def stage(self, random: np.random.Generator, carrier: None) -> Stage:
         """Return the delay of datagrams until `overtaken_by` others have passed."""

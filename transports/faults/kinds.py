@@ -13,14 +13,15 @@ probability `rate` and end after `count` hits.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
+from msgspec import Meta
 
+from firmware_protocol.bounds import check_bounds
 from transports.registry import Registry
 
 SERIAL_LINE = "a serial line"
@@ -30,6 +31,13 @@ GIGE_STREAM = "a GigE Vision stream"
 USB_LINK = "a USB link"
 
 _LONGEST_S = 3.2e7  # a year, the longest run
+
+StreamSeconds = Annotated[float, Meta(ge=0, le=_LONGEST_S)]
+Length = Annotated[float, Meta(gt=0, le=_LONGEST_S)]
+"""Length of a fault that lasts for a while, seconds of stream time."""
+
+Count = Annotated[int, Meta(ge=1)]
+"""Number of effects after which a fault ends."""
 
 
 class Stage:
@@ -91,14 +99,11 @@ class Fault:
     effect: ClassVar[type[Stage]] = Stage
     disconnects: ClassVar[bool] = False
     link: str = ""
-    at_s: float = 0.0
-    for_s: float = 0.0
+    at_s: StreamSeconds = 0.0
+    for_s: StreamSeconds = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("at_s", "for_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and 0 <= value <= _LONGEST_S):
-                raise ValueError(f"{name} must be 0 to 3.2e7 (a year), got {value}")
+        check_bounds(self)
 
     def stage(self, random: np.random.Generator, carrier: Any) -> Stage:
         """Return the effect of this fault on a carrier; `random` draws the hits."""
@@ -117,15 +122,11 @@ class HitFault(Fault):
         Number of hits after which it ends; 0: no limit, then `for_s` sets its end.
     """
 
-    rate: float = 1.0
-    count: int = 1
+    rate: Annotated[float, Meta(gt=0, le=1)] = 1.0
+    count: Annotated[int, Meta(ge=0)] = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.rate <= 1:
-            raise ValueError(f"rate must be above 0 and at most 1, got {self.rate}")
-        if self.count < 0:
-            raise ValueError(f"count must be 0 (no limit) or more, got {self.count}")
         if not self.count and not self.for_s:
             raise ValueError("for_s is 0 and so is count: set one of them")
 
@@ -134,12 +135,7 @@ class HitFault(Fault):
 class LastingFault(Fault):
     """Fault with a duration."""
 
-    for_s: float = 0.1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.for_s:
-            raise ValueError("for_s must be above 0: this fault lasts for a while")
+    for_s: Length = 0.1
 
 
 _GAPS_AT_ONCE = 256

@@ -8,9 +8,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from operator import itemgetter, mul
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from transports.faults.kinds import DATAGRAMS, SERIAL_LINE, Fault, HitFault, LastingFault, Places, Stage
 
@@ -169,15 +170,8 @@ class Overrun(HitFault):
 
     kind: ClassVar[str] = "overrun"
     carriers = (SERIAL_LINE,)
-    late_us: float = 1000.0
-    fifo_bytes: int = 16
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 < self.late_us <= 1e7:
-            raise ValueError(f"late_us must be above 0 and at most 1e7, got {self.late_us}")
-        if not 1 <= self.fifo_bytes <= 65_536:
-            raise ValueError(f"fifo_bytes must be 1 to 65536, got {self.fifo_bytes}")
+    late_us: Annotated[float, Meta(gt=0, le=1e7)] = 1000.0
+    fifo_bytes: Annotated[int, Meta(ge=1, le=65_536)] = 16
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
         """Return the loss of the bytes that a line of `carrier` bytes a second brings before the receiver reads."""
@@ -207,12 +201,7 @@ class Burst(HitFault):
 
     kind: ClassVar[str] = "burst"
     carriers = (SERIAL_LINE,)
-    length: int = 32
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.length <= 1_000_000:
-            raise ValueError(f"length must be 1 to 1000000 bytes, got {self.length}")
+    length: Annotated[int, Meta(ge=1, le=1_000_000)] = 32
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
         """Return random bytes in place of runs of `length`."""
@@ -333,9 +322,4 @@ class WrongBaud(LastingFault):
     kind: ClassVar[str] = "wrong_baud"
     carriers = (SERIAL_LINE,)
     effect: ClassVar[type[Stage]] = _Resampled
-    ratio: float = 2.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.1 <= self.ratio <= 10:
-            raise ValueError(f"ratio must be 0.1 to 10, got {self.ratio}")
+    ratio: Annotated[float, Meta(ge=0.1, le=10)] = 2.0

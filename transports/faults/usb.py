@@ -14,14 +14,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall
-from transports.faults.kinds import USB_LINK, Fault, HitFault, LastingFault, Places, Stage
+from transports.faults.kinds import USB_LINK, Count, Fault, HitFault, LastingFault, Length, Places, Stage
 
 _SAME = -1
+_Octet = Annotated[int, Meta(ge=-1, le=0xFF)]
+_Version = Annotated[int, Meta(ge=_SAME, le=0xFFFFFFFF)]
 _UNICODE_MOST = 126  # characters of a string descriptor
 
 
@@ -96,12 +99,7 @@ class UsbStall(Fault):
     kind: ClassVar[str] = "usb_stall"
     carriers = (USB_LINK,)
     endpoint: int = 2
-    count: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.count < 1:
-            raise ValueError(f"count must be 1 or more, got {self.count}")
+    count: Count = 1
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
         """Return an endpoint that halts `count` times."""
@@ -168,13 +166,8 @@ class FifoOverflow(LastingFault):
 
     kind: ClassVar[str] = "fifo_overflow"
     carriers = (USB_LINK,)
-    for_s: float = 10.0
-    events: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.events < 1:
-            raise ValueError(f"events must be 1 or more, got {self.events}")
+    for_s: Length = 10.0
+    events: Count = 1
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
         """Return a silent endpoint; `carrier` returns the number of events dropped from a full FIFO so far."""
@@ -222,18 +215,10 @@ class WrongVersion(Fault):
 
     kind: ClassVar[str] = "wrong_version"
     carriers = (USB_LINK,)
-    firmware: int = _SAME
-    logic_version: int = _SAME
-    logic_patch: int = _SAME
-    chip: int = _SAME
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not _SAME <= self.firmware <= 0xFF:
-            raise ValueError(f"firmware must be -1 (the same) to 255, got {self.firmware}")
-        for name in ("logic_version", "logic_patch", "chip"):
-            if not _SAME <= getattr(self, name) <= 0xFFFFFFFF:
-                raise ValueError(f"{name} must be -1 (the same) or 32 bits, got {getattr(self, name)}")
+    firmware: _Octet = _SAME
+    logic_version: _Version = _SAME
+    logic_patch: _Version = _SAME
+    chip: _Version = _SAME
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
         """Return false versions, which the device's answers contain from now on."""
@@ -254,17 +239,9 @@ class RegisterFlip(Fault):
 
     kind: ClassVar[str] = "register_flip"
     carriers = (USB_LINK,)
-    module: int = 1
-    parameter: int = 3
-    bit: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.bit <= 31:
-            raise ValueError(f"bit must be 0 to 31, got {self.bit}")
-        for name in ("module", "parameter"):
-            if not 0 <= getattr(self, name) <= 0xFFFF:
-                raise ValueError(f"{name} must be 0 to 65535, got {getattr(self, name)}")
+    module: Annotated[int, Meta(ge=0, le=0xFFFF)] = 1
+    parameter: Annotated[int, Meta(ge=0, le=0xFFFF)] = 3
+    bit: Annotated[int, Meta(ge=0, le=31)] = 0
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
         """Return the flip of one bit, which is done when the fault begins."""
@@ -300,15 +277,8 @@ class ControlStall(Fault):
     kind: ClassVar[str] = "control_stall"
     carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Refusal
-    request: int = -1
-    count: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not -1 <= self.request <= 0xFF:
-            raise ValueError(f"request must be -1 (any) to 255, got {self.request}")
-        if self.count < 1:
-            raise ValueError(f"count must be 1 or more, got {self.count}")
+    request: _Octet = -1
+    count: Count = 1
 
 
 class _Slowness(ControlStage):
@@ -340,10 +310,5 @@ class SlowControl(LastingFault):
     kind: ClassVar[str] = "slow_control"
     carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Slowness
-    for_s: float = 5.0
-    delay_ms: float = 200.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 < self.delay_ms <= 1e6:
-            raise ValueError(f"delay_ms must be above 0 and at most 1e6, got {self.delay_ms}")
+    for_s: Length = 5.0
+    delay_ms: Annotated[float, Meta(gt=0, le=1e6)] = 200.0

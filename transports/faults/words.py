@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from firmware_protocol.fx3.words import Special, Words, is_column
 from transports.faults.kinds import USB_LINK, Fault, HitFault, LastingFault, Places, Stage
@@ -221,12 +222,7 @@ class TimeAhead(Fault):
     kind: ClassVar[str] = "time_ahead"
     carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Ahead
-    wraps: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.wraps <= 100:
-            raise ValueError(f"wraps must be 1 to 100, got {self.wraps}")
+    wraps: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
 class _Back(WordStage):
@@ -257,12 +253,7 @@ class TimeBack(LastingFault):
     kind: ClassVar[str] = "time_back"
     carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Back
-    by_us: int = 1000
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.by_us < _WRAP_US:
-            raise ValueError(f"by_us must be 1 to {_WRAP_US - 1}, got {self.by_us}")
+    by_us: Annotated[int, Meta(ge=1, le=_WRAP_US - 1)] = 1000
 
 
 class _Frozen(WordStage):
@@ -335,9 +326,4 @@ class StaleData(Fault):
     kind: ClassVar[str] = "stale_data"
     carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Stale
-    events: int = 100
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.events <= 1000:
-            raise ValueError(f"events must be 1 to 1000, got {self.events}")
+    events: Annotated[int, Meta(ge=1, le=1000)] = 100

@@ -41,7 +41,6 @@ from firmware_protocol.gige.control import DeviceTime, Order
 from firmware_protocol.gige.gvsp import HEADER_OCTETS
 from firmware_protocol.imx636.triton2 import Outgoing, Triton2
 from firmware_protocol.ptp.slave import Timebase
-from transports.faults.script import FaultPlan
 from transports.gige.answering import (
     TIME_CELLS,
     ControlSetup,
@@ -57,7 +56,7 @@ from transports.gige.kind import GigeLink
 from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport, LinkBroken
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointReport, LinkBroken
 from transports.link.kind import Wiring
 from transports.network import AllowList, ByteBudget
 
@@ -238,23 +237,6 @@ _BURST_NS = 1_000_000  # with one block, at 1 Gbit/s, three quarters of a stock 
 
 
 @dataclass(frozen=True)
-class GigeFactory(EndpointFactory[Triton2]):
-    """Factory of the endpoint of a camera."""
-
-    link: GigeLink
-    faults: FaultPlan = field(default_factory=FaultPlan)
-
-    def build(self, device: Triton2, deliveries: Deliveries) -> GigeEndpoint:
-        """Return the endpoint; its sockets are not open yet."""
-        return GigeEndpoint(self, device, deliveries)
-
-
-def factory_of(link: GigeLink, wiring: Wiring) -> GigeFactory:
-    """Return the endpoint's factory."""
-    return GigeFactory(link, wiring.faults)
-
-
-@dataclass(frozen=True)
 class _Route:
     """Route of packets: destination (None: no host may receive them), permission to fragment, pause between packets."""
 
@@ -268,8 +250,8 @@ class GigeEndpoint(Endpoint):
 
     faulty: FaultyPackets
 
-    def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
-        self._link = link = factory.link
+    def __init__(self, link: GigeLink, wiring: Wiring, camera: Triton2, deliveries: Deliveries) -> None:
+        self._link = link
         self._host = link.host
         self._camera = camera
         self._deliveries = deliveries
@@ -278,7 +260,7 @@ class GigeEndpoint(Endpoint):
         self._allow = AllowList(link.allow)
         self._stream = StreamSocket(link.host, segmented=link.segmentation)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns(), _BURST_NS)
-        self.faulty = FaultyPackets(factory.faults)
+        self.faulty = FaultyPackets(wiring.faults)
         self._fates = BlockFates(self._arrived, self._destroyed)
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()

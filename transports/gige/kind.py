@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.faults.kinds import GIGE_STREAM
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Port, Unsuitable
 from transports.network import check_allow
 
 
@@ -43,13 +46,13 @@ class GigeLink(LinkParameters):
 
     kind: ClassVar[str] = "gige"
     host: str = "127.0.0.1"
-    port: int = GVCP_PORT
+    port: Port = GVCP_PORT
     allow: tuple[str, ...] = ()
-    mbit_s: float = 1000.0
+    mbit_s: Annotated[float, Meta(ge=1, le=100_000)] = 1000.0
     segmentation: bool = False
-    block_us: int = 1000
+    block_us: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
     ptp: bool = False
-    ptp_domain: int = 0
+    ptp_domain: Annotated[int, Meta(ge=0, le=127)] = 0
     name: str = "gige"
 
     def __post_init__(self) -> None:
@@ -61,14 +64,7 @@ class GigeLink(LinkParameters):
             raise ValueError(
                 "host 0.0.0.0 is not an address that a camera can report: give one address of this machine"
             )
-        if not 0 <= self.port <= 65535:
-            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
-        if not 1 <= self.mbit_s <= 100_000:
-            raise ValueError(f"mbit_s must be 1 to 100000, got {self.mbit_s}")
-        if not 1 <= self.block_us <= 1_000_000:
-            raise ValueError(f"block_us must be 1 to 1000000, got {self.block_us}")
-        if not 0 <= self.ptp_domain <= 127:
-            raise ValueError(f"ptp_domain must be 0 to 127, got {self.ptp_domain}")
+        check_bounds(self)
         check_allow(self.host, self.allow)
 
     def listens_on(self) -> tuple[str, int] | None:
@@ -90,7 +86,7 @@ def _check(link: GigeLink, camera: CameraFacts) -> None:
 GIGE = LinkKind(
     GigeLink,
     serves="gige",
-    endpoint="transports.gige.endpoint:factory_of",
+    endpoint="transports.gige.endpoint:GigeEndpoint",
     carrier=GIGE_STREAM,
     listener=Listener("gige", "Read a GigE Vision event camera.", "emulator.cli.listen.cameras:gige"),
     check=_check,

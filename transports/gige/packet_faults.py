@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, HitStage, ItemStage, LastingFault, Loss, Stage
+from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, HitStage, ItemStage, LastingFault, Length, Loss, Stage
 from transports.faults.script import FaultPlan, Faulty, pass_through
 
 
@@ -113,7 +113,7 @@ class IpChange(LastingFault):
     carriers = (GIGE_STREAM,)
     disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Moving
-    for_s: float = 0.5
+    for_s: Length = 0.5
     address: str = "127.0.0.254"
 
     def __post_init__(self) -> None:

@@ -141,16 +141,13 @@ class EdgeSink:
 class PeriodicEdges:
     """Edges at a constant period, the first one period after the start; without a bus and shared memory."""
 
+    refused = 0  # it has no queue
+
     def __init__(self, period_us: int, timing: EdgeTiming) -> None:
         self._period_us = period_us
         self._timing = timing
         self._number = 0
         self.next_us = self._time_us(0)
-
-    @property
-    def refused(self) -> int:
-        """Number of refused edges: always 0, because this source has no queue."""
-        return 0
 
     def _time_us(self, after_us: int) -> int:
         at_ns = (self._number + 1) * self._period_us * 1000
@@ -181,17 +178,14 @@ class EdgeTrain:
 class ListedEdges:
     """Source of the edges of several trains; edges of equal time are in the order of the trains."""
 
+    refused = 0  # it has no queue
+
     def __init__(self, trains: Sequence[EdgeTrain], channel: int = 0) -> None:
         self._trains = tuple(trains)
         self._channel = channel
         self._number = 0
         self._next = [(train.at_us, k, 0) for k, train in enumerate(self._trains)]  # time, train, number in the train
         heapq.heapify(self._next)
-
-    @property
-    def refused(self) -> int:
-        """Number of refused edges: always 0, because this source has no queue."""
-        return 0
 
     @property
     def next_us(self) -> int:

@@ -16,6 +16,7 @@ from firmware_protocol.events import Edges
 from firmware_protocol.recordings.part import RecordingSummary
 from transports.faults.script import Faulty
 from transports.link.deliveries import Deliveries
+from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 
 BUSY_NS = 500_000
@@ -167,6 +168,19 @@ class EndpointFactory(ABC, Generic[_Served]):
     def traced(self, path: Path) -> EndpointFactory[_Served] | None:
         """Return the same factory with a trace of its cable in PATH.txt and PATH.pcap; None without such a cable."""
         return None
+
+
+@dataclass(frozen=True)
+class LinkFactory(EndpointFactory[Any]):
+    """Factory of an endpoint, made by its class of the link's table, its wiring, the device and deliveries."""
+
+    endpoint: Callable[[Any, Wiring, Any, Deliveries], Endpoint]
+    link: Any
+    wiring: Wiring = field(default_factory=Wiring)
+
+    def build(self, device: Any, deliveries: Deliveries) -> Endpoint:
+        """Return the endpoint; nothing is open yet."""
+        return self.endpoint(self.link, self.wiring, device, deliveries)
 
 
 T = TypeVar("T")

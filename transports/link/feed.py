@@ -25,7 +25,6 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EdgeKind, Edges, Events, copy_events, empty_edges, make_edges
 from transports.link.edges import EdgeRing, EdgeSource
 from transports.link.rings import FOREVER_US, EventRing, ReadingRing
-from transports.output_file import OutputFile
 
 
 @dataclass(frozen=True)
@@ -190,27 +189,6 @@ class ClockReport:
     def device_us(self) -> float:
         """Time that a receiver saw."""
         return self.t_us + self.offset_us - self.epoch_us
-
-
-class ClockTruth:
-    """File of the true readings of a device's clock, to score a clock estimator."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = OutputFile(path, "truth")
-        self._file.write(b"monotonic_ns,stream_us,device_us\n")
-
-    @property
-    def trouble(self) -> str:
-        """Reason for an incomplete file, for people; empty if it is complete."""
-        return self._file.trouble
-
-    def add(self, monotonic_ns: int, report: ClockReport) -> None:
-        """Write one line."""
-        self._file.write(f"{monotonic_ns},{report.t_us},{report.device_us:.3f}\n".encode("ascii"))
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
 
 class Feed:

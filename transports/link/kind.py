@@ -9,12 +9,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, Protocol, TypeVar
+
+from msgspec import Meta
 
 from transports.faults.kinds import FAULTS, Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.needs import Need
+
+Port = Annotated[int, Meta(ge=0, le=65535)]
+"""A port of UDP or TCP to listen on; 0: any free one."""
 
 
 class LinkParameters:
@@ -153,8 +158,9 @@ class LinkKind(Generic[P]):
         The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
         the camera without USB; "plain", no electronics: events go out as the sensor sends them.
     endpoint
-        Import path, "module:name", of the function that returns the `EndpointFactory` for the parameters and a Wiring;
-        imported when a link is set up.
+        Import path, "module:name", imported when a link is set up: of the class of its `Endpoint`, which is called with
+        the parameters, a Wiring, the device and `Deliveries`; or of a function that returns an `EndpointFactory` for
+        the parameters and a Wiring.
     has_sync
         True if its bus has a SYNC, which can trigger the camera.
     carrier

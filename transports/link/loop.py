@@ -266,14 +266,12 @@ def run_link(setup: LinkSetup[Any], control: Connection) -> None:
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
     log = log_in_background()
-    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner:
-        runner.run(_serve(setup, control))
+    with (
+        suppress(EOFError, ConnectionError),  # the session has ended: no process reads a report
+        asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner,
+    ):
+        runner.run(_report_all(setup, control))
     log.drain()
-
-
-async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
-    with suppress(EOFError, ConnectionError):  # the session has ended: no process reads a report
-        await _report_all(setup, control)
 
 
 async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:

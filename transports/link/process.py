@@ -27,10 +27,11 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import Deliveries, DeliveryTally, RecorderFactory
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
-from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
+from transports.link.feed import ClockReport, Feed, Timing
 from transports.link.pacing import Clock
 from transports.link.report import CameraSettings, ChangeWatch, LinkReport, Occurrence
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
+from transports.output_file import OutputFile
 
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 _MANY_EVENTS = 1024  # a tick that fed so many, of a run without pacing, is followed by the next one at once
@@ -101,7 +102,9 @@ class Link:
         self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
         self._watch = ChangeWatch(self._device)
         self._holdback_us = setup.timing.holdback_us
-        self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
+        self._truth = None if setup.timing.truth is None else OutputFile(setup.timing.truth, "truth")
+        if self._truth is not None:
+            self._truth.write(b"monotonic_ns,stream_us,device_us\n")
         self._last_clock: ClockReport | None = None
         self._silence = -1, 0, 0  # end of the newest one, and the stream time and the time of its start
         self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock, setup.facts.imu_unit)
@@ -332,7 +335,7 @@ class Link:
         origin_ns = self._ring.origin_ns
         if report is not None and self._truth is not None and origin_ns is not None:
             at_ns = self._clock.now_ns() if origin_ns == FREE_RUNNING else origin_ns + report.t_us * 1000
-            self._truth.add(at_ns, report)
+            self._truth.write(f"{at_ns},{report.t_us},{report.device_us:.3f}\n".encode("ascii"))
         return report
 
     async def close(self) -> None:

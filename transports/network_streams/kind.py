@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.network_streams.coders import (
     CaerConnectionCoder,
     CaerDatagramCoder,
@@ -19,9 +22,9 @@ from firmware_protocol.network_streams.coders import (
     SpifCoder,
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Port, Unsuitable
 from transports.needs import Need, package
-from transports.network import check_allow, check_destination, check_port
+from transports.network import DatagramRate, DestinationPort, check_allow, check_destination
 
 
 @dataclass(frozen=True)
@@ -57,26 +60,23 @@ class TcpLink(LinkParameters):
     kind: ClassVar[str] = "tcp"
     format: Literal["dv", "caer", "event_image", "display"] = "dv"
     host: str = "127.0.0.1"
-    port: int = 7777
+    port: Port = 7777
     allow: tuple[str, ...] = ()
-    buffer_mib: float = 8.0
+    buffer_mib: Annotated[float, Meta(ge=0.0625, le=1024)] = 8.0
     compression: Literal["none", "lz4"] = "none"
     trigger_port: int | None = None
-    frame_ms: float = 20.0
+    frame_ms: Annotated[float, Meta(ge=0.1, le=60_000)] = 20.0
     pictures: PictureSettings = field(default_factory=PictureSettings)
     camera: str = ""
     name: str = "tcp"
 
     def __post_init__(self) -> None:
-        check_port(self.port)
-        if not 0.0625 <= self.buffer_mib <= 1024:
-            raise ValueError(f"buffer_mib must be 0.0625 to 1024, got {self.buffer_mib}")
-        if not 0.1 <= self.frame_ms <= 60_000:
-            raise ValueError(f"frame_ms must be 0.1 to 60000, got {self.frame_ms}")
+        check_bounds(self)
         if self.format != "dv" and (self.compression != "none" or self.trigger_port is not None):
             key = "compression" if self.compression != "none" else "trigger_port"
             raise ValueError(f'{key} is of the format "dv"; {self.format} has none')
-        check_port(self.trigger_port or 0, "trigger_port")
+        if not 0 <= (self.trigger_port or 0) <= 65535:
+            raise ValueError(f"trigger_port must be 0 to 65535, got {self.trigger_port}")
         if self.port and self.trigger_port == self.port:
             raise ValueError("trigger_port is that of the events: give it another one")
         if self.pictures != PictureSettings() and self.format not in ("event_image", "display"):
@@ -114,15 +114,13 @@ class UdpLink(LinkParameters):
     kind: ClassVar[str] = "udp"
     format: Literal["jaer", "caer", "spif", "t64_x16_y16_on8", "t32_x16_y15_on1"] = "jaer"
     host: str = "127.0.0.1"
-    port: int = 8991
+    port: DestinationPort = 8991
     elsewhere: bool = False
-    mbit_s: float = 200.0
+    mbit_s: DatagramRate = 200.0
     name: str = "udp"
 
     def __post_init__(self) -> None:
-        check_port(self.port, least=1)
-        if not 0.1 <= self.mbit_s <= 100_000:
-            raise ValueError(f"mbit_s must be 0.1 to 100000, got {self.mbit_s}")
+        check_bounds(self)
         check_destination(self.host, elsewhere=self.elsewhere)
 
 
@@ -151,13 +149,13 @@ def _check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> No
 TCP = LinkKind(
     TcpLink,
     serves="plain",
-    endpoint="transports.network_streams.tcp:factory_of",
+    endpoint="transports.network_streams.tcp:TcpEndpoint",
     check=lambda link, camera: _check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera),
 )
 
 UDP = LinkKind(
     UdpLink,
     serves="plain",
-    endpoint="transports.network_streams.udp:factory_of",
+    endpoint="transports.network_streams.udp:UdpEndpoint",
     check=lambda link, camera: _check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera),
 )

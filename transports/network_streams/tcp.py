@@ -17,7 +17,6 @@ import socket
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
 
 from firmware_protocol.device.items import Items
@@ -26,7 +25,7 @@ from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.network_streams.coders import ConnectionCoder, DvTriggerCoder, StreamFacts
 from transports.connections import Admission, Listener, Seat
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointReport
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 from transports.needs import install_command
@@ -370,42 +369,23 @@ class ClientGroup:
 _MOST_EVENTS = 1 << 14  # in one batch
 
 
-@dataclass(frozen=True)
-class TcpFactory(EndpointFactory[PlainDevice]):
-    """Factory of a server for the stream of `link`; `coder` makes its coder, `triggers` that of edges."""
-
-    link: TcpLink
-    coder: Callable[[], ConnectionCoder]
-    triggers: Callable[[], ConnectionCoder] | None = None
-
-    def build(self, device: PlainDevice, deliveries: Deliveries) -> TcpEndpoint:
-        """Return the server; it does not listen yet."""
-        return TcpEndpoint(self, device, deliveries)
-
-
-def factory_of(link: TcpLink, wiring: Wiring) -> TcpFactory:
-    """Return the endpoint's factory."""
-    camera = link.camera or wiring.camera.model.upper()
-    facts = StreamFacts(wiring.camera.size, camera, round(link.frame_ms * 1000), link.compression, link.pictures)
-    triggers = None if link.trigger_port is None else partial(DvTriggerCoder, facts)
-    return TcpFactory(link, partial(CONNECTION_CODERS[link.format], facts), triggers)
-
-
 class TcpEndpoint(Endpoint):
     """Server of one stream on one port, and of the camera's triggers on another if the rig has one."""
 
-    def __init__(self, factory: TcpFactory, device: PlainDevice, deliveries: Deliveries) -> None:
-        self._link = factory.link
+    def __init__(self, link: TcpLink, wiring: Wiring, device: PlainDevice, deliveries: Deliveries) -> None:
+        camera = link.camera or wiring.camera.model.upper()
+        facts = StreamFacts(wiring.camera.size, camera, round(link.frame_ms * 1000), link.compression, link.pictures)
+        self._link = link
         self._device = device
         self._deliveries = deliveries
-        self._coder = factory.coder()
-        self._triggers = None if factory.triggers is None else factory.triggers()
+        self._coder = CONNECTION_CODERS[link.format](facts)
+        self._triggers = None if link.trigger_port is None else DvTriggerCoder(facts)
         self._batches = ClientBatches(device, deliveries)
         clock = deliveries.clock
-        self._clients = ClientGroup(factory.link, self._coder, self._batches, clock, device.run)
+        self._clients = ClientGroup(link, self._coder, self._batches, clock, device.run)
         self._trigger_clients: ClientGroup | None = None
         if self._triggers is not None:
-            self._trigger_clients = ClientGroup(factory.link, self._triggers, self._batches, clock, self._take_edges)
+            self._trigger_clients = ClientGroup(link, self._triggers, self._batches, clock, self._take_edges)
         self._epoch_us = 0
         device.takes_edges = self._coder.has_edges
 

@@ -6,16 +6,14 @@ delivered when the kernel has taken its datagram.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator
 from itertools import chain
 
 from firmware_protocol.device.items import Items
 from firmware_protocol.device.plain_device import PlainDevice, own_time
-from firmware_protocol.network_streams.coders import Datagram, DatagramCoder, StreamFacts
+from firmware_protocol.network_streams.coders import Datagram, StreamFacts
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory, EndpointReport
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointReport
 from transports.link.kind import Wiring
 from transports.network import ByteBudget, DatagramOutlet
 from transports.network_streams.kind import DATAGRAM_CODERS, UdpLink
@@ -23,36 +21,18 @@ from transports.network_streams.kind import DATAGRAM_CODERS, UdpLink
 _MOST_EVENTS = 1 << 14  # encoded at once
 
 
-@dataclass(frozen=True)
-class UdpFactory(EndpointFactory[PlainDevice]):
-    """Factory of an endpoint for the stream of `link`; `coder` makes the coder of its datagrams."""
-
-    link: UdpLink
-    coder: Callable[[], DatagramCoder]
-
-    def build(self, device: PlainDevice, deliveries: Deliveries) -> UdpEndpoint:
-        """Return the endpoint; its socket is not open yet."""
-        return UdpEndpoint(self, device, deliveries)
-
-
-def factory_of(link: UdpLink, wiring: Wiring) -> UdpFactory:
-    """Return the endpoint's factory."""
-    facts = StreamFacts(wiring.camera.size, wiring.camera.model.upper())
-    return UdpFactory(link, partial(DATAGRAM_CODERS[link.format], facts))
-
-
 class UdpEndpoint(Endpoint):
     """Endpoint of one stream to one address."""
 
-    def __init__(self, factory: UdpFactory, device: PlainDevice, deliveries: Deliveries) -> None:
+    def __init__(self, link: UdpLink, wiring: Wiring, device: PlainDevice, deliveries: Deliveries) -> None:
         self._device = device
         self._clock = deliveries.clock
-        self._coder = factory.coder()
-        self._budget = ByteBudget(factory.link.mbit_s, self._clock.now_ns())
+        self._coder = DATAGRAM_CODERS[link.format](StreamFacts(wiring.camera.size, wiring.camera.model.upper()))
+        self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
         self._batch = _OpenItems(device, deliveries)
         self._datagrams: Iterator[Datagram] = iter(())
         self._next: Datagram | None = None
-        self._outlet = DatagramOutlet(factory.link.host, factory.link.port)
+        self._outlet = DatagramOutlet(link.host, link.port)
         self._epoch_us = 0
         device.takes_edges = self._coder.has_edges
 

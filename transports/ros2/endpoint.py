@@ -15,7 +15,6 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +27,7 @@ from firmware_protocol.network_streams.pictures import Image as EventImage
 from firmware_protocol.network_streams.pictures import chosen, coloured, frames_for
 from firmware_protocol.ros2 import EVENT_PACKET, IMAGE, Header, Image, event_packet, image_message, mono_events
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointReport
 from transports.link.kind import Wiring
 from transports.needs import install_command
 from transports.ros2.kind import Ros2Link
@@ -179,37 +178,20 @@ _LINGER_NS = 1_000_000_000
 _STEP_S = 0.001
 
 
-@dataclass(frozen=True)
-class Ros2Factory(EndpointFactory[PlainDevice]):
-    """Factory of the publisher of a sensor of `size` = (width, height), with the settings of `link`."""
-
-    link: Ros2Link
-    size: tuple[int, int]
-
-    def build(self, device: PlainDevice, deliveries: Deliveries) -> Ros2Endpoint:
-        """Return the endpoint; it has not joined its domain yet."""
-        return Ros2Endpoint(self, device, deliveries)
-
-
-def factory_of(link: Ros2Link, wiring: Wiring) -> Ros2Factory:
-    """Return the endpoint's factory."""
-    return Ros2Factory(link, wiring.camera.size)
-
-
 class Ros2Endpoint(Endpoint):
     """Topics of one camera."""
 
-    def __init__(self, factory: Ros2Factory, device: PlainDevice, deliveries: Deliveries) -> None:
-        self._link = factory.link
+    def __init__(self, link: Ros2Link, wiring: Wiring, device: PlainDevice, deliveries: Deliveries) -> None:
+        self._link = link
         self._device = device
         self._deliveries = deliveries
-        self._packets = PacketCoder(factory.link, factory.size)
-        self._pictures = PictureCoder(factory.link, factory.size) if factory.link.image_topic else None
-        self._gathering = MessageBuffer(_MOST_EVENTS, round(factory.link.message_ms * 1e6))
+        self._packets = PacketCoder(link, wiring.camera.size)
+        self._pictures = PictureCoder(link, wiring.camera.size) if link.image_topic else None
+        self._gathering = MessageBuffer(_MOST_EVENTS, round(link.message_ms * 1e6))
         self._participant: DdsParticipant | None = None
         self._events_to: TopicWriter | None = None
         self._pictures_to: TopicWriter | None = None
-        self._window = Window(factory.link.depth // 2)
+        self._window = Window(link.depth // 2)
         self._readers = self._epoch_us = 0
         self._zero_us: int | None = None
         self._counts: Counter[str] = Counter()

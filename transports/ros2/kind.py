@@ -11,9 +11,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 from xml.sax.saxutils import quoteattr
 
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.evt.words import LIMIT_PX
 from firmware_protocol.network_streams.coders import PictureSettings
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
@@ -21,7 +24,7 @@ from transports.needs import Need, package
 from transports.network import is_loopback
 
 _LOOPBACK = "127.0.0.1"
-_MOST_DOMAIN = 232  # beyond it DDS has no ports left
+_Domain = Annotated[int, Meta(ge=0, le=232)]  # beyond it DDS has no ports left
 _MOST_PROCESSES = 32  # on this machine, in one domain: as in rmw_cyclonedds
 _MOST_MESSAGE = "64 MiB"
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
@@ -43,14 +46,13 @@ class DdsNetwork:
         True if machines on the interfaces find each other by multicast, as ROS 2 does by default.
     """
 
-    domain: int = 0
+    domain: _Domain = 0
     interfaces: tuple[str, ...] = ()
     peers: tuple[str, ...] = ()
     multicast: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.domain <= _MOST_DOMAIN:
-            raise ValueError(f"domain must be 0 to {_MOST_DOMAIN}, as ROS_DOMAIN_ID, got {self.domain}")
+        check_bounds(self)
         elsewhere = [peer for peer in self.peers if not is_loopback(peer)]
         if not self.interfaces and (elsewhere or self.multicast):
             conflict = f"peers name {elsewhere[0]}" if elsewhere else "multicast is true"
@@ -137,19 +139,20 @@ class Ros2Link(LinkParameters):
     encoding: Literal["evt3", "mono"] = "evt3"
     image_topic: str = ""
     image: Literal["display", "event_image"] = "display"
-    frame_ms: float = 20.0
+    frame_ms: Annotated[float, Meta(ge=0.1, le=60_000)] = 20.0
     pictures: PictureSettings = field(default_factory=PictureSettings)
-    message_ms: float = 1.0
+    message_ms: Annotated[float, Meta(ge=0.1, le=1000)] = 1.0
     frame_id: str = "event_camera"
     reliable: bool = True
-    depth: int = 128
-    domain: int = 0
+    depth: Annotated[int, Meta(ge=2, le=10_000)] = 128
+    domain: _Domain = 0
     interfaces: tuple[str, ...] = ()
     peers: tuple[str, ...] = ()
     multicast: bool = False
     name: str = "ros2"
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         check_topic("topic", self.topic)
         if self.image_topic:
             check_topic("image_topic", self.image_topic)
@@ -157,10 +160,6 @@ class Ros2Link(LinkParameters):
             raise ValueError("pictures needs image_topic: without one no picture is published")
         if self.image_topic == self.topic:
             raise ValueError("image_topic is that of the events: give it a name of its own")
-        bounds = {"frame_ms": (0.1, 60_000), "message_ms": (0.1, 1000), "depth": (2, 10_000)}
-        for name, (low, high) in bounds.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} must be {low:g} to {high:g}, got {getattr(self, name)}")
         if not self.frame_id.isprintable() or len(self.frame_id) > 255:
             raise ValueError("frame_id must be at most 255 printable characters")
         _ = self.network
@@ -189,9 +188,4 @@ def _check(link: Ros2Link, camera: CameraFacts) -> None:
                          "encoding")  # fmt: skip
 
 
-ROS2 = LinkKind(
-    Ros2Link,
-    serves="plain",
-    endpoint="transports.ros2.endpoint:factory_of",
-    check=_check,
-)
+ROS2 = LinkKind(Ros2Link, serves="plain", endpoint="transports.ros2.endpoint:Ros2Endpoint", check=_check)

@@ -35,7 +35,6 @@ from typing import Generic, TypeVar
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.profile import Profile
 from transports.faults.faulty_line import FaultyLine
-from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import (
     BUSY_NS,
@@ -241,7 +240,7 @@ class SerialFactory(EndpointFactory[Instrument]):
     """Factory of the endpoint of an instrument on a line, in the packets and framing of its parameters."""
 
     line: SerialLink
-    faults: FaultPlan = field(default_factory=FaultPlan)
+    wiring: Wiring = field(default_factory=Wiring)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> SerialEndpoint:
         """Return the endpoint; its port is not open yet."""
@@ -251,11 +250,6 @@ class SerialFactory(EndpointFactory[Instrument]):
         """Remove the symbolic link to a pty that no longer exists."""
         if self.line.symlink:
             remove_abandoned(Path(self.line.symlink))
-
-
-def factory_of(line: SerialLink, wiring: Wiring) -> SerialFactory:
-    """Return the endpoint's factory."""
-    return SerialFactory(line, wiring.faults)
 
 
 class SerialEndpoint(Endpoint):
@@ -272,7 +266,7 @@ class SerialEndpoint(Endpoint):
         self._commands = self._profile.command_unwrapper()
         self._baud = BaudClock(self._line.baud, self._line.bits)
         self._out: Transmitter[Outgoing] = Transmitter(self._baud, self._next_frame, self._left, _AHEAD_NS)
-        self.faulty = FaultyLine(factory.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
+        self.faulty = FaultyLine(factory.wiring.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
         self._counts: Counter[str] = Counter()
         self._port: Port | None = None
         self._has_reader = False

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
+from msgspec import Meta
+
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import SERIAL_LINE
 from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
@@ -42,26 +45,23 @@ class SerialLink(InstrumentLink):
     kind: ClassVar[str] = "serial"
     port: str = "pty"
     symlink: str = ""
-    baud: int = 921_600
+    baud: Annotated[int, Meta(ge=50, le=50_000_000)] = 921_600
     data_bits: Literal[5, 6, 7, 8] = 8
     parity: Literal["none", "even", "odd", "mark", "space"] = "none"
     stop_bits: float = 1.0
     flow: Literal["none", "rts_cts"] = "none"
     rs485: bool = False
-    break_ms: float = 0.0
+    break_ms: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     profile: Literal["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"] = "ccsds-cobs"
     name: str = "serial"
     instrument: InstrumentSettings = field(default_factory=InstrumentSettings)
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         if not self.port:
             raise ValueError('port is empty; give "pty", a device such as /dev/ttyUSB0, or a URL')
-        if not 50 <= self.baud <= 50_000_000:
-            raise ValueError(f"baud must be 50 to 50000000, got {self.baud}")
         if self.stop_bits not in (1, 1.5, 2):
             raise ValueError(f"stop_bits must be 1, 1.5 or 2, got {self.stop_bits}")
-        if not 0 <= self.break_ms <= 1000:
-            raise ValueError(f"break_ms must be 0 (none) to 1000, got {self.break_ms}")
         if self.symlink and self.port != "pty":
             raise ValueError(f'symlink is for port = "pty"; {self.port} has its own path')
 
@@ -74,7 +74,7 @@ class SerialLink(InstrumentLink):
 SERIAL = LinkKind(
     SerialLink,
     serves="instrument",
-    endpoint="transports.serial_line.endpoint:factory_of",
+    endpoint="transports.serial_line.endpoint:SerialFactory",
     carrier=SERIAL_LINE,
     listener=Listener("serial", "Read a camera on a serial line.", "emulator.cli.listen.packets:serial"),
     check=check_region,

@@ -14,16 +14,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.ccsds import whole_packets
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
 from transports.faults.datagrams import FaultyDatagrams
-from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory, EndpointReport
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointReport
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 from transports.network import ByteBudget, DatagramInlet, DatagramOutlet
@@ -34,30 +33,12 @@ from transports.udp_packets.kind import UdpPacketsLink
 _AT_A_TIME = 64
 
 
-@dataclass(frozen=True)
-class UdpPacketFactory(EndpointFactory[Instrument]):
-    """Factory of the endpoint of an instrument on a pair of UDP ports."""
-
-    link: UdpPacketsLink
-    faults: FaultPlan = field(default_factory=FaultPlan)
-
-    def build(self, device: Instrument, deliveries: Deliveries) -> UdpPacketEndpoint:
-        """Return the endpoint; its sockets are not open yet."""
-        return UdpPacketEndpoint(self, device, deliveries)
-
-
-def factory_of(link: UdpPacketsLink, wiring: Wiring) -> UdpPacketFactory:
-    """Return the endpoint's factory."""
-    return UdpPacketFactory(link, wiring.faults)
-
-
 class UdpPacketEndpoint(Endpoint):
     """Endpoint of one instrument for one receiver."""
 
     faulty: FaultyDatagrams
 
-    def __init__(self, factory: UdpPacketFactory, instrument: Instrument, deliveries: Deliveries) -> None:
-        link = factory.link
+    def __init__(self, link: UdpPacketsLink, wiring: Wiring, instrument: Instrument, deliveries: Deliveries) -> None:
         self._instrument = instrument
         self._deliveries = deliveries
         self._clock = deliveries.clock
@@ -66,7 +47,7 @@ class UdpPacketEndpoint(Endpoint):
         self._outlet = DatagramOutlet(link.host, link.port)
         self._inlet = DatagramInlet(link.command_host, link.command_port, link.allow)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
-        self.faulty = FaultyDatagrams(factory.faults, self._arrived)
+        self.faulty = FaultyDatagrams(wiring.faults, self._arrived)
         self._next: tuple[bytes, Outgoing] | None = None
 
     async def start(self) -> None:

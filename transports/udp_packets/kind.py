@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import DATAGRAMS
-from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
-from transports.network import check_allow, check_destination, check_port
+from transports.link.kind import InstrumentLink, LinkKind, Listener, Port, check_region
+from transports.network import DatagramRate, DestinationPort, check_allow, check_destination
 
 
 @dataclass(frozen=True)
@@ -34,20 +35,17 @@ class UdpPacketsLink(InstrumentLink):
 
     kind: ClassVar[str] = "udp_packets"
     host: str = "127.0.0.1"
-    port: int = 10_015
+    port: DestinationPort = 10_015
     elsewhere: bool = False
     command_host: str = "127.0.0.1"
-    command_port: int = 10_025
+    command_port: Port = 10_025
     allow: tuple[str, ...] = ()
-    mbit_s: float = 200.0
+    mbit_s: DatagramRate = 200.0
     name: str = "udp_packets"
     instrument: InstrumentSettings = field(default_factory=InstrumentSettings)
 
     def __post_init__(self) -> None:
-        check_port(self.port, least=1)
-        check_port(self.command_port, "command_port")
-        if not 0.1 <= self.mbit_s <= 100_000:
-            raise ValueError(f"mbit_s must be 0.1 to 100000, got {self.mbit_s}")
+        check_bounds(self)
         check_destination(self.host, elsewhere=self.elsewhere)
         if not self.command_host:
             raise ValueError("command_host is empty: give the address for telecommands, for example 127.0.0.1")
@@ -59,7 +57,7 @@ class UdpPacketsLink(InstrumentLink):
 UDP_PACKETS = LinkKind(
     UdpPacketsLink,
     serves="instrument",
-    endpoint="transports.udp_packets.endpoint:factory_of",
+    endpoint="transports.udp_packets.endpoint:UdpPacketEndpoint",
     carrier=DATAGRAMS,
     listener=Listener("udp", "Read a camera whose packets come in UDP datagrams.", "emulator.cli.listen.packets:udp"),
     check=check_region,

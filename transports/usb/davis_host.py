@@ -6,27 +6,10 @@ from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.davis346.device import PRODUCT_ID
 from firmware_protocol.davis346.registers import Layout, registers
 from firmware_protocol.fx3.registers import Module, SystemInfo
-from transports.usb.fx3_host import Entry, Fx3Host, WordDecoder
-from transports.usb.host import StreamSettings
+from transports.usb.fx3_host import SOURCES_OFF, Entry, Fx3Host, WordDecoder
 
-_STOP: tuple[Entry, ...] = (
-    (Module.DVS, 3, 0),
-    (Module.APS, 4, 0),
-    (Module.IMU, 2, 0),
-    (Module.IMU, 3, 0),
-    (Module.IMU, 4, 0),
-    (Module.EXTERNAL_INPUT, 0, 0),
-    (Module.EXTERNAL_INPUT, 11, 0),
-    (Module.MULTIPLEXER, 0, 0),
-    (Module.MULTIPLEXER, 1, 0),
-    (Module.USB, 0, 0),
-    (Module.MULTIPLEXER, 3, 0),
-)
-
-
+_STOP: tuple[Entry, ...] = ((Module.DVS, 3, 0), (Module.APS, 4, 0), *SOURCES_OFF)
 _FILTERS_OFF: tuple[Entry, ...] = tuple((Module.DVS, address, 0) for address in (31, 33, 51, 61, 62))
-
-
 _START: tuple[Entry, ...] = (
     (Module.MULTIPLEXER, 3, 1),
     (Module.USB, 0, 1),
@@ -50,9 +33,8 @@ class DavisHost(Fx3Host):
     def _new_decoder(self) -> WordDecoder:
         return Decoder(self.info.size, self.info.turned)
 
-    def _configure(self, settings: StreamSettings) -> None:
+    def _configure(self) -> None:
         declared = registers(self.info.size, Layout.UPRIGHT, SystemInfo())
         chip = [(r.module, r.address, r.default) for r in declared if r.module is Module.BIAS]
         self.write_registers(chip)
         self.write_registers(_FILTERS_OFF)
-        self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)

@@ -20,22 +20,11 @@ from firmware_protocol.dvxplorer.registers import SIZE, Chip, registers
 from firmware_protocol.fx3.camera import VENDOR_ID
 from firmware_protocol.fx3.registers import Access, Module
 from firmware_protocol.imu_samples import ImuSamples, no_samples
-from firmware_protocol.usb.device import SetupPacket
-from transports.usb.fx3_host import Entry, Fx3Host, Fx3Info, WordDecoder
+from transports.usb.fx3_host import ENABLE_IMU, SOURCES_OFF, Entry, Fx3Host, Fx3Info, WordDecoder
 from transports.usb.host import BulkReader, StreamSettings, UnsuitableDevice, UsbHost
 
 _OFF, _STREAM = 0, 2
-_STOP: tuple[Entry, ...] = (
-    (Module.DVS, 3, 0),
-    (Module.BIAS, Chip.MODE, _OFF),
-    *((Module.IMU, address, 0) for address in (2, 3, 4)),
-    (Module.EXTERNAL_INPUT, 0, 0),
-    (Module.EXTERNAL_INPUT, 11, 0),
-    (Module.MULTIPLEXER, 0, 0),
-    (Module.MULTIPLEXER, 1, 0),
-    (Module.USB, 0, 0),
-    (Module.MULTIPLEXER, 3, 0),
-)
+_STOP: tuple[Entry, ...] = ((Module.DVS, 3, 0), (Module.BIAS, Chip.MODE, _OFF), *SOURCES_OFF)
 _START: tuple[Entry, ...] = (
     (Module.USB, 0, 1),
     (Module.MULTIPLEXER, 1, 1),
@@ -59,19 +48,17 @@ class DvxplorerHost(Fx3Host):
     def _new_decoder(self) -> WordDecoder:
         return GroupDecoder(self.info.size)
 
-    def _configure(self, settings: StreamSettings) -> None:
+    def _configure(self) -> None:
         self.write_register(Module.MULTIPLEXER, 3, 1)  # the chip is out of reset before its registers are written
         for register in registers():
             is_of_chip = register.module is Module.BIAS and register.address != Chip.MODE
             if is_of_chip and register.access is Access.READ_WRITE:
                 self.write_register(register.module, register.address, register.default)
-        self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)
 
 
 CX3 = 4
 """High byte of bcdDevice of a Micro."""
 
-_REGISTER = 0xBF
 _LOG_LEVEL = 0xB1
 _NEW_FIRMWARE = 10
 _OLDEST_FIRMWARE = 8
@@ -86,7 +73,6 @@ _OF_FIRMWARE_10: tuple[tuple[Entry, ...], tuple[Entry, ...]] = (
     ((Module.DVS, 3, 1),),
     ((Module.DVS, 3, 0), *((Module.IMU, address, 0) for address in (2, 3, 4))),
 )
-_ENABLE_IMU: tuple[Entry, ...] = tuple((Module.IMU, address, 1) for address in (2, 3, 4))
 
 
 class MicroHost(Fx3Host):
@@ -115,18 +101,6 @@ class MicroHost(Fx3Host):
             serial, firmware, 0, 0, chip_id=0, usb_clock_mhz=0, size=size, turned=False, timestamp_master=True
         )
 
-    def read_register(self, module: int, address: int) -> int:
-        """Return one register. Raises UnsuitableDevice when the reply is too short."""
-        data = self._host.control_in(SetupPacket(0xC0, _REGISTER, module, address, self._register_bytes))
-        if len(data) != self._register_bytes:
-            raise UnsuitableDevice(f"register {module}.{address} came with {len(data)} bytes of {self._register_bytes}")
-        return int.from_bytes(data, "big")
-
-    def write_register(self, module: int, address: int, value: int) -> None:
-        """Set one register."""
-        setup = SetupPacket(0x40, _REGISTER, module, address, self._register_bytes)
-        self._host.control_out(setup, value.to_bytes(self._register_bytes, "big"))
-
     def start(self, settings: StreamSettings | None = None) -> None:
         """Start the stream of events; the camera's time begins at zero, so no reset is needed."""
         settings = settings or StreamSettings()
@@ -141,7 +115,7 @@ class MicroHost(Fx3Host):
         self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
         self._write_each(self.start_writes)
         if has_imu:
-            self._write_each(_ENABLE_IMU)
+            self._write_each(ENABLE_IMU)
 
     def take_imu(self) -> ImuSamples:
         """Return the samples since the last call, (n,) IMU_SAMPLE, each with the time of the last word."""
@@ -165,7 +139,7 @@ class MicroHost(Fx3Host):
     def _new_decoder(self) -> WordDecoder:
         return FrameDecoder(SIZE)
 
-    def _configure(self, settings: StreamSettings) -> None:
+    def _configure(self) -> None:
         """Keep the power-on values."""
 
 

@@ -54,7 +54,18 @@ Entry = tuple[Module, int, int]
 """(module, address, value)."""
 
 _ENABLE_EDGES: tuple[Entry, ...] = tuple((Module.EXTERNAL_INPUT, address, 1) for address in (1, 2, 3, 0))
-_ENABLE_IMU: tuple[Entry, ...] = ((Module.IMU, 2, 1), (Module.IMU, 3, 1), (Module.IMU, 4, 1))
+ENABLE_IMU: tuple[Entry, ...] = ((Module.IMU, 2, 1), (Module.IMU, 3, 1), (Module.IMU, 4, 1))
+SOURCES_OFF: tuple[Entry, ...] = (
+    *((Module.IMU, address, 0) for address in (2, 3, 4)),
+    (Module.EXTERNAL_INPUT, 0, 0),
+    (Module.EXTERNAL_INPUT, 11, 0),
+    (Module.MULTIPLEXER, 0, 0),
+    (Module.MULTIPLEXER, 1, 0),
+    (Module.USB, 0, 0),
+    (Module.MULTIPLEXER, 3, 0),
+)
+"""Writes that end the stream, after the chip's own."""
+
 _RESET_TIME: tuple[Entry, ...] = ((Module.MULTIPLEXER, 2, 1), (Module.MULTIPLEXER, 2, 0))
 
 
@@ -116,6 +127,7 @@ class Fx3Host(CameraHost[Fx3Info]):
     patch: ClassVar[int]
     stop_writes: tuple[Entry, ...]
     start_writes: tuple[Entry, ...]
+    _register_bytes = 4
 
     def __init__(self, host: UsbHost) -> None:
         super().__init__(host)
@@ -131,7 +143,7 @@ class Fx3Host(CameraHost[Fx3Info]):
         """Return a decoder for a stream that begins now."""
 
     @abstractmethod
-    def _configure(self, settings: StreamSettings) -> None:
+    def _configure(self) -> None:
         """Set the registers that are not run bits."""
 
     @property
@@ -148,7 +160,8 @@ class Fx3Host(CameraHost[Fx3Info]):
         self.stop()
         self._tolerated(_LOG_LEVEL, value=4)
         self._flush()
-        self._configure(settings)
+        self._configure()
+        self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)
         self._decoder = self._new_decoder()
         self._edges = []
         self._keeps_edges = settings.edges
@@ -159,7 +172,7 @@ class Fx3Host(CameraHost[Fx3Info]):
         if settings.edges:
             self._write_each(_ENABLE_EDGES)
         if self._keeps_imu:
-            self._write_each(_ENABLE_IMU)
+            self._write_each(ENABLE_IMU)
         if settings.frames:
             self.write_register(Module.APS, 4, 1)
         if settings.reset_timestamps:
@@ -204,15 +217,17 @@ class Fx3Host(CameraHost[Fx3Info]):
     # Registers.
 
     def read_register(self, module: int, address: int) -> int:
-        """Return one 32-bit register. Raises UnsuitableDevice when the reply is too short."""
-        data = self._host.control_in(SetupPacket(0xC0, _REGISTER, module, address, 4))
-        if len(data) != 4:
-            raise UnsuitableDevice(f"register {module}.{address} came with {len(data)} bytes, it has 4")
+        """Return one register. Raises UnsuitableDevice when the reply is too short."""
+        octets = self._register_bytes
+        data = self._host.control_in(SetupPacket(0xC0, _REGISTER, module, address, octets))
+        if len(data) != octets:
+            raise UnsuitableDevice(f"register {module}.{address} came with {len(data)} bytes, it has {octets}")
         return int.from_bytes(data, "big")
 
     def write_register(self, module: int, address: int, value: int) -> None:
-        """Set one 32-bit register."""
-        self._host.control_out(SetupPacket(0x40, _REGISTER, module, address, 4), value.to_bytes(4, "big"))
+        """Set one register."""
+        octets = self._register_bytes
+        self._host.control_out(SetupPacket(0x40, _REGISTER, module, address, octets), value.to_bytes(octets, "big"))
 
     def write_registers(self, entries: Iterable[Entry]) -> None:
         """Set several registers with one request."""

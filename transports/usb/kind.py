@@ -6,8 +6,9 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar
 
+from firmware_protocol.bounds import check_bounds
 from transports.faults.kinds import USB_LINK
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Port, Unsuitable
 from transports.needs import UDC, VHCI, Need
 from transports.network import check_allow
 
@@ -47,14 +48,13 @@ class UsbipLink(LinkParameters):
 
     kind: ClassVar[str] = "usbip"
     host: str = "127.0.0.1"
-    port: int = 3240
+    port: Port = 3240
     busid: str = "1-1"
     name: str = "usbip"
     allow: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65535:
-            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        check_bounds(self)
         if not re.fullmatch(r"[1-9]\d{0,2}-[1-9]\d{0,2}", self.busid):
             raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
         check_allow(self.host, self.allow)
@@ -71,7 +71,7 @@ class UsbipLink(LinkParameters):
 USBIP = LinkKind(
     UsbipLink,
     serves="usb",
-    endpoint="transports.usb.usbip.endpoint:factory_of",
+    endpoint="transports.usb.usbip.endpoint:UsbipFactory",
     carrier=USB_LINK,
     listener=Listener("usb", "Read an event camera on USB.", "emulator.cli.listen.cameras:listen"),
     check=_check_model,
@@ -114,7 +114,7 @@ class UsbGadgetLink(LinkParameters):
 USB_GADGET = LinkKind(
     UsbGadgetLink,
     serves="usb",
-    endpoint="transports.usb.functionfs.endpoint:factory_of",
+    endpoint="transports.usb.functionfs.endpoint:GadgetEndpoint",
     carrier=USB_LINK,
     check=_check_model,
 )
@@ -136,8 +136,5 @@ class LoopbackLink(LinkParameters):
 
 # A DAVIS346 can have any size. This host loses no data at the start, so the camera need not wait.
 LOOPBACK = LinkKind(
-    LoopbackLink,
-    serves="usb",
-    endpoint="transports.usb.loopback:factory_of",
-    usb_model="davis346",
+    LoopbackLink, serves="usb", endpoint="transports.usb.loopback:LoopbackEndpoint", usb_model="davis346"
 )

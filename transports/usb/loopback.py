@@ -8,7 +8,6 @@ Not modelled: time on a wire, packets, other traffic, a slow or lost host. Trans
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall,
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import REST_NS, Endpoint, LinkBroken
 from transports.link.kind import Wiring
 from transports.usb.host import CameraHost, StallError, StreamSettings, TransferTimeout
 from transports.usb.kind import LoopbackLink
@@ -122,25 +121,11 @@ class DirectHost:
             self._device.detached()
 
 
-@dataclass(frozen=True)
-class LoopbackFactory(EndpointFactory[UsbCamera]):
-    """Factory of a host next to the camera."""
-
-    def build(self, device: UsbCamera, deliveries: Deliveries) -> LoopbackEndpoint:
-        """Return the host; it opens the camera when it is started."""
-        return LoopbackEndpoint(FaultyDevice(device, FaultPlan(), deliveries.add))
-
-
-def factory_of(link: LoopbackLink, wiring: Wiring) -> LoopbackFactory:
-    """Return the endpoint's factory."""
-    return LoopbackFactory()
-
-
 class LoopbackEndpoint(Endpoint):
     """Driver that reads a camera as soon as it has data, and compares the data with those sent."""
 
-    def __init__(self, device: UsbDevice) -> None:
-        self._device = device
+    def __init__(self, link: LoopbackLink, wiring: Wiring, device: UsbCamera, deliveries: Deliveries) -> None:
+        self._device = FaultyDevice(device, FaultPlan(), deliveries.add)
         self._host: DirectHost | None = None
         self._camera: CameraHost[Any] | None = None
         self._received = self._edges = self._frames = self._samples = 0

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from emulator.cli.checks import failures, prepared
 from emulator.cli.listen import Limits, Source, listen_to
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, status
-from emulator.cli.run_summary import quantile_text
+from emulator.cli.run_summary import latency_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
 from firmware_protocol.can_frames.dbc import dbc_text
@@ -71,19 +71,11 @@ def can(
 def _summary(reception: CanReception) -> list[str]:
     lines = [f", {reception.faults} faults{', the bus ended' if reception.gone else ''}"]
     if reception.jitter_us.p50 is not None:
-        j = reception.jitter_us
-        p50, p99 = quantile_text(j.p50), quantile_text(j.p99)
-        lines.append(f"delay above the shortest: p50 {p50} us, p99 {p99} us, max {j.max:.0f} us")
+        lines.append(f"delay above the shortest: {latency_text(reception.jitter_us)}")
     return lines + [f"{name}: {count}" for name, count in reception.counts.items()]
 
 
-def dbc(
-    rig: str,
-    /,
-    *,
-    link: str | None = None,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
-) -> int:
+def dbc(rig: str, /, *, link: str | None = None, output: Annotated[Path | None, Parameter(alias="-o")] = None) -> int:
     """Write the DBC file of a rig's CAN link: its identifiers and the layouts of its frames.
 
     Parameters

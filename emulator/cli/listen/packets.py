@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from emulator.cli.checks import parsed_address, prepared
 from emulator.cli.listen import Limits, Source, listen_to
 from emulator.cli.output import LACKING, WRONG_USE, Failure, Flag, Json, failing, status
-from emulator.cli.run_summary import quantile_text
+from emulator.cli.run_summary import latency_text
 from emulator.run.kernels import DECODER
 from firmware_protocol.packets.telecommands import (
     Ping,
@@ -206,10 +206,8 @@ def _with_answers(goes_on: _GoesOn) -> _GoesOn:
 def _summary(reception: InstrumentReception) -> list[str]:
     lines = [", the other side closed the line" if reception.gone else ""]
     lines.append(", ".join(f"{count} {name}" for name, count in reception.counts.items()))
-    jitter = reception.jitter_us
-    if jitter.p50 is not None:
-        p50, p99 = quantile_text(jitter.p50), quantile_text(jitter.p99)
-        lines.append(f"delay of blocks above the shortest: p50 {p50} us, p99 {p99} us")
+    if reception.jitter_us.p50 is not None:
+        lines.append(f"delay of blocks above the shortest: {latency_text(reception.jitter_us)}")
     if (report := reception.housekeeping) is not None:
         e = report.events
         lines.append(

@@ -53,7 +53,7 @@ def test_a_whole_file(load):
         ("position = [1, 2, 3]", "did you mean 'position_m'"),
         ('position_m = ["x", "y"]', "position_m"),
         ("step_s = 1", "'position_m' is missing"),
-        ("position_m = [0, 0, 0]\nstep_s = 0", "step_s must be 1e-5 to 10"),
+        ("position_m = [0, 0, 0]\nstep_s = 0", "step_s must be 1e-05 to 10"),
         ("position_m = [0, 0, 0]\nbody = -1", "body must be 0 to 65535"),
         ("position_m = [", "not valid TOML"),
     ],

@@ -29,8 +29,7 @@ def test_a_link_beyond_loopback_without_a_list_is_refused_at_its_line(kind, host
 @pytest.mark.parametrize("kind", LINKS)
 def test_the_list_reaches_the_link(kind):
     (setup,) = link_setups(rig(kind, 'host = "192.168.1.7"\nallow = ["10.0.0.5", "192.168.1.0/24"]'))
-    at = setup.endpoint if kind == "usbip" else setup.endpoint.parameters
-    assert at.allow == ("10.0.0.5", "192.168.1.0/24")
+    assert setup.endpoint.link.allow == ("10.0.0.5", "192.168.1.0/24")
 
 
 @pytest.mark.parametrize("kind", LINKS)

@@ -76,7 +76,7 @@ def test_a_fault_that_cannot_be_says_why(links, fault, told):
 def test_each_link_gets_its_own_faults_and_the_log(tmp_path):
     bench = rig(SERIAL + CAN, 'kind = "stall"\n[[faults]]\nkind = "lost_frames"')
     log = tmp_path / "log.jsonl"
-    plans = [setup.endpoint.faults for setup in link_setups(bench, fault_log=log)]
+    plans = [setup.endpoint.wiring.faults for setup in link_setups(bench, fault_log=log)]
     assert [(plan.link, [fault.kind for fault in plan.scripted]) for plan in plans] == [
         ("serial", ["stall"]),
         ("can", ["lost_frames"]),

@@ -16,12 +16,16 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from transports.link.endpoint import LinkFactory
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.kind import SerialLink
-from transports.usb.loopback import LoopbackFactory
+from transports.usb.kind import LoopbackLink
+from transports.usb.loopback import LoopbackEndpoint
+
+LOOPBACK = LinkFactory(LoopbackEndpoint, LoopbackLink())
 
 pytestmark = pytest.mark.socket
 RIG = """
@@ -50,7 +54,10 @@ _EVSTIM = [sys.executable, "-c", _PROGRAM, "run"]
 
 def open_link(**more):
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
-    link = LinkProcess(LinkSetup("loopback", EventRing(), camera, LoopbackFactory(), **more), MonotonicClock())
+    link = LinkProcess(
+        LinkSetup("loopback", EventRing(), camera, LOOPBACK, **more),
+        MonotonicClock(),
+    )
     link.wait_ready()
     link.start(FREE_RUNNING)
     return link

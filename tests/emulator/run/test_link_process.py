@@ -13,6 +13,7 @@ from transports.link.pacing import LINK_NICE, MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.usb.davis_host import DavisHost
+from transports.usb.kind import UsbipLink
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory
 
@@ -35,7 +36,7 @@ def read(camera, count):
 @pytest.mark.socket
 def test_hosts_come_and_go():
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
-    setup = LinkSetup("usbip", EventRing(), camera, UsbipFactory("127.0.0.1", 0, "1-1"))
+    setup = LinkSetup("usbip", EventRing(), camera, UsbipFactory(UsbipLink(port=0)))
     link = LinkProcess(setup, MonotonicClock())
     link.wait_ready()
     link.start(FREE_RUNNING)
@@ -56,7 +57,7 @@ def test_hosts_come_and_go():
 
 @pytest.mark.socket
 def test_a_link_runs_in_a_session_of_its_own_and_before_the_session_that_feeds_it():
-    setup = LinkSetup("usbip", EventRing(), partial(Davis346, Davis346Settings()), UsbipFactory("127.0.0.1", 0, "1-1"))
+    setup = LinkSetup("usbip", EventRing(), partial(Davis346, Davis346Settings()), UsbipFactory(UsbipLink(port=0)))
     link = LinkProcess(setup, MonotonicClock())
     try:
         link.wait_ready()

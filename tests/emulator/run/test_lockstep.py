@@ -19,11 +19,15 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EdgeKind
 from tests.npz_records import load_edges
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
+from transports.link.endpoint import LinkFactory
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.live import FileRecorder
-from transports.usb.loopback import LoopbackFactory
+from transports.usb.kind import LoopbackLink
+from transports.usb.loopback import LoopbackEndpoint
+
+LOOPBACK = LinkFactory(LoopbackEndpoint, LoopbackLink())
 
 PERIOD_NS = 10_000_000
 SENSOR = dataclasses.replace(
@@ -98,7 +102,14 @@ def driven(tmp_path, syncs, *, ends_by_itself):
     events = EventRing()
     camera = partial(Davis346, Davis346Settings(size=(24, 16), start_delay_us=0))
     timing = paths.timing("bus", None, None)
-    setup = LinkSetup("bus", events, camera, LoopbackFactory(), FileRecorder(tmp_path / "a.npz"), timing=timing)
+    setup = LinkSetup(
+        "bus",
+        events,
+        camera,
+        LOOPBACK,
+        FileRecorder(tmp_path / "a.npz"),
+        timing=timing,
+    )
     run = session([setup], clock)
     sink = paths.sink("bus", events)
 

@@ -41,7 +41,7 @@ with open(sys.argv[3], "w") as file:
 """
 CHILD = """
 import os, subprocess, sys
-from emulator.run.standard_descriptors import fill_standard_descriptors
+from emulator.run import fill_standard_descriptors
 fill_standard_descriptors()
 look = "import os, sys; [os.fstat(number) for number in (0, 1, 2)]"
 sys.exit(subprocess.run([sys.executable, "-c", look], close_fds=True).returncode)

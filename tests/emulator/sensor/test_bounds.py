@@ -12,7 +12,7 @@ from emulator.sensor import parameters
 from emulator.sensor.parameters import BackgroundParameters, DefectParameters, JitterParameters, NoiseParameters
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor, longest_step_ns
-from emulator.tables.typed_table import bounds_of
+from firmware_protocol.bounds import bounds_of
 
 SMALL = dataclasses.replace(
     PRESETS["dvxplorer_micro"], width=8, height=6, source_follower_hz=300.0, jitter=JitterParameters(latency_us=5.0)

@@ -15,8 +15,10 @@ from firmware_protocol.can_frames.transport import IsoTpSender
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.bus import PythonCanBus
-from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
+from transports.link.endpoint import LinkFactory
+from transports.link.kind import Wiring
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
@@ -27,7 +29,8 @@ async def main(channel, carriage, events_file, report_file, seconds):
     clock, ring, syncs = MonotonicClock(), EventRing(), []
     device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000, housekeeping_s=0))
     parameters = CanLink("socketcan", channel, heartbeat_ms=100, carriage=carriage, answer_ms=10_000)
-    link = Link(LinkSetup("can", ring, device, CanFactory(parameters, lambda *mark: syncs.append(mark))), clock)
+    factory = LinkFactory(CanEndpoint, parameters, Wiring(sink=lambda *mark: syncs.append(mark)))
+    link = Link(LinkSetup("can", ring, device, factory), clock)
     sent, packets = tapped_frames(), tapped_packets()
     await link.endpoint.start()
     origin_ns = clock.now_ns()

@@ -28,12 +28,14 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.descriptors import Speed
 from transports.link.edges import EdgeTiming, PeriodicEdges
+from transports.link.endpoint import LinkFactory
 from transports.link.feed import Timing
 from transports.link.loop import Stop, run_link
 from transports.link.process import LinkSetup
 from transports.link.rings import EventRing, ReadingRing
 from transports.recording.part import Facts
-from transports.usb.functionfs.endpoint import GadgetFactory
+from transports.usb.functionfs.endpoint import GadgetEndpoint
+from transports.usb.kind import UsbGadgetLink
 
 AHEAD_US = 50_000
 PERIOD_S = 0.005
@@ -118,7 +120,7 @@ def link_of(options: argparse.Namespace, player: Player) -> LinkSetup:
         "usb_gadget",
         player.ring,
         camera(options),
-        GadgetFactory("evstim", ""),
+        LinkFactory(GadgetEndpoint, UsbGadgetLink()),
         options.record,
         Facts(SIZE, imu_unit=IMU_UNIT),
         timing=Timing(edges),

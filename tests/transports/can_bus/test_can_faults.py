@@ -15,7 +15,7 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import from_message, to_message
-from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import (
@@ -30,6 +30,8 @@ from transports.faults.bus import (
 )
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import digest_of
+from transports.link.endpoint import LinkFactory
+from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
@@ -68,7 +70,7 @@ class Bench:
         self.clock, self.ring = FakeClock(ORIGIN_NS), EventRing(1 << 14)
         self.origin_ns = self.clock.now_ns()
         device = partial(Instrument, (346, 260), self.p.instrument)
-        factory = CanFactory(self.p, faults=FaultPlan("can", tuple(faults), 1))
+        factory = LinkFactory(CanEndpoint, self.p, Wiring(FaultPlan("can", tuple(faults), 1)))
         self.link = Link(LinkSetup("can", self.ring, device, factory), self.clock)
         channels = [c for c in (self.p.channel, self.p.channel_b) if c]
         self.peers = [can.Bus(interface="virtual", channel=channel) for channel in channels]
@@ -247,7 +249,7 @@ def test_a_babbling_idiot_delays_our_sync_by_one_frame_unless_it_is_more_urgent(
     syncs = []
     ring = EventRing(1 << 14)
     plan = FaultPlan("can", (BabblingIdiot(at_s=0.0, for_s=0.5, identifier=identifier),), 1)
-    factory = CanFactory(p, lambda t_ns, seq: syncs.append(t_ns), plan)
+    factory = LinkFactory(CanEndpoint, p, Wiring(plan, lambda t_ns, seq: syncs.append(t_ns)))
     link = Link(LinkSetup("can", ring, partial(Instrument, (346, 260), p.instrument), factory), clock)
     # No server and no listener are needed to see the wire.
     bus = link.endpoint._slots[0].bus._bus

@@ -14,10 +14,11 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.bus import BusDown, PythonCanBus, TimedFrame
-from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
 from transports.can_bus.node import listen_can, peer_of
 from transports.can_bus.served import ServedBus
+from transports.link.endpoint import LinkFactory
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -102,7 +103,7 @@ def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage
     async def both():
         device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
         ring, clock = EventRing(n), MonotonicClock()
-        link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
+        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
         await link.endpoint.start()
         there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
         told = None
@@ -141,7 +142,7 @@ def test_a_listener_that_appears_within_a_tick_connects_the_instrument_before_th
     async def first_frame():
         ring, clock = EventRing(100), FakeClock(10**9)
         device = partial(Instrument, (346, 260), InstrumentSettings())
-        link = Link(LinkSetup("can", ring, device, CanFactory(PARAMETERS)), clock)
+        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, PARAMETERS)), clock)
         await link.endpoint.start()
         for carries in (False, True):
             link.tick()
@@ -167,7 +168,7 @@ def test_what_cannot_leave_in_time_is_counted_as_dropped(monkeypatch):
         ring = EventRing(100)
         parameters = CanLink(port=0, share=1.0)
         device = partial(Instrument, (346, 260), InstrumentSettings())
-        link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
+        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
         await link.endpoint.start()
         with socket.create_connection(("127.0.0.1", int(link.endpoint.report().address.rpartition(":")[2]))) as sock:
             sock.sendall(HANDSHAKE)
@@ -326,7 +327,7 @@ def test_answers_that_find_no_room_are_bounded_and_counted():
         ring = EventRing(100)
         device = partial(Instrument, (346, 260), InstrumentSettings())
         parameters = CanLink(port=0, carriage="isotp")
-        link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
+        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
         endpoint = link.endpoint
         first = Frame(parameters.isotp.receive, bytes([0x10, 20, 1, 2, 3, 4, 5, 6]))
         for _ in range(2000):

@@ -21,9 +21,10 @@ from firmware_protocol.packets.telecommands import Ping
 from firmware_protocol.receiver.can import CanReceiver
 from tests.free_ports import free_port
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
-from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
-from transports.link.endpoint import BUSY_NS, HOSTED_NS
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, LinkFactory
+from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -79,7 +80,7 @@ async def run(p, settings, events, work, *, sink=None, paced=False):
     """Run a link that is given `events` at once; `work(link, peer)` is called each tick until it says True."""
     ring = EventRing(1 << 16)
     device = partial(Instrument, SIZE, settings)
-    link = Link(LinkSetup("can", ring, device, CanFactory(p, sink)), MonotonicClock())
+    link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, p, Wiring(sink=sink))), MonotonicClock())
     peer = Peer(p)
     try:
         await link.endpoint.start()
@@ -134,7 +135,10 @@ def test_every_event_sent_is_received(more):
 def test_the_load_is_kept_at_the_share_within_two_percent(share):
     clock = FakeClock(10**9)
     ring = EventRing(1 << 16)
-    link = Link(LinkSetup("can", ring, partial(Instrument, SIZE, PATIENT), CanFactory(parameters(share=share))), clock)
+    link = Link(
+        LinkSetup("can", ring, partial(Instrument, SIZE, PATIENT), LinkFactory(CanEndpoint, parameters(share=share))),
+        clock,
+    )
     ring.start(FREE_RUNNING)
     ring.push(stream(20_000))
     ring.publish(1_000_000)
@@ -271,7 +275,7 @@ def test_the_second_bus_is_used_when_the_master_moves_there(stamped_by):
     """On a clock that waits for the reader of each bus, which is a thread: a late heartbeat would be a missing one."""
     p = parameters(channel_b="b", heartbeat_ms=5, redundancy=SelectorSettings(heartbeat_ms=40, toggle_ms=200))
     p, clock, ring = replace(p, channel_b=p.channel + "-b"), FakeClock(10**9), EventRing(1 << 10)
-    link = Link(LinkSetup("can", ring, partial(Instrument, SIZE, PATIENT), CanFactory(p)), clock)
+    link = Link(LinkSetup("can", ring, partial(Instrument, SIZE, PATIENT), LinkFactory(CanEndpoint, p)), clock)
     peers = [Peer(p), Peer(p, p.channel_b)]
     master = Frame(p.identifiers.master_heartbeat, b"\x05")
     stamped_by(clock)

@@ -19,10 +19,11 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
-from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
 from transports.can_bus.node import listen_can, peer_of
 from transports.can_bus.served import ServedBus
+from transports.link.endpoint import LinkFactory
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
@@ -170,7 +171,7 @@ def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
     async def both():
         device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
         ring, clock = EventRing(1000), MonotonicClock()
-        link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
+        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
         await link.endpoint.start()
         there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
         recorder = Recorder(tmp_path / "got.npz")

@@ -10,9 +10,11 @@ from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.imx636.triton2_registers import Triton2Settings
 from transports.faults.script import FaultPlan
-from transports.gige.endpoint import GigeFactory
+from transports.gige.endpoint import GigeEndpoint
 from transports.gige.host import GigeHost
 from transports.gige.kind import GigeLink
+from transports.link.endpoint import LinkFactory
+from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -27,7 +29,8 @@ class Bench:
     def __init__(self, faults=(), **more):
         self.clock = FakeClock(1_000_000_000)
         self.ring = EventRing(200_000)
-        factory = GigeFactory(GigeLink(**{"port": 0, **more}), FaultPlan("gige", scripted=tuple(faults), seed=1))
+        wiring = Wiring(FaultPlan("gige", scripted=tuple(faults), seed=1))
+        factory = LinkFactory(GigeEndpoint, GigeLink(**{"port": 0, **more}), wiring)
         camera = partial(Triton2, Triton2Settings(start_delay_us=0))
         self.link = Link(LinkSetup("gige", self.ring, camera, factory), self.clock)
         self.loop = asyncio.new_event_loop()

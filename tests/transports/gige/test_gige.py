@@ -14,10 +14,11 @@ from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.imx636.triton2_registers import COLUMNS, ROWS, Erc, Evs
 from tests.transports.gige.bench import GAP_US, Refusing, stream
-from transports.gige.endpoint import GigeFactory
+from transports.gige.endpoint import GigeEndpoint
 from transports.gige.host import CameraGone, GigeHost, GigeHostError
 from transports.gige.kind import GigeLink
 from transports.link.deliveries import digest_of
+from transports.link.endpoint import LinkFactory
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -185,7 +186,7 @@ def test_a_host_that_finds_no_camera_says_what_to_look_at(monkeypatch):
 def test_a_port_that_is_taken_names_the_cure():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
-        made = GigeFactory(GigeLink(port=taken.getsockname()[1]))
+        made = LinkFactory(GigeEndpoint, GigeLink(port=taken.getsockname()[1]))
         clock = FakeClock(0)
         link = Link(LinkSetup("gige", EventRing(10), Triton2, made), clock)
         with pytest.raises(OSError, match=r"an address of its own, such as 127\.0\.0\.2"):

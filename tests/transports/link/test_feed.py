@@ -11,13 +11,17 @@ from firmware_protocol.device.clock import ClockSettings, ClockStep
 from firmware_protocol.events import EVENT, EdgeKind
 from tests.npz_records import load_edges
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming, PeriodicEdges
+from transports.link.endpoint import LinkFactory
 from transports.link.feed import EdgeReport, Feed, Timing
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.live import FileRecorder
 from transports.recording.record import load_record
-from transports.usb.loopback import LoopbackFactory
+from transports.usb.kind import LoopbackLink
+from transports.usb.loopback import LoopbackEndpoint
+
+LOOPBACK = LinkFactory(LoopbackEndpoint, LoopbackLink())
 
 ORIGIN_NS = 1_000_000_000
 RISING = EdgeTiming(EdgeKind.RISING)
@@ -35,7 +39,10 @@ def linked(timing, path=None, origin_ns=ORIGIN_NS):
     ring, clock = EventRing(10_000), FakeClock(ORIGIN_NS)
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
     recorder = path and FileRecorder(path)
-    link = Link(LinkSetup("loopback", ring, camera, LoopbackFactory(), recorder, timing=timing), clock)
+    link = Link(
+        LinkSetup("loopback", ring, camera, LOOPBACK, recorder, timing=timing),
+        clock,
+    )
     asyncio.run(link.endpoint.start())
     ring.start(origin_ns)
     return link, ring, clock

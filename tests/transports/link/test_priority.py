@@ -7,11 +7,15 @@ from functools import partial
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
+from transports.link.endpoint import LinkFactory
 from transports.link.loop import Stop, run_link
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import EventRing
-from transports.usb.loopback import LoopbackFactory
+from transports.usb.kind import LoopbackLink
+from transports.usb.loopback import LoopbackEndpoint
+
+LOOPBACK = LinkFactory(LoopbackEndpoint, LoopbackLink())
 
 
 def reported(monkeypatch, priority, refuse=False):
@@ -28,7 +32,10 @@ def reported(monkeypatch, priority, refuse=False):
     ours, theirs = multiprocessing.Pipe()
     ours.send(Stop(0.0))
     camera = partial(Davis346, Davis346Settings())
-    run_link(LinkSetup("a", EventRing(16), camera, LoopbackFactory(), fifo_priority=priority), theirs)
+    run_link(
+        LinkSetup("a", EventRing(16), camera, LOOPBACK, fifo_priority=priority),
+        theirs,
+    )
     while True:  # its changes come on the same connection
         report = ours.recv()
         if isinstance(report, LinkReport) and report.final:

@@ -10,8 +10,9 @@ import pytest
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket, Transfer
-from transports.link.deliveries import digest_of
-from transports.link.endpoint import LinkBroken
+from transports.link.deliveries import Deliveries, digest_of
+from transports.link.endpoint import LinkBroken, LinkFactory
+from transports.link.kind import Wiring
 from transports.link.loop import LinkLoop, Stop, _is_read
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
@@ -19,7 +20,8 @@ from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.live import FileRecorder
 from transports.recording.record import load_record
 from transports.usb.host import StallError
-from transports.usb.loopback import DirectHost, LoopbackEndpoint, LoopbackFactory
+from transports.usb.kind import LoopbackLink
+from transports.usb.loopback import DirectHost, LoopbackEndpoint
 
 ORIGIN_NS = 1_000_000_000
 
@@ -38,7 +40,7 @@ def loopback_link(tmp_path=None, ring=None, clock=None, start_delay_us=0):
     ring = ring or EventRing(10_000)
     record = FileRecorder(tmp_path / "link.npz") if tmp_path else None
     camera = partial(Davis346, Davis346Settings(start_delay_us=start_delay_us))
-    setup = LinkSetup("loopback", ring, camera, LoopbackFactory(), record)
+    setup = LinkSetup("loopback", ring, camera, LinkFactory(LoopbackEndpoint, LoopbackLink()), record)
     link = Link(setup, clock or FakeClock(ORIGIN_NS))
     asyncio.run(link.endpoint.start())
     return link, ring
@@ -181,7 +183,7 @@ def test_what_stays_in_the_ring_is_dropped_by_the_link():
 
 def test_events_without_a_host_are_dropped_in_the_device():
     ring = EventRing(1000)
-    setup = LinkSetup("alone", ring, Davis346, LoopbackFactory())
+    setup = LinkSetup("alone", ring, Davis346, LinkFactory(LoopbackEndpoint, LoopbackLink()))
     link = Link(setup, FakeClock())
     ring.start(FREE_RUNNING)
     ring.push(stream(100))
@@ -190,6 +192,10 @@ def test_events_without_a_host_are_dropped_in_the_device():
     report = link.report()
     assert report.dropped_in_device == report.camera.not_running == 100
     assert link.idle
+
+
+def loopback(camera, ring):
+    return LoopbackEndpoint(LoopbackLink(), Wiring(), camera, Deliveries(ring, FakeClock()))
 
 
 class Liar(Davis346):
@@ -206,7 +212,7 @@ class Liar(Davis346):
 
 def test_the_loopback_host_compares_every_event():
     camera = Liar(Davis346Settings(start_delay_us=0))
-    endpoint = LoopbackEndpoint(camera)
+    endpoint = loopback(camera, EventRing(16))
     asyncio.run(endpoint.start())
     camera.offer(stream(10))
     with pytest.raises(LinkBroken, match="others received"):
@@ -226,7 +232,8 @@ class Stalled:
     def __init__(self, clock, turns, turn_s):
         self.clock, self.left, self.turn_ns, self.ticks = clock, turns, int(turn_s * 1e9), 0
         self.changes, self.settled = (), 0
-        self.ring, self.endpoint = EventRing(1), LoopbackEndpoint(Davis346())
+        self.ring = EventRing(1)
+        self.endpoint = loopback(Davis346(), self.ring)
         self.next_ns = self.soonest_ns = self.ticked_ns = 0
 
     def asleep_us(self, until_ns):

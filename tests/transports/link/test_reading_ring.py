@@ -10,11 +10,15 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings, LineKind, line_record
+from transports.link.endpoint import LinkFactory
 from transports.link.feed import ReadingReport
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
-from transports.usb.loopback import LoopbackFactory
+from transports.usb.kind import LoopbackLink
+from transports.usb.loopback import LoopbackEndpoint
+
+LOOPBACK = LinkFactory(LoopbackEndpoint, LoopbackLink())
 
 RECORD = np.dtype([("t", "<u8"), ("value", "<i2", (3,))])
 
@@ -78,7 +82,10 @@ def test_settings_come_back_whole():
 
 def linked(device, ring, endpoint=None, origin_ns=FREE_RUNNING):
     events, clock = EventRing(10_000), FakeClock(1_000_000_000)
-    link = Link(LinkSetup("one", events, device, endpoint or LoopbackFactory(), readings=(ring,)), clock)
+    link = Link(
+        LinkSetup("one", events, device, endpoint or LOOPBACK, readings=(ring,)),
+        clock,
+    )
     asyncio.run(link.endpoint.start())
     events.start(origin_ns)
     return link, events, clock

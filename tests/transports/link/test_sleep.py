@@ -20,13 +20,15 @@ from firmware_protocol.usb.usbip import ImportRequest, Submit
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbUnplugged
 from transports.link.edges import EdgeTrain, ListedEdges
-from transports.link.endpoint import HOSTED_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import HOSTED_NS, REST_NS, Endpoint, EndpointFactory, LinkFactory
 from transports.link.feed import Timing
+from transports.link.kind import Wiring
 from transports.link.loop import Happen, InjectFault, LinkLoop, Stop
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
-from transports.usb.loopback import LoopbackEndpoint, LoopbackFactory
+from transports.usb.kind import LoopbackLink, UsbipLink
+from transports.usb.loopback import LoopbackEndpoint
 from transports.usb.usbip.endpoint import UsbipFactory
 
 MS = 1_000_000
@@ -163,7 +165,7 @@ def events_at(*times_us):
 
 
 def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_bench):
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     bench.run(1)
     assert len(bench.ticks_ns) <= 250 + 10 + 3
@@ -171,7 +173,7 @@ def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_
 
 
 def test_events_for_nobody_do_not_wake_a_link(new_bench):
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     bench.ring.push(events_at(*range(0, 1_000_000, 100)))
     report = bench.run(1)
@@ -180,7 +182,7 @@ def test_events_for_nobody_do_not_wake_a_link(new_bench):
 
 
 def test_the_time_of_a_camera_with_a_host_advances_each_millisecond(new_bench):
-    bench = new_bench(LoopbackFactory())
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.publish_all(1)
     bench.run(1)
     assert len(bench.ticks_ns) <= 1000 + 10 + 3
@@ -188,7 +190,7 @@ def test_the_time_of_a_camera_with_a_host_advances_each_millisecond(new_bench):
 
 
 def test_single_events_leave_a_tenth_of_a_millisecond_after_their_time(new_bench):
-    bench = new_bench(LoopbackFactory())
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.publish_all(1)
     bench.ring.push(events_at(*range(10_300, 990_000, 10_000)))
     report = bench.run(1)
@@ -198,7 +200,7 @@ def test_single_events_leave_a_tenth_of_a_millisecond_after_their_time(new_bench
 
 
 def test_a_dense_stream_is_sent_once_a_millisecond(new_bench):
-    bench = new_bench(LoopbackFactory())
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.publish_all(1)
     bench.ring.push(events_at(*range(99_000)))
     report = bench.run(0.1)
@@ -208,7 +210,7 @@ def test_a_dense_stream_is_sent_once_a_millisecond(new_bench):
 
 
 def test_a_stream_of_few_events_is_sent_twice_a_millisecond(new_bench):
-    bench = new_bench(LoopbackFactory())
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.publish_all(1)
     bench.ring.push(events_at(*range(0, 990_000, 20)))
     report = bench.run(1)
@@ -218,7 +220,7 @@ def test_a_stream_of_few_events_is_sent_twice_a_millisecond(new_bench):
 
 
 def test_late_events_wake_a_sleeping_link(new_bench):
-    bench = new_bench(LoopbackFactory())
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.ring.start(ORIGIN_NS)
     late_ms = [20 + 7.13 * k for k in range(100)]  # somewhere in each sleep of 1 ms
     for ms in late_ms:
@@ -232,7 +234,7 @@ def test_late_events_wake_a_sleeping_link(new_bench):
 
 @pytest.mark.parametrize("step_us", [1000, 10_000])
 def test_a_link_that_is_not_paced_follows_each_publication_at_once(new_bench, step_us):
-    bench = new_bench(LoopbackFactory())
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.ring.start(FREE_RUNNING)
     behind = []
 
@@ -260,7 +262,7 @@ def test_a_link_that_is_not_paced_sleeps_long_with_a_host(new_bench, monkeypatch
 
 
 def test_a_session_that_is_not_paced_goes_on_while_the_endpoint_sends(new_bench, monkeypatch):
-    bench, settled_us, pump = new_bench(LoopbackFactory()), [], LoopbackEndpoint.pump
+    bench, settled_us, pump = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink())), [], LoopbackEndpoint.pump
     bench.ring.start(FREE_RUNNING)
 
     def step_meanwhile(endpoint):
@@ -290,7 +292,7 @@ def test_a_plain_link_that_is_not_paced_gathers_publications(new_bench):
 
 
 def test_an_order_acts_at_once_and_at_the_time_of_its_arrival(new_bench):
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     acted = []
 
@@ -311,7 +313,7 @@ def test_an_order_acts_at_once_and_at_the_time_of_its_arrival(new_bench):
 
 
 def test_an_edge_by_hand_has_the_time_of_its_order(new_bench):
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     bench.at(301.9, lambda: bench.session.send(Happen(None, "user")))
     bench.run(1)
@@ -321,7 +323,7 @@ def test_an_edge_by_hand_has_the_time_of_its_order(new_bench):
 @pytest.mark.parametrize("at_s", [0.5003, 0.75])
 def test_a_scripted_fault_begins_within_a_millisecond(new_bench, at_s):
     plan = FaultPlan("usb", (UsbUnplugged(at_s=at_s, for_s=0.1),))
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1", plan))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0), Wiring(plan)))
     bench.publish_all(1)
     report = bench.run(1)
     (fault,) = report.faults
@@ -330,7 +332,7 @@ def test_a_scripted_fault_begins_within_a_millisecond(new_bench, at_s):
 
 
 def test_a_host_attaches_a_camera_that_has_been_fed_up_to_now(new_bench):
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     host, server = socket.socketpair()
 
@@ -349,7 +351,7 @@ def test_a_host_attaches_a_camera_that_has_been_fed_up_to_now(new_bench):
 
 def requests_of(urbs, new_bench):
     """Attach a host that sends `urbs` at 777.7 ms; return the times of feeding in the 0.3 ms after that."""
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     host, server = socket.socketpair()
     fed_us = []
@@ -404,7 +406,7 @@ def test_an_input_that_is_readable_all_the_time_does_not_keep_a_link_awake(new_b
 
 def test_edges_of_a_list_are_applied_at_their_time(new_bench):
     timing = Timing(edges=ListedEdges([EdgeTrain(1, 10_400, 50_000, 10)]))
-    bench = new_bench(LoopbackFactory(), timing=timing)
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()), timing=timing)
     bench.publish_all(1)
     report = bench.run(1)
     assert report.edges.taken == 10
@@ -415,7 +417,7 @@ def test_edges_of_a_list_are_applied_at_their_time(new_bench):
 
 def test_settings_that_no_host_changes_are_read_once(new_bench):
     readings = (ReadingRing(ReadingKind.FRAMES, line_record(346), 4096),)
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"), readings=readings)
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)), readings=readings)
     bench.publish_all(1)
     bench.run(1)
     assert len(bench.ticks_ns) > 200
@@ -423,7 +425,7 @@ def test_settings_that_no_host_changes_are_read_once(new_bench):
 
 
 def test_the_end_of_the_session_ends_a_link_that_sleeps(new_bench):
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     bench.at(100, bench.session.close)
     with pytest.raises((EOFError, ConnectionError)):
@@ -432,7 +434,7 @@ def test_the_end_of_the_session_ends_a_link_that_sleeps(new_bench):
 
 
 def test_a_stop_drains_for_the_links_own_time(new_bench):
-    bench = new_bench(LoopbackFactory())
+    bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.ring.start(ORIGIN_NS)
     bench.ring.push(events_at(*range(0, 2_000_000, 1000)))
     bench.ring.publish(2_000_000)
@@ -442,7 +444,7 @@ def test_a_stop_drains_for_the_links_own_time(new_bench):
 
 
 def test_the_loop_ends_without_its_readers(new_bench):
-    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
     bench.run(0.1)
     assert not [key for key in bench.loop._selector.get_map().values() if key.fd == bench.control.fileno()]

@@ -12,6 +12,7 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.instrument import SerialReceiver
 from transports.faults.script import FaultPlan
+from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
@@ -46,7 +47,7 @@ class Bench:
                 "serial",
                 self.ring,
                 device,
-                SerialFactory(parameters, faults or FaultPlan()),
+                SerialFactory(parameters, Wiring(faults or FaultPlan())),
                 None if record is None else FileRecorder(record),
             ),
             self.clock,

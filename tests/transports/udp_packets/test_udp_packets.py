@@ -19,12 +19,13 @@ from tests.transports.network_streams.stream_readers import udp_port
 from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.line import BitFlips, Stall
 from transports.faults.script import FaultPlan
-from transports.link.kind import possible_faults
+from transports.link.endpoint import LinkFactory
+from transports.link.kind import Wiring, possible_faults
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.network import AllowList, DatagramInlet
-from transports.udp_packets.endpoint import Ports, UdpPacketFactory, listen_udp
+from transports.udp_packets.endpoint import Ports, UdpPacketEndpoint, listen_udp
 from transports.udp_packets.kind import UDP_PACKETS, UdpPacketsLink
 
 pytestmark = pytest.mark.socket
@@ -43,7 +44,7 @@ class Bench:
         self.socket.setblocking(False)
         parameters = UdpPacketsLink(**{"port": self.socket.getsockname()[1], "command_port": 0, **more})
         settings = InstrumentSettings(housekeeping_s=0, block_events=BLOCK_EVENTS)
-        factory = UdpPacketFactory(parameters, FaultPlan("udp", scripted=tuple(faults), seed=1))
+        factory = LinkFactory(UdpPacketEndpoint, parameters, Wiring(FaultPlan("udp", scripted=tuple(faults), seed=1)))
         self.link = Link(LinkSetup("udp", self.ring, partial(Instrument, (346, 260), settings), factory), self.clock)
         self.receiver = SerialReceiver("ccsds")
         self.datagrams, self.told, self.closed = [], [], False

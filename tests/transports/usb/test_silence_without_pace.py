@@ -12,10 +12,12 @@ from firmware_protocol.events import empty_events
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FifoOverflow, UsbSilence
+from transports.link.kind import Wiring
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.usb.cameras import driver_of
+from transports.usb.kind import UsbipLink
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory
 
@@ -34,7 +36,7 @@ def a_second_of_events():
 async def reports_of(camera, fault):
     """Return the link's last report, of a host that reads all it is given."""
     ring = EventRing(1 << 19)
-    factory = UsbipFactory("127.0.0.1", 0, "1-1", FaultPlan("usb", (fault,)))
+    factory = UsbipFactory(UsbipLink(port=0), Wiring(FaultPlan("usb", (fault,))))
     link = Link(LinkSetup("usb", ring, lambda: camera, factory), MonotonicClock())
     await link.endpoint.start()
     port, done = int(link.endpoint.report().address.rpartition(":")[2]), asyncio.Event()

@@ -22,11 +22,13 @@ from transports.faults.usb import (
     UsbUnplugged,
     WrongVersion,
 )
+from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import DeviceAbsent, StallError, TransferTimeout, UsbHostError
+from transports.usb.kind import UsbipLink
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory
 
@@ -64,7 +66,7 @@ def test_what_usb_cannot_have_is_refused(faulty):
         faulty.inject(LostBytes())
     with pytest.raises(ValueError, match="most_bytes must be even"):
         ShortTransfers(most_bytes=3)
-    with pytest.raises(ValueError, match="count must be 1"):
+    with pytest.raises(ValueError, match="count must be at least 1"):
         UsbStall(count=0)
 
 
@@ -96,7 +98,7 @@ def test_a_camera_that_is_pulled_out_is_lost_and_found_again():
     async def whole():
         clock, ring = FakeClock(10**9), EventRing(1000)
         plan = FaultPlan("usb", (UsbUnplugged(at_s=0.1, for_s=0.2),))
-        factory = UsbipFactory("127.0.0.1", 0, "1-1", plan)
+        factory = UsbipFactory(UsbipLink(port=0), Wiring(plan))
         link = Link(LinkSetup("usb", ring, partial(Davis346, Davis346Settings()), factory), clock)
         await link.endpoint.start()
         port = int(link.endpoint.report().address.rpartition(":")[2])

@@ -6,15 +6,13 @@ import logging
 import signal
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
 
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 from firmware_protocol.usb.functionfs import descriptor_block, string_block
 from transports.faults.faulty_device import FaultyDevice
-from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, EndpointReport, LinkBroken
+from transports.link.endpoint import REST_NS, Endpoint, EndpointReport, LinkBroken
 from transports.link.kind import Wiring
 from transports.usb.functionfs.cable import Cable
 from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spares
@@ -26,34 +24,16 @@ log = logging.getLogger(__name__)
 _SPEEDS = (Speed.FULL, Speed.HIGH, Speed.SUPER)
 
 
-@dataclass(frozen=True)
-class GadgetFactory(EndpointFactory[UsbCamera]):
-    """Factory of a camera at the controller `udc` (empty: the only one) as the gadget `name`."""
-
-    name: str
-    udc: str
-    faults: FaultPlan = field(default_factory=FaultPlan)
-
-    def build(self, device: UsbCamera, deliveries: Deliveries) -> GadgetEndpoint:
-        """Return the gadget; it is not visible to hosts yet."""
-        return GadgetEndpoint(self, device, deliveries)
-
-
-def factory_of(link: UsbGadgetLink, wiring: Wiring) -> GadgetFactory:
-    """Return the endpoint's factory."""
-    return GadgetFactory(link.gadget, link.udc, wiring.faults)
-
-
 class GadgetEndpoint(Endpoint):
     """Endpoint of one camera at one controller."""
 
     faulty: FaultyDevice
 
-    def __init__(self, factory: GadgetFactory, camera: UsbCamera, deliveries: Deliveries) -> None:
+    def __init__(self, link: UsbGadgetLink, wiring: Wiring, camera: UsbCamera, deliveries: Deliveries) -> None:
         self._camera = camera
-        self.faulty = FaultyDevice(camera, factory.faults, deliveries.add)
-        self._udc = factory.udc
-        self._gadget = Gadget(factory.name)
+        self.faulty = FaultyDevice(camera, wiring.faults, deliveries.add)
+        self._udc = link.udc
+        self._gadget = Gadget(link.gadget)
         self._is_mine = self._is_gone = self._had_host = False
         self._cable: Cable | None = None
         self._files: FunctionFiles | None = None

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.faulty_device import FaultyDevice
-from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
@@ -22,13 +21,10 @@ _TOOL_PORT = 3240  # of `usbip` without --tcp-port
 
 @dataclass(frozen=True)
 class UsbipFactory(EndpointFactory[UsbCamera]):
-    """Factory of a server for the camera under `busid` at `host`:`port` (0: any free one), for hosts in `allow`."""
+    """Factory of a server for the camera, which may trace its cable."""
 
-    host: str
-    port: int
-    busid: str
-    faults: FaultPlan = field(default_factory=FaultPlan)
-    allow: tuple[str, ...] = ()
+    link: UsbipLink
+    wiring: Wiring = field(default_factory=Wiring)
     trace: Path | None = None
 
     def traced(self, path: Path) -> UsbipFactory:
@@ -37,14 +33,9 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
         """Return the server; it does not listen yet."""
-        faulty = FaultyDevice(device, self.faults, deliveries.add)
+        faulty = FaultyDevice(device, self.wiring.faults, deliveries.add)
         trace = None if self.trace is None else UrbTrace(self.trace, faulty, time.time_ns)
-        return UsbipEndpoint(self, faulty, trace)
-
-
-def factory_of(link: UsbipLink, wiring: Wiring) -> UsbipFactory:
-    """Return the endpoint's factory."""
-    return UsbipFactory(link.host, link.port, link.busid, wiring.faults, link.allow)
+        return UsbipEndpoint(self.link, faulty, trace)
 
 
 class UsbipEndpoint(Endpoint):
@@ -52,13 +43,13 @@ class UsbipEndpoint(Endpoint):
 
     faulty: FaultyDevice
 
-    def __init__(self, factory: UsbipFactory, device: FaultyDevice, trace: UrbTrace | None) -> None:
-        self._at = factory
+    def __init__(self, link: UsbipLink, device: FaultyDevice, trace: UrbTrace | None) -> None:
+        self._at = link
         self.faulty = device
-        self._port = factory.port
+        self._port = link.port
         self._is_gone = False
         self._trace = trace
-        self._server = UsbipServer({factory.busid: device}, allow=factory.allow, observer=trace)
+        self._server = UsbipServer({link.busid: device}, allow=link.allow, observer=trace)
 
     async def start(self) -> None:
         """Listen; raises OSError, with the remedy, when the port cannot be opened."""
