@@ -119,7 +119,7 @@ def test_a_rig_plays_a_recording(tmp_path):
 def test_a_rig_without_a_file_is_refused():
     with pytest.raises(RigError, match="path is missing"):
         parse_rig('[scene]\nkind = "recording"\n', "r.toml", "r")
-    with pytest.raises(ValueError, match="time_scale is 0"):
+    with pytest.raises(ValueError, match="time_scale must be"):
         RecordingParameters("a.npz", time_scale=0.0)
 
 
