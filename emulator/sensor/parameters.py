@@ -40,7 +40,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from emulator.tables.typed_table import Share, check_bounds
+from firmware_protocol.bounds import Share, check_bounds
 
 REFERENCE_CELSIUS = 20.0
 """Temperature at which the parameters of a sensor hold."""

@@ -142,7 +142,7 @@ from emulator.sensor.parameters import (
     Spread,
     TemperatureParameters,
 )
-from emulator.tables.typed_table import check_bounds
+from firmware_protocol.bounds import check_bounds
 
 _MOST_PIXELS = 1 << 24  # 4096 x 4096: 3 GB of state; no event camera has as many
 

@@ -24,8 +24,6 @@ from typing import Annotated, Any, Literal, NewType, TypeVar
 import msgspec
 from msgspec import Meta
 
-from firmware_protocol.bounds import Share as Share
-from firmware_protocol.bounds import check_bounds as check_bounds
 from transports.registry import unknown
 
 KeyPath = tuple[str | int, ...]

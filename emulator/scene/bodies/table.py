@@ -9,8 +9,9 @@ from msgspec import Meta
 
 from emulator.photometry.reflectance import LommelSeeliger, Reflectance, Sun
 from emulator.scene.kind import SceneKind
-from emulator.tables.typed_table import NO_FILE, RigFile, Seed, Share, TimeScale, check_bounds
+from emulator.tables.typed_table import NO_FILE, RigFile, Seed, TimeScale
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
+from firmware_protocol.bounds import Share, check_bounds
 
 
 @dataclass(frozen=True)

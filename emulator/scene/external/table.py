@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from emulator.scene.kind import SceneKind
-from emulator.tables.typed_table import check_bounds
 from emulator.trajectory.parameters import TrajectoryParameters
+from firmware_protocol.bounds import check_bounds
 from transports.network import check_allow
 
 

@@ -11,8 +11,9 @@ from emulator.photometry.reflectance import Sun
 from emulator.scene.kind import SceneKind
 from emulator.scene.stars.catalogue import FAINTEST_V
 from emulator.scene.stars.skies import GAIA_FAINTEST_G, DrawnField
-from emulator.tables.typed_table import TimeScale, check_bounds
+from emulator.tables.typed_table import TimeScale
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
+from firmware_protocol.bounds import check_bounds
 from transports.needs import Need, package
 
 

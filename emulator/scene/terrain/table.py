@@ -9,8 +9,9 @@ from msgspec import Meta
 
 from emulator.photometry.reflectance import EARTHLIGHT_W_M2, LunarLambert, Reflectance
 from emulator.scene.kind import SceneKind
-from emulator.tables.typed_table import NO_FILE, RigFile, Seed, TimeScale, check_bounds
+from emulator.tables.typed_table import NO_FILE, RigFile, Seed, TimeScale
 from emulator.trajectory.parameters import DescentPath, TrajectoryParameters
+from firmware_protocol.bounds import check_bounds
 from transports.needs import Need, package
 
 

@@ -30,8 +30,8 @@ from msgspec import Meta
 from emulator.light import MachineLacks, SceneError
 from emulator.scene.kind import SceneKind
 from emulator.scene.video.video import Around, JoinedFrames, linear_light, resampled
-from emulator.tables.typed_table import check_bounds
 from emulator.trajectory.live import SceneClock
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.ros2 import IMAGE, CdrError, ImageError, levels_of, parse_image
 from transports.needs import Need, install_command, package
 from transports.ros2.kind import DdsNetwork, check_topic
