@@ -142,6 +142,7 @@ LINEAR_WITHIN = 0.01
 _MOST_DIVIDED = 8000  # facets of one body: a large side near the camera is divided no further
 _LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a shadow is drawn
 
+_NO_FACETS = np.zeros((0, 3), np.int32)
 _THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thread could start
 
 _Floats = npt.NDArray[np.float64]
@@ -182,8 +183,7 @@ class RasterBodies(WorldScene[BodyWorld]):
         width, height = pinhole.size
         middle = width / 2, height / 2
         screen = Screen(width, height, pinhole.focal_px, middle, _NEAREST_SHARE * self.distance_m)
-        nothing = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
-        self._renderer = Renderer(self._lighting.facets.on(*nothing), screen, threads)
+        self._renderer = Renderer(self._lighting.facets.on(_NO_FACETS, _NO_FACETS[:, 0]), screen, threads)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
         self._changed: Region | None = None
@@ -280,11 +280,8 @@ class RasterBodies(WorldScene[BodyWorld]):
         places, velocities = _in_camera_axes([*bodies, *middles, *over], motion)
         firsts = np.cumsum([0, *(len(shadow.corners) for shadow in shadows)], dtype=np.int32)
         faces = [shadow.faces + first for shadow, first in zip(shadows, firsts, strict=False)]
-        below = [shadow.over for shadow in shadows]
-        none = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
-        self._renderer.topology = self._lighting.facets.on(
-            np.concatenate([none[0], *faces]), np.concatenate([none[1], *below])
-        )
+        below = np.concatenate([_NO_FACETS[:, 0], *(shadow.over for shadow in shadows)])
+        self._renderer.topology = self._lighting.facets.on(np.concatenate([_NO_FACETS, *faces]), below)
         return View(
             places,
             velocities,
