@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -230,7 +230,7 @@ def write_parts(surfaces: Rows, middles: Ints, numbers: Ints, cuts: Bytes, first
                     out.across[row, s] = _row(f, _BEHIND[cut, part, s], firsts)
                     out.smooth[row, s] = 1
         for k in range(3):
-            g = surfaces.across[f, k]
+            g: Any = np.int64(surfaces.across[f, k])
             j = 0
             # The same side of the facet behind it: two facets may share two sides.
             while g >= 0 and not (
