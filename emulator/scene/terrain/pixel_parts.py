@@ -363,7 +363,7 @@ def _in_cells(ray: _Ray, along: float, end: float, grid: int, posts: Posts) -> f
         a, b = float(posts.heights[at]), float(posts.heights[at + 1])
         c, d = float(posts.heights[at + columns]), float(posts.heights[at + columns + 1])
         if min(ray.z + ray.dz * along, ray.z + ray.dz * out) <= max(max(a, b), max(c, d)):
-            # The height over the ground is quadratic in the along from here.
+            # The ray's height over the ground is quadratic along it.
             u, v, twist = u0 + du * along - j, v0 + dv * along - i, a - b - c + d
             above = ray.z + ray.dz * along - (a + (b - a) * u + (c - a) * v + twist * u * v)
             if above <= 0.0:
