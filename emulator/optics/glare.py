@@ -1,19 +1,26 @@
-"""Veiling glare: light that a lens scatters over the whole image, by reflections between its surfaces and its barrel.
+"""Scattered light of a lens: a veil over the whole image, and a halo about each source.
 
-    light on a pixel    (1 - g) E + g M        E: of the image, M: mean of E over all pixels
+    light on a pixel    (1 - g - s) E + g M + s (H * E)        E: of the image, M: mean of E over all pixels
 
 g is the veiling glare index of ISO 9358: the light in the image of a small black area within a uniform bright field,
-over that of the field. What is scattered is missing in the image, so a uniform field and the mean stay as they are.
-Usual lenses are taken to lie between 0.5 and 5 %, good ones below 1 %: not verified, no public table was found
-(imatest.com/docs/veilingglare describes the measurement). Left out: the halo around a bright light, ghost images, and
-light from beyond the edge of the image.
+over that of the field; reflections between surfaces and barrel spread it evenly. s is what rough and dirty surfaces
+scatter by small angles, H its share at a distance of r pixels, to the height and the width of the image,
 
-The veil follows the light exactly at each frame, with its time derivative. Between two frames the mean is the cubic
-through both values and derivatives, so the light of a single pixel there is off by at most g D h^4 / 384 for a step h,
-D the greatest fourth derivative of M. Derivatives that are not known count as 0 in the mean's.
+    H ~ (1 + (r / r0)^2)^(-p / 2)
 
-Any change of light changes all pixels, so the changed region is the whole frame unless it is empty: the sensor cannot
-skip still pixels. That, and two passes over each frame (0.5 ns a pixel for light and derivative), are its cost.
+the law of Harvey and Shack for polished surfaces: knees r0 of 0.1 mrad to 10 mrad and powers p of 0.5 to 2, above 2.5
+for the best polish (Photon Engineering, help of FRED, "Harvey-Shack"). What is scattered is missing in the image, so a
+uniform field and the mean stay as they are. Usual lenses are taken to lie between 0.5 and 5 % in all, good ones below
+1 %: not verified, no public table was found (imatest.com/docs/veilingglare describes the measurement). Left out: ghost
+images, and light from beyond the edge of the image, where the image is taken to go on as its mirror image.
+
+Both are one cosine transform of means over cells: of 4 x 4 pixels with a halo, which is flatter than its law within two
+cells of a source, else over the image. It follows the light exactly at each frame, with its time derivative. Between
+two frames it is the cubic through both values and derivatives, so the light of a single pixel there is off by at most
+(g + s) D h^4 / 384 for a step h, D the greatest fourth derivative of any pixel's light. Unknown derivatives count as 0.
+
+Any change of light changes all pixels, so the sensor cannot skip still pixels. That, and passes over each frame (4 ns a
+pixel for light and derivative, 12 to 18 with a halo), are its cost.
 """
 
 from __future__ import annotations
@@ -26,56 +33,101 @@ import numpy.typing as npt
 
 from emulator.light import LastArrays, Light, OtherLight, PixelLight, Region, Scene
 from emulator.optics.lens import LensParameters
-from firmware_protocol.compiled import entry_of
+from firmware_protocol.compiled import entry_of, kernel
+
+_CELL_PX = 4
+_WITHIN = 8  # places across a cell at which the law of the halo is taken
 
 
 def veiled(scene: Scene, lens: LensParameters) -> Scene:
-    """Return a scene with the veiling glare of its lens: the scene itself where the lens has none."""
-    return Veiled(scene, lens.veiling_glare) if lens.veiling_glare else scene
+    """Return a scene with the scattered light of its lens: the scene itself where the lens has none."""
+    return Veiled(scene, lens) if lens.veiling_glare + lens.halo else scene
 
+
+Floats = npt.NDArray[np.float64]
 
 _LARGEST = np.finfo(np.float32).max
 _entry = entry_of(__name__, nogil=True, error_model="numpy", fastmath={"contract"})
 
 
-@_entry
-def _mean_of(values: Light, sums: npt.NDArray[np.float64], least: np.float32) -> float:
-    """Return the mean of an array; values below `least` count as that, those that are not finite as 0.
+@kernel
+def _place(pixel: int, pixels: int, cells: int) -> float:
+    """Return the place of a pixel's middle between the middles of cells, 0 to cells - 1."""
+    return min(max((pixel + 0.5) * cells / pixels - 0.5, 0.0), cells - 1.0)
 
-    Columns are summed first, into `sums`, (width,): such a loop becomes vectors, and has one order on every machine.
+
+@kernel
+def _reach(cell: int, pixels: int, cells: int) -> tuple[int, int]:
+    """Return the first pixel that counts in a cell, and the first beyond."""
+    first, beyond = (cell - 0.5) * pixels / cells - 0.5, (cell + 1.5) * pixels / cells - 0.5
+    return max(int(np.ceil(first)), 0), min(int(np.floor(beyond)) + 1, pixels)
+
+
+@_entry
+def _cell_means(values: Light, least: np.float32, sums: Floats, means: Floats) -> None:
+    """Write means about the middles of cells; values below `least` count as that, those that are not finite as 0.
+
+    A pixel counts in the two nearest cells of each axis, more in the nearer, so the middle of a source's light stays
+    where it is, and its halo moves as evenly as the source. Columns are summed first, into `sums`, (width,): such a
+    loop becomes vectors, and has one order on every machine.
     """
-    for x in range(sums.size):
-        sums[x] = 0.0
-    for y in range(values.shape[0]):
-        row = values[y]
-        for x in range(sums.size):
-            e = row[x]
-            sums[x] += (e if e > least else least) if abs(e) <= _LARGEST else np.float32(0)
-    total = 0.0
-    for x in range(sums.size):
-        total += sums[x]
-    return total / values.size
+    (height, width), (rows, columns) = values.shape, means.shape
+    for i in range(rows):
+        top, bottom = _reach(i, height, rows)
+        for x in range(width):
+            sums[x] = 0.0
+        weight = 0.0
+        for y in range(top, bottom):
+            row, part = values[y], 1 - abs(_place(y, height, rows) - i)
+            weight += part
+            for x in range(width):
+                e = row[x]
+                sums[x] += part * ((e if e > least else least) if abs(e) <= _LARGEST else np.float32(0))
+        for j in range(columns):
+            left, right = _reach(j, width, columns)
+            total = across = 0.0
+            for x in range(left, right):
+                part = 1 - abs(_place(x, width, columns) - j)
+                across += part
+                total += part * sums[x]
+            means[i, j] = total / (weight * across)
 
 
 @_entry
-def _add_veil(values: Light, share: np.float32, veil: np.float32, out: Light) -> None:
-    """Write share * values + veil to `out`."""
-    for y in range(values.shape[0]):
+def _add_scattered(values: Light, share: np.float32, scattered: Floats, between: Light, out: Light) -> None:
+    """Write share * values + the scattered light to `out`; `between`, (columns of cells,), is overwritten.
+
+    It is linear from middle to middle of cells: a loop over pixels with one slope, which becomes vectors.
+    """
+    (height, width), (rows, columns) = values.shape, scattered.shape
+    for y in range(height):
+        down = _place(y, height, rows)
+        upper = min(int(down), max(rows - 2, 0))
+        lower, part = min(upper + 1, rows - 1), down - upper
+        for j in range(columns):
+            between[j] = scattered[upper, j] + part * (scattered[lower, j] - scattered[upper, j])
         row, to = values[y], out[y]
-        for x in range(row.size):
-            to[x] = row[x] * share + veil
+        begin = 0
+        for j in range(-1, columns):
+            left, right = between[max(j, 0)], between[min(j + 1, columns - 1)]
+            middle = np.float32((j + 0.5) * width / columns - 0.5)
+            end = width if j == columns - 1 else int(np.ceil((j + 1.5) * width / columns - 0.5))
+            slope = (right - left) * np.float32(columns / width)
+            for x in range(begin, end):
+                to[x] = row[x] * share + (left + slope * (np.float32(x) - middle))
+            begin = end
 
 
-class _Mean(NamedTuple):
-    """Mean light of a frame, and its time derivative, a second."""
+class _Scattered(NamedTuple):
+    """Scattered light of a frame at the middles of cells, and its time derivative, a second."""
 
     t_ns: int
-    light: float
-    rate: float
+    light: Floats
+    rate: Floats
 
 
-def _between(first: _Mean, last: _Mean, t_ns: int) -> tuple[float, float]:
-    """Return the mean light and its derivative at a time between two frames."""
+def _between(first: _Scattered, last: _Scattered, t_ns: int) -> tuple[Floats, Floats]:
+    """Return the scattered light and its derivative at a time between two frames."""
     h_s = (last.t_ns - first.t_ns) * 1e-9
     if h_s <= 0:
         return last.light, last.rate
@@ -85,24 +137,41 @@ def _between(first: _Mean, last: _Mean, t_ns: int) -> tuple[float, float]:
     return first.light + ((c3 * z + c2) * z + a0) * z, ((3 * c3 * z + 2 * c2) * z + a0) / h_s
 
 
+def _transfer(lens: LensParameters, size: tuple[int, int], cells: tuple[int, int]) -> Floats:
+    """Return the share of each wave of the image that is scattered, (rows, columns) of a cosine transform."""
+    squares_px2 = []
+    for pixels, n in zip(size[::-1], cells, strict=True):  # of places in the image and its mirror image, from a cell
+        turns = ((np.arange(2 * n)[:, None] + (np.arange(_WITHIN) + 0.5) / _WITHIN - 0.5) / (2 * n)).ravel()
+        squares_px2.append(((turns - np.round(turns)) * 2 * pixels) ** 2)
+    law = (1 + np.add.outer(*squares_px2) / lens.halo_px**2) ** (-lens.halo_power / 2)
+    halo = law.reshape(2 * cells[0], _WITHIN, 2 * cells[1], _WITHIN).mean(axis=(1, 3))
+    scattered = lens.halo * np.fft.rfft2(halo / halo.sum()).real[: cells[0], : cells[1]]
+    scattered[0, 0] += lens.veiling_glare
+    return np.asarray(scattered)
+
+
 class Veiled(OtherLight):
-    """A scene with veiling glare.
+    """A scene with the scattered light of a lens.
 
     Parameters
     ----------
     scene : Scene
         The scene, in light on the pixels; closed with this one.
-    glare : float
-        The veiling glare index, 0 to 1.
+    lens : LensParameters
+        The lens, of which only the shares and the shape of scattered light count.
     """
 
-    def __init__(self, scene: Scene, glare: float) -> None:
+    def __init__(self, scene: Scene, lens: LensParameters) -> None:
+        from scipy.fft import next_fast_len  # loaded where it is used: few lenses scatter
+
         super().__init__(scene)
-        self._glare = glare
-        shape = scene.size[::-1]
-        self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._sums = np.zeros(scene.size[0])
-        self._before = self._last = _Mean(0, 0.0, 0.0)
+        self._share = np.float32(1 - lens.veiling_glare - lens.halo)
+        width, height = scene.size
+        self._inner = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+        cells = (next_fast_len(-(-height // _CELL_PX)), next_fast_len(-(-width // _CELL_PX))) if lens.halo else (1, 1)
+        self._transfer = _transfer(lens, scene.size, cells)
+        self._sums, self._row = np.zeros(width), np.zeros(cells[1], np.float32)
+        self._before = self._last = _Scattered(0, np.zeros(cells), np.zeros(cells))
         self._arrays = LastArrays()
         self._changed: Region | None = None
 
@@ -113,7 +182,7 @@ class Veiled(OtherLight):
 
     @property
     def pixel_light(self) -> PixelLight | None:
-        """The function of the scene, with the veil between the last two frames that were drawn."""
+        """The function of the scene, with scattered light between the last two frames that were drawn."""
         inner = self.scene.pixel_light
         return None if inner is None else partial(self._pixels, inner)
 
@@ -128,30 +197,40 @@ class Veiled(OtherLight):
         self._veil(t_ns, (light, rate))
 
     def _veil(self, t_ns: int, outs: tuple[Light, ...]) -> None:
-        """Write the light of the scene, with its veil, to `outs`; nothing where they have it already."""
+        """Write the light of the scene, with what is scattered, to `outs`; nothing where they have it already."""
         changed = self.scene.changed
         still = self._arrays.are(*outs) and changed is not None and changed.empty
         self._changed = changed if still else None
-        self._before, self._last = self._last, self._mean(t_ns, len(outs), still)
         if still:
+            self._before, self._last = self._last, self._last._replace(t_ns=t_ns)
             return
-        for values, mean, out in zip(self._inner, self._last[1:], outs, strict=False):
-            _add_veil(values, np.float32(1 - self._glare), np.float32(self._glare * mean), out)
+        light = self._spread(self._inner[0], np.float32(0))
+        rate = self._spread(self._inner[1], -_LARGEST) if len(outs) == 2 else np.zeros_like(light)
+        self._before, self._last = self._last, _Scattered(t_ns, light, rate)
+        for values, scattered, out in zip(self._inner, self._last[1:], outs, strict=False):
+            _add_scattered(values, self._share, scattered, self._row, out)
 
-    def _mean(self, t_ns: int, arrays: int, still: bool) -> _Mean:
-        if still:
-            return self._last._replace(t_ns=t_ns)
-        light, rate = self._inner
-        mean = float(_mean_of(light, self._sums, np.float32(0)))
-        rate_s = float(_mean_of(rate, self._sums, -_LARGEST)) if arrays == 2 else 0.0
-        return _Mean(t_ns, mean, rate_s)
+    def _spread(self, values: Light, least: np.float32) -> Floats:
+        """Return the scattered part of an image at the middles of cells."""
+        from scipy.fft import dctn, idctn
+
+        means = np.empty_like(self._transfer)
+        _cell_means(values, least, self._sums, means)
+        return np.ascontiguousarray(idctn(dctn(means) * self._transfer))
 
     def _pixels(self, inner: PixelLight, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
         """Return the light and rate of single pixels between the last two frames."""
-        share = np.float32(1 - self._glare)
-        means = _between(self._before, self._last, t_ns)
+        scattered = _between(self._before, self._last, t_ns)
         light, rate = (
-            values * share + np.float32(self._glare * mean)
-            for values, mean in zip(inner(t_ns, pixels), means, strict=True)
+            values * self._share + self._at(pixels, cells)
+            for values, cells in zip(inner(t_ns, pixels), scattered, strict=True)
         )
         return light, rate
+
+    def _at(self, pixels: npt.NDArray[np.int64], cells: Floats) -> Light:
+        """Return the scattered light of pixels, of that at the middles of cells."""
+        from scipy.ndimage import map_coordinates
+
+        places = np.stack(np.divmod(pixels, self.size[0]), axis=1) + 0.5
+        places = places * cells.shape / self._inner[0].shape - 0.5
+        return np.asarray(map_coordinates(cells, places.T, np.float32, order=1, mode="nearest"))

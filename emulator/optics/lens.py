@@ -97,6 +97,12 @@ class LensParameters:
     veiling_glare
         Share of the light that the lens scatters evenly over the image (veiling glare index, ISO 9358): 0.01 to
         0.05 for usual lenses (not verified). Costs time: no pixel can be skipped.
+    halo
+        Share of the light that rough and dirty surfaces of the lens scatter about each source. Costs time likewise.
+    halo_px
+        Knee of the halo: from there on it falls as a power of the distance, pixels; 0.1 to 10 mrad for polished glass.
+    halo_power
+        That power: 0.5 to 2 for polished glass, above 2.5 for the best polish.
     """
 
     field_of_view_deg: Annotated[float, Meta(ge=0.001, le=170)] = 25.0
@@ -112,6 +118,9 @@ class LensParameters:
     p1: _Coefficient = 0.0
     p2: _Coefficient = 0.0
     veiling_glare: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
+    halo: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
+    halo_px: Annotated[float, Meta(ge=0.01, le=10_000)] = 2.0
+    halo_power: Annotated[float, Meta(ge=0.1, le=10)] = 1.5
 
     def __post_init__(self) -> None:
         check_bounds(self)

@@ -41,7 +41,7 @@ Part = tuple[int, int, int, int]
 _REACH_SIGMAS = 3.5
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "fastmath": {"contract"}}
 _entry = entry_of(__name__, error_model="python")
-_blur_entry = entry_of(__name__, error_model="python", fastmath={"contract", "reassoc"})
+_strip_entry = entry_of(__name__, fastmath={"contract"})
 _loop: Callable[[Callable[..., None]], Any] = njit(**_OPTIONS)  # counts no references, which would slow loops down
 _STRIP = 48  # rows that are blurred together: they stay in the second-level cache
 
@@ -71,27 +71,6 @@ class Bilinear:
         self.width = width
 
 
-def blur(picture: _Float32s, taps: _Float32s, rows: _Float32s, out: _Float32s, part: Part) -> None:
-    """Write `picture`, (height, width), blurred into `out`, in `part`; `rows` is a third array for the rows' passes.
-
-    The light must be valid within the taps' width around the part.
-    """
-    reach, height = taps.size // 2, picture.shape[0]
-    first_row, last_row, first, last = part
-    _blur_rows(picture, taps, (max(0, first_row - reach), min(height, last_row + reach), first, last), rows, 0)
-    _blur_columns(rows, taps, part, out)
-
-
-@_entry
-def scale(picture: _Float32s, factor: _Float32s, part: Part, out: _Float32s) -> None:
-    """Write picture * factor into `out`, all (height, width), in `part`."""
-    first_row, last_row, first, last = part
-    for y in range(first_row, last_row):
-        row, by, to = picture[y, first:last], factor[y, first:last], out[y, first:last]
-        for x in range(to.size):
-            to[x] = row[x] * by[x]
-
-
 @_entry
 def _bend(
     picture: _Float32s, first: npt.NDArray[np.int32], along: _Float32s, down: _Float32s, width: int, out: _Float32s
@@ -109,45 +88,6 @@ def _bend(
 def bend(picture: _Float32s, places: Bilinear, out: _Float32s) -> None:
     """Look a contiguous `picture` up at `places` into `out`, both 2-D and at least 2 x 2 pixels."""
     _bend(picture.reshape(-1), places.first, places.along, places.down, places.width, out)
-
-
-@_blur_entry
-def _blur_rows(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s, top: int) -> None:
-    """Write the pass along rows of `part`, that of row y to row y - top."""
-    width = picture.shape[1]
-    reach = taps.size // 2
-    first_row, last_row, left, right = part
-    for y in range(first_row, last_row):
-        row, to = picture[y], out[y - top]
-        for x in range(left, right):
-            to[x] = np.float32(0)
-        for k in range(taps.size):
-            tap, shift = taps[k], k - reach
-            # Columns whose neighbour lies within the frame; beyond, the frame's edge is repeated.
-            first = min(max(left, -shift), right)
-            last = max(min(right, width - shift), first)
-            for x in range(left, first):
-                to[x] += tap * row[0]
-            source, target = row[first + shift : last + shift], to[first:last]
-            for x in range(last - first):
-                target[x] += tap * source[x]
-            for x in range(last, right):
-                to[x] += tap * row[width - 1]
-
-
-@_blur_entry
-def _blur_columns(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s) -> None:
-    height = picture.shape[0]
-    reach = taps.size // 2
-    first_row, last_row, left, right = part
-    for y in range(first_row, last_row):
-        to = out[y, left:right]
-        for x in range(right - left):
-            to[x] = np.float32(0)
-        for k in range(taps.size):
-            tap, row = taps[k], picture[min(max(y + k - reach, 0), height - 1), left:right]
-            for x in range(right - left):
-                to[x] += tap * row[x]
 
 
 @_loop
@@ -183,10 +123,11 @@ def _blur_along(row: _Float32s, taps: _Float32s, columns: tuple[int, int], line:
             out[x] += tap * shifted[x]
 
 
-@_loop
+@_strip_entry
 def _blur_and_scale(
     picture: _Float32s, taps: _Float32s, factor: _Float32s, part: Part, strip: _Float32s, out: _Float32s
 ) -> None:
+    """Write `picture` blurred by `taps` and times `factor` into `out`, in `part`; `strip` is a work array."""
     height, reach, size = picture.shape[0], taps.size // 2, taps.size
     first_row, last_row, left, right = part
     n = right - left
@@ -212,24 +153,6 @@ def _blur_and_scale(
                 to[x] = line[x] * by[x]
 
 
-@_entry
-def blur_and_scale(
-    picture: _Float32s, taps: _Float32s, factor: _Float32s, part: Part, strip: _Float32s, out: _Float32s
-) -> None:
-    """Write the result of `blur` followed by `scale`, to the last bit, in less than half of their time.
-
-    Parameters
-    ----------
-    strip : of `strip_for`, overwritten.
-    """
-    _blur_and_scale(picture, taps, factor, part, strip, out)
-
-
-def strip_for(width: int, taps: _Float32s) -> _Float32s:
-    """Return a work array for the rows of `blur_and_scale`."""
-    return np.zeros((_STRIP + taps.size + 1, width + taps.size), np.float32)
-
-
 _WORTH_A_THREAD = 200_000
 """Pixels whose blur takes several times as long as starting a thread."""
 
@@ -245,7 +168,8 @@ class BlurWorkers:
     def __init__(self, taps: _Float32s, factor: _Float32s, threads: int = 0) -> None:
         self._taps, self._factor = taps, factor
         self._pool = ThreadPool(threads or available_threads())
-        self._strips = [strip_for(factor.shape[1], taps) for _ in range(self._pool.threads)]
+        strip = _STRIP + taps.size + 1, factor.shape[1] + taps.size
+        self._strips = [np.zeros(strip, np.float32) for _ in range(self._pool.threads)]
 
     def __call__(self, pictures: Sequence[_Float32s], part: Part, outs: Sequence[_Float32s]) -> None:
         """Write `pictures`, blurred and scaled, to `outs`, in `part`."""
@@ -257,7 +181,7 @@ class BlurWorkers:
         def share(k: int, thread: int) -> None:
             number, k = divmod(k, count)
             part = rows[k], rows[k + 1], left, right
-            blur_and_scale(pictures[number], self._taps, self._factor, part, self._strips[thread], outs[number])
+            _blur_and_scale(pictures[number], self._taps, self._factor, part, self._strips[thread], outs[number])
 
         if count > 1:  # threads take shares in turn: one on a busy core does not hold up all
             self._pool.each(share, count * len(outs))
@@ -297,22 +221,24 @@ class Through(OtherLight):
         self._size = size
         camera = lens.pinhole(size)
         places = _places(lens, camera)
-        inner = camera if places is None else camera.widened(_margin_px(*places, camera))
+        inner = camera
+        if places is not None:  # a bent image needs light from beyond the edges of a straight one
+            beyond_px = np.abs(places).max(axis=(1, 2)) - np.array([camera.width, camera.height]) / 2
+            inner = camera.widened(math.ceil(max(0, *beyond_px)) + 1)
         super().__init__(build(inner))
         middle = inner.width / 2, inner.height / 2
         self._bent = None if places is None else Bilinear(places[0] + middle[0], places[1] + middle[1], inner.size)
-        self._rays = None if places is None else bent_rays(Distortion.of(lens), *places, inner)
+        self._rays = None if places is None else bent_rays(Distortion.of(lens), places[0], places[1], inner)
         self._factor = _factor(lens, camera, places)
         sigma_px = lens.blur_sigma_px(chip, camera.focal_px, self.scene.distance_m)
         self._taps = gaussian_taps(sigma_px) if sigma_px >= _LEAST_BLUR_PX else None
         self.blur_sigma_px = sigma_px
+        self._reach_px = 0 if self._taps is None else self._taps.size // 2
         shape = inner.height, inner.width
         self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        straight = self._bent is None and self._taps is not None
-        self._workers = BlurWorkers(self._taps, self._factor, threads) if self._taps is not None and straight else None
-        room = shape if self._workers is None else (0, 0)
-        self._blurred = np.zeros(room, np.float32)
-        self._rows = np.zeros(room, np.float32)
+        blurs_last = self._factor if self._bent is None else np.ones(shape, np.float32)
+        self._workers = None if self._taps is None else BlurWorkers(self._taps, blurs_last, threads)
+        self._blurred = [np.zeros(shape, np.float32) for _ in range(2)] if self._bent is not None else []
         self._arrays = LastArrays()
         self._changed: Region | None = None
 
@@ -359,25 +285,21 @@ class Through(OtherLight):
         if self._changed is not None and self._changed.empty:
             return
         part = (self._changed or Region(0, self._size[1], 0, self._size[0])).bounds
-        pictures = self._inner[: len(outs)]
-        if self._workers is not None:
+        pictures: Sequence[Light] = self._inner[: len(outs)]
+        if self._bent is None and self._workers is not None:
             self._workers(pictures, part, outs)
             return
-        for picture, out in zip(pictures, outs, strict=True):
-            self._pass_one(picture, part, out)
-
-    @property
-    def _reach_px(self) -> int:
-        return 0 if self._taps is None else self._taps.size // 2
-
-    def _pass_one(self, picture: Light, part: Part, out: Light) -> None:
-        if self._taps is not None:
-            blur(picture, self._taps, self._rows, self._blurred, (0, picture.shape[0], 0, picture.shape[1]))
-            picture = self._blurred
-        if self._bent is not None:
-            bend(picture, self._bent, out)
-            picture = out
-        scale(picture, self._factor, part, out)
+        if self._workers is not None:
+            height, width = pictures[0].shape
+            self._workers(pictures, (0, height, 0, width), self._blurred[: len(outs)])
+            pictures = self._blurred
+        for picture, out in zip(pictures, outs, strict=False):
+            if self._bent is not None:
+                bend(picture, self._bent, out)
+            first_row, last_row, first, last = part
+            within = slice(first_row, last_row), slice(first, last)
+            source = picture if self._bent is None else out
+            np.multiply(source[within], self._factor[within], out=out[within])
 
     def _pixels(self, inner: PixelLight, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
         """Return the light and rate of single pixels: of the scene's pixels around each, weighted by the blur."""
@@ -395,31 +317,21 @@ class Through(OtherLight):
         return light, rate
 
 
-_Places = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-
-
-def _places(lens: LensParameters, camera: Pinhole) -> _Places | None:
-    """Return the position of each pixel in a frame without distortion, from its middle, px; None without distortion."""
+def _places(lens: LensParameters, camera: Pinhole) -> npt.NDArray[np.float64] | None:
+    """Return columns and rows of pixels in a frame without distortion, from its middle; None without distortion."""
     if not lens.distorts:
         return None
     try:
-        return straight_columns_and_rows(Distortion.of(lens), camera)
+        return np.array(straight_columns_and_rows(Distortion.of(lens), camera))
     except DistortionError as error:
         raise SceneError(f"camera.lens: {error}") from error
 
 
-def _margin_px(columns: npt.NDArray[np.float64], rows: npt.NDArray[np.float64], camera: Pinhole) -> int:
-    """Return the margin on each side by which the frame without distortion must be wider to contain the bent one."""
-    beyond = max(float(np.abs(columns).max()) - camera.width / 2, float(np.abs(rows).max()) - camera.height / 2)
-    return max(0, math.ceil(beyond)) + 1
-
-
-def _factor(lens: LensParameters, camera: Pinhole, places: _Places | None) -> npt.NDArray[np.float32]:
+def _factor(lens: LensParameters, camera: Pinhole, places: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float32]:
     """Return the light a unit of radiance for each pixel, (height, width)."""
     if places is None:
-        places = np.meshgrid(
-            np.arange(camera.width) + 0.5 - camera.width / 2, np.arange(camera.height) + 0.5 - camera.height / 2
-        )
+        columns, rows = (np.arange(n) + 0.5 - n / 2 for n in (camera.width, camera.height))
+        places = np.array(np.meshgrid(columns, rows))
     tangent = np.hypot(*places) / camera.focal_px
     fall = (1 + tangent**2) ** -2.0 if lens.vignetting else np.ones_like(tangent)
     return np.asarray(lens.light_per_radiance * fall, np.float32)

@@ -276,9 +276,9 @@ def _mean_wait_us(p: SensorParameters, events_per_s: float) -> float:
 
 def lens_costs(lens: LensParameters, p: SensorParameters, scene: Probe) -> list[Decision]:
     """Return the cost of each effect of the lens that is switched on."""
-    if not lens.veiling_glare:
+    if not lens.veiling_glare + lens.halo:
         return []
-    share = min(1.0, lens.veiling_glare * scene.mean_current / least_current(p, scene))
+    share = min(1.0, (lens.veiling_glare + lens.halo) * scene.mean_current / least_current(p, scene))
     return [Decision("veiling glare", "its share of the darkest light; never left out", None, share, choice=False)]
 
 

@@ -1,4 +1,4 @@
-"""Veiling glare against its definition and closed forms: light, rate, single pixels and the changed region."""
+"""Scattered light against its definition and closed forms: light, rate, single pixels and the changed region."""
 
 import numpy as np
 import pytest
@@ -11,6 +11,8 @@ SIZE = 40, 30
 MS = 1_000_000
 WHOLE = Region(0, 30, 0, 40)
 NONE = Region(0, 0, 0, 0)
+EVEN = LensParameters(veiling_glare=0.05)
+HALO = LensParameters(veiling_glare=0.01, halo=0.02, halo_px=4, halo_power=1.5)
 
 
 class Lit(Scene):
@@ -59,7 +61,7 @@ def test_a_black_area_in_a_bright_field_has_the_index_and_the_field_its_light():
     """ISO 9358: the light in the black area's image over that of the field."""
     black = np.ones(1200)
     black[600] = 0
-    scene = Veiled(Lit(lambda t, k: black[k], lambda t, k: 0 * black[k]), 0.03)
+    scene = Veiled(Lit(lambda t, k: black[k], lambda t, k: 0 * black[k]), LensParameters(veiling_glare=0.03))
     light = np.zeros((30, 40), np.float32)
     scene.light(0, light)
     index = light.reshape(-1)[600] / light[0, 0]
@@ -68,7 +70,7 @@ def test_a_black_area_in_a_bright_field_has_the_index_and_the_field_its_light():
 
 
 def test_light_and_rate_are_those_of_the_image_and_of_its_mean():
-    scene, t_s, k = Veiled(waves(), 0.05), 0.02, np.arange(1200)
+    scene, t_s, k = Veiled(waves(), EVEN), 0.02, np.arange(1200)
     light, rate = (np.zeros((30, 40), np.float32) for _ in range(2))
     scene.light_and_rate(20 * MS, light, rate)
     own, own_rate = 1 + 0.5 * np.sin(30 * t_s + 0.01 * k), 15 * np.cos(30 * t_s + 0.01 * k)
@@ -80,7 +82,7 @@ def test_light_and_rate_are_those_of_the_image_and_of_its_mean():
 
 
 def test_single_pixels_have_the_light_of_a_frame_at_the_ends_and_its_bound_between():
-    frames = SceneFrames(Veiled(waves(), 0.05), with_rate=True, with_pixel_light=True)
+    frames = SceneFrames(Veiled(waves(), EVEN), with_rate=True, with_pixel_light=True)
     k = np.array([0, 7, 1199])
     frames.draw(0)
     frame = frames.draw(10 * MS)
@@ -97,7 +99,7 @@ def test_single_pixels_have_the_light_of_a_frame_at_the_ends_and_its_bound_betwe
 
 def test_only_a_scene_in_which_nothing_changed_leaves_the_frame_as_it_is():
     inner = waves()
-    frames = SceneFrames(Veiled(inner, 0.05), with_rate=True)
+    frames = SceneFrames(Veiled(inner, EVEN), with_rate=True)
     first = frames.draw(0)
     assert first.changed is None
     before = first.light.copy()
@@ -111,8 +113,50 @@ def test_only_a_scene_in_which_nothing_changed_leaves_the_frame_as_it_is():
     assert not np.array_equal(frames.last.light, before)
 
 
+def test_a_halo_falls_from_its_source_by_the_law_and_a_uniform_field_and_the_mean_stay():
+    """The law, summed over a source of 3 x 4 pixels and its mirror images beside the frame."""
+    image = np.zeros((30, 40))
+    image[12:15, 20:24] = 100
+    scene, light = (
+        Veiled(Lit(lambda t, k: image.ravel()[k], lambda t, k: 0.0 * k), HALO),
+        np.zeros((30, 40), np.float32),
+    )
+    scene.light(0, light)
+    assert light.mean() == pytest.approx(image.mean(), rel=2e-4)
+    rows, columns = (np.arange(-n, 2 * n) for n in image.shape)
+
+    def law(y, x):
+        dy, dx = (rows - y)[:, None], columns - x
+        near = (dy >= -30) & (dy < 30) & (dx >= -40) & (dx < 40)
+        return near * (1 + (dy**2 + dx**2) / HALO.halo_px**2) ** (-HALO.halo_power / 2)
+
+    mirrored = np.pad(image, [(n, n) for n in image.shape], mode="symmetric")
+    halo = np.array([[(mirrored * law(y, x)).sum() for x in range(40)] for y in range(30)])
+    scattered = 0.01 * image.mean() + 0.02 * halo * image.sum() / halo.sum()
+    y, x = np.mgrid[:30, :40]
+    away = np.hypot(y - 13, x - 21.5) > 12
+    assert np.abs(np.log(light / scattered))[away].max() < 0.03
+    even = Veiled(Lit(lambda t, k: 1.0 + 0 * k, lambda t, k: 0.0 * k), HALO)
+    even.light(0, light)
+    assert np.allclose(light, 1, atol=1e-6)
+
+
+def test_a_halo_moves_with_its_source_and_single_pixels_have_it_too():
+    scene, k = Veiled(waves(), HALO), np.array([0, 7, 619, 1199])
+    frames = SceneFrames(scene, with_rate=True, with_pixel_light=True)
+    frames.draw(10 * MS)
+    early, late = (frames.draw(t_ns * MS // 1000).light.astype(np.float64) for t_ns in (19_999, 20_001))
+    frame = frames.draw(20_001 * MS // 1000)
+    assert np.allclose(frame.rate, (late - early) / 2e-6, atol=0.2)  # float32 light: 1e-7 over 2 us
+    light, rate = frame.at(20_001 * MS // 1000, k)
+    assert np.allclose(light, frame.light.reshape(-1)[k], atol=1e-6)
+    assert np.allclose(rate, frame.rate.reshape(-1)[k], atol=1e-4)
+
+
 def test_an_unknown_rate_leaves_those_of_other_pixels_known():
-    scene = Veiled(Lit(lambda t, k: 1.0 + 0 * k, lambda t, k: np.where(k == 3, np.nan, 2.0)), 0.1)
+    scene = Veiled(
+        Lit(lambda t, k: 1.0 + 0 * k, lambda t, k: np.where(k == 3, np.nan, 2.0)), LensParameters(veiling_glare=0.1)
+    )
     light, rate = (np.zeros((30, 40), np.float32) for _ in range(2))
     scene.light_and_rate(0, light, rate)
     assert np.isnan(rate.reshape(-1)[3])
@@ -128,6 +172,7 @@ def test_without_glare_the_scene_is_not_wrapped():
     assert wrapped.scene is inner
     wrapped.close()
     assert inner.closed
+    assert isinstance(veiled(inner, LensParameters(halo=0.01)), Veiled)
 
 
 def test_an_impossible_index_is_refused():
@@ -136,6 +181,6 @@ def test_an_impossible_index_is_refused():
 
 
 def test_frames_keep_their_time():
-    frames = SceneFrames(Veiled(waves(), 0.05), with_rate=True)
+    frames = SceneFrames(Veiled(waves(), EVEN), with_rate=True)
     assert isinstance(frames.draw(3 * MS), LightFrame)
     assert frames.last.t_ns == 3 * MS
