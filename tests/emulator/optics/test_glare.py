@@ -142,7 +142,7 @@ def test_a_halo_falls_from_its_source_by_the_law_and_a_uniform_field_and_the_mea
 
 
 def test_a_halo_moves_with_its_source_and_single_pixels_have_it_too():
-    scene, k = Veiled(waves(), HALO), np.array([0, 7, 619, 1199])
+    scene, k = Veiled(waves(), LensParameters(halo=0.4, halo_px=4)), np.array([0, 7, 619, 1199])
     frames = SceneFrames(scene, with_rate=True, with_pixel_light=True)
     frames.draw(10 * MS)
     early, late = (frames.draw(t_ns * MS // 1000).light.astype(np.float64) for t_ns in (19_999, 20_001))
