@@ -35,10 +35,7 @@ _Part = Mapping[str, Any]
 
 
 class SensorOptions(TypedDict, total=False):
-    """Fields of SensorParameters that differ from those of a preset; a part, such as `noise`, also as a mapping.
-
-    A mapping contains the fields of the part to change; the others keep the preset's values.
-    """
+    """Fields of SensorParameters that differ from a preset's; a part, such as `noise`, as a mapping too."""
 
     width: int
     height: int
@@ -53,6 +50,7 @@ class SensorOptions(TypedDict, total=False):
     leak_spread: float
     parasitic_hz_at_reference: float
     source_follower_hz: float
+    highpass_hz: float
     refractory_us: float
     random_start: bool
     photoreceptor: Literal["one_pole", "large_signal", "circuit"]

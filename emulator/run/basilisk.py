@@ -28,25 +28,8 @@ from emulator.rig.loading import Rig, RigError
 from emulator.trajectory.basilisk import ConnectedPath, pose_of, simulated_path
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import TrajectoryError
+from firmware_protocol import vizard
 from firmware_protocol.events import Events
-from firmware_protocol.vizard import (
-    INPUT_REPLY,
-    NO_IMAGE,
-    OK,
-    PONG,
-    CameraState,
-    ImageRequest,
-    InputRequest,
-    Ping,
-    Request,
-    RequestError,
-    SimUpdate,
-    Update,
-    UpdateError,
-    image_reply,
-    parse_request,
-    refusal,
-)
 from transports.link.deliveries import LatencyHistogram
 from transports.link.pacing import Clock
 from transports.vizard import Server
@@ -102,7 +85,7 @@ class BasiliskRun:
         paths: Sequence[ConnectedPath],
         images: Callable[[Light], bytes],
         clock: Clock,
-        on_first: Callable[[Update], None] = lambda _: None,
+        on_first: Callable[[vizard.Update], None] = lambda _: None,
     ) -> None:
         self._server = server
         self._paths = paths
@@ -153,31 +136,31 @@ class BasiliskRun:
             self._serve_one()
         if self._waiting_since_ns is not None:
             self._waiting_since_ns = None
-            self._server.send(refusal(reason))
+            self._server.send(vizard.refusal(reason))
 
     def _serve_one(self) -> None:
         parts = self._server.receive(_LOOK_MS)
         if parts is None:
             return
         try:
-            self._serve(parse_request(parts))
-        except (RequestError, UpdateError, TrajectoryError) as error:
+            self._serve(vizard.parse_request(parts))
+        except (vizard.RequestError, vizard.UpdateError, TrajectoryError) as error:
             self.counters.refused += 1
             self.counters.last_refusal = str(error)
-            self._server.send(refusal(str(error)))
+            self._server.send(vizard.refusal(str(error)))
 
-    def _serve(self, request: Request) -> None:
+    def _serve(self, request: vizard.Request) -> None:
         match request:
-            case Ping():
-                self._server.send(PONG)
-            case InputRequest():
-                self._server.send(INPUT_REPLY)
-            case ImageRequest(camera):
+            case vizard.Ping():
+                self._server.send(vizard.PONG)
+            case vizard.InputRequest():
+                self._server.send(vizard.INPUT_REPLY)
+            case vizard.ImageRequest(camera):
                 self._send_image(camera)
-            case SimUpdate(data):
-                self._take(Update(data))
+            case vizard.SimUpdate(data):
+                self._take(vizard.Update(data))
 
-    def _take(self, update: Update) -> None:
+    def _take(self, update: vizard.Update) -> None:
         if self.last_ns is not None and update.time_ns <= self.last_ns:
             raise TrajectoryError(
                 f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: restart evstim "
@@ -199,7 +182,7 @@ class BasiliskRun:
             return
         self.counters.answer.add(self._since_us(self._waiting_since_ns))
         self._waiting_since_ns = None
-        self._server.send(OK)
+        self._server.send(vizard.OK)
 
     def _since_us(self, begun_ns: int) -> npt.NDArray[np.float64]:
         return np.array([(self._clock.now_ns() - begun_ns) / 1000])
@@ -207,9 +190,9 @@ class BasiliskRun:
     def _send_image(self, camera: int) -> None:
         if camera not in self._cameras or self._light is None:
             self.counters.no_images += 1
-            self._server.send(NO_IMAGE)
+            self._server.send(vizard.NO_IMAGE)
             return
-        self._server.send(image_reply(self._images(self._light())))
+        self._server.send(vizard.image_reply(self._images(self._light())))
         self.counters.images += 1
 
 
@@ -232,7 +215,7 @@ def connected(rig: Rig) -> tuple[Rig, tuple[ConnectedPath, ...]]:
     return dataclasses.replace(rig, scene=scene, run=run), tuple(paths)
 
 
-def camera_differs(rig: Rig, camera: CameraState) -> str:
+def camera_differs(rig: Rig, camera: vizard.CameraState) -> str:
     """Return the difference of the rig's camera from Basilisk's in size or focal length; "" where there is none."""
     width, height = rig.camera.size
     own_px = width / 2 / math.tan(math.radians(rig.camera.lens.field_of_view_deg) / 2)

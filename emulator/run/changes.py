@@ -11,7 +11,8 @@ The sensor follows the biases that hosts write to their cameras while the run go
 
 A factor is one at the default words. A change of the factors multiplies the present parameter by new product / old
 product, so that an earlier change by a slider stays. The product is that over all links, limited to the bounds of one
-link's factor, because a camera has one set of pixels, however many hosts set their biases.
+link's factor, because a camera has one set of pixels, however many hosts set their biases. The high-pass has a sum in
+its place, which is 0 at the default words.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from transports.link.report import CameraSettings
 log = logging.getLogger(__name__)
 
 _MOST = 10_000
+_ADDED = ("highpass_hz",)  # parameters to which biases add, because they may be 0
 
 
 @dataclass(frozen=True)
@@ -151,15 +153,16 @@ class BiasFollowing:
         accepted = self._accepted.setdefault(link, {})
         factors = settings.sensor_factors
         for name in sorted({*accepted, *factors}):
-            factor = factors.get(name, 1.0)
-            if factor == accepted.get(name, 1.0):
+            neutral = 0.0 if name in _ADDED else 1.0
+            factor = factors.get(name, neutral)
+            if factor == accepted.get(name, neutral):
                 continue
             if sensor is None or name not in sensor.adjustable:
                 log.warning("%s: biases have no effect on %s: this source of events cannot change it", link, name)
                 continue
-            product = self._product(link, name, factor)
-            before = sensor.adjustable[name]
-            value = before * product / self._applied.get(name, 1.0)
+            total = self._total(link, name, factor)
+            before, applied = sensor.adjustable[name], self._applied.get(name, neutral)
+            value = max(round(before + total - applied, 9), 0.0) if name in _ADDED else before * total / applied
             if value != before:
                 try:
                     sensor.adjust(name, value)
@@ -170,10 +173,12 @@ class BiasFollowing:
                 if self.changes is not None:
                     self.changes.add(Change(t_ns, settings.by, name, link, before, value, settings.t_us))
             accepted[name] = factor
-            self._applied[name] = product
+            self._applied[name] = total
 
-    def _product(self, link: str, name: str, factor: float) -> float:
-        """Return the product of all links' factors with a new one of `link`, within the bounds of one."""
+    def _total(self, link: str, name: str, factor: float) -> float:
+        """Return the sum, or the product within the bounds of one, of all links' factors with a new one of `link`."""
+        if name in _ADDED:
+            return factor + sum(factors.get(name, 0.0) for other, factors in self._accepted.items() if other != link)
         other_factors = (factors.get(name, 1.0) for other, factors in self._accepted.items() if other != link)
         product = factor * math.prod(other_factors)
         bounded = min(max(product, LEAST_FACTOR), MOST_FACTOR)

@@ -128,20 +128,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from emulator.sensor.parameters import (
-    BackgroundParameters,
-    ComparatorParameters,
-    DefectParameters,
-    Deviation,
-    ImagerParameters,
-    JitterParameters,
-    NoiseParameters,
-    RadiationParameters,
-    Rate,
-    ResetParameters,
-    Spread,
-    TemperatureParameters,
-)
+from emulator.sensor import parameters as effects
 from firmware_protocol.bounds import check_bounds
 
 _MOST_PIXELS = 1 << 24  # 4096 x 4096: 3 GB of state; no event camera has as many
@@ -189,6 +176,7 @@ class SensorParameters:
     parasitic_hz_at_reference : rate of leak events that light 1 adds by shining into the reset switch, Hz; proportional
         to photocurrent, the same for all pixels.
     source_follower_hz : corner frequency of a second, fixed pole behind the photoreceptor, Hz; 0: no such pole.
+    highpass_hz : corner frequency of a high-pass in front of the comparators, Hz; 0: none, else at least 0.01.
     refractory_us : refractory period after an event, us; at its end the reference is read anew.
     random_start : true: the first references lie random shares of the ON threshold below the first frame's level, as in
         a sensor that has run for a while; false: at that level.
@@ -203,28 +191,29 @@ class SensorParameters:
     height: _Side
     threshold_on: _Threshold
     threshold_off: _Threshold
-    mismatch: Deviation = 0.035
+    mismatch: effects.Deviation = 0.035
     dark_current_relative: Annotated[float, Meta(ge=1e-30, le=1e6)] = 0.001
     corner_hz_at_reference: _Corner = 3000.0
     corner_min_hz: Annotated[float, Meta(gt=0, le=1e9)] = 3.0
     corner_max_hz: _Corner = 3000.0
-    leak_hz: Rate = 0.1
-    leak_spread: Spread = 0.3
-    parasitic_hz_at_reference: Rate = 0.0
+    leak_hz: effects.Rate = 0.1
+    leak_spread: effects.Spread = 0.3
+    parasitic_hz_at_reference: effects.Rate = 0.0
     source_follower_hz: Annotated[float, Meta(ge=0, le=1e9)] = 0.0
+    highpass_hz: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
     refractory_us: Annotated[float, Meta(ge=0, le=1e7)] = 0.0
     random_start: bool = True
     photoreceptor: Literal["one_pole", "large_signal", "circuit"] = "one_pole"
     readout: ReadoutParameters = field(default_factory=lambda: ReadoutParameters(event_ns=80.0, row_ns=80))
-    temperature: TemperatureParameters = field(default_factory=TemperatureParameters)
-    defects: DefectParameters = field(default_factory=DefectParameters)
-    noise: NoiseParameters = field(default_factory=NoiseParameters)
-    background: BackgroundParameters = field(default_factory=BackgroundParameters)
-    jitter: JitterParameters = field(default_factory=JitterParameters)
-    imager: ImagerParameters = field(default_factory=ImagerParameters)
-    radiation: RadiationParameters = field(default_factory=RadiationParameters)
-    comparator: ComparatorParameters = field(default_factory=ComparatorParameters)
-    reset: ResetParameters = field(default_factory=ResetParameters)
+    temperature: effects.TemperatureParameters = field(default_factory=effects.TemperatureParameters)
+    defects: effects.DefectParameters = field(default_factory=effects.DefectParameters)
+    noise: effects.NoiseParameters = field(default_factory=effects.NoiseParameters)
+    background: effects.BackgroundParameters = field(default_factory=effects.BackgroundParameters)
+    jitter: effects.JitterParameters = field(default_factory=effects.JitterParameters)
+    imager: effects.ImagerParameters = field(default_factory=effects.ImagerParameters)
+    radiation: effects.RadiationParameters = field(default_factory=effects.RadiationParameters)
+    comparator: effects.ComparatorParameters = field(default_factory=effects.ComparatorParameters)
+    reset: effects.ResetParameters = field(default_factory=effects.ResetParameters)
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -232,6 +221,8 @@ class SensorParameters:
             raise ValueError(f"width x height = {self.width * self.height}: at most {_MOST_PIXELS} pixels")
         if not self.corner_max_hz >= self.corner_min_hz:
             raise ValueError(f"corner_max_hz must be at least corner_min_hz, got {self.corner_max_hz!r}")
+        if 0 < self.highpass_hz < 0.01:
+            raise ValueError(f"highpass_hz = {self.highpass_hz!r}: must be 0 (none) or at least 0.01")
         if self.photoreceptor not in ("one_pole", "large_signal", "circuit"):
             raise ValueError(f"photoreceptor = {self.photoreceptor!r}: must be 'one_pole', 'large_signal' or 'circuit'")
         if self.photoreceptor == "circuit" and math.isinf(max(self.corner_hz_at_reference, self.corner_max_hz)):
@@ -263,7 +254,7 @@ class SensorParameters:
 IMX636_W_M2 = 0.1644
 """Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
 
-_QUIET_BACKGROUND = BackgroundParameters(
+_QUIET_BACKGROUND = effects.BackgroundParameters(
     hz=0.00334,
     off_share=0.83,
     pair_share=0.036,
@@ -291,9 +282,9 @@ _IMX636 = SensorParameters(
     leak_hz=0.0009,
     refractory_us=105.0,
     readout=ReadoutParameters(event_ns=0.33, row_ns=127),
-    temperature=TemperatureParameters(celsius=45.0),
-    jitter=JitterParameters(latency_us=0.7, off_latency_us=2.5, late_share=0.0005, late_us=3000.0),
-    noise=NoiseParameters(rms=0.0495, spread=0.01, history_s=100.0),
+    temperature=effects.TemperatureParameters(celsius=45.0),
+    jitter=effects.JitterParameters(latency_us=0.7, off_latency_us=2.5, late_share=0.0005, late_us=3000.0),
+    noise=effects.NoiseParameters(rms=0.0495, spread=0.01, history_s=100.0),
     background=_QUIET_BACKGROUND,
 )
 
@@ -309,7 +300,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=NoiseParameters(rms=0.01, history_s=100.0),
+            noise=effects.NoiseParameters(rms=0.01, history_s=100.0),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,
@@ -320,7 +311,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             parasitic_hz_at_reference=0.002,
             refractory_us=100.0,
             readout=ReadoutParameters(event_ns=2.2, row_ns=0, scan_us=197.28),
-            noise=NoiseParameters(rms=0.055, corner_hz=286.0, history_s=100.0),
+            noise=effects.NoiseParameters(rms=0.055, corner_hz=286.0, history_s=100.0),
         ),
         "imx636": _IMX636,
         "imx636_quiet": dataclasses.replace(
@@ -339,7 +330,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             height=480,
             corner_hz_at_reference=3000.0,
             readout=ReadoutParameters(event_ns=15.2, row_ns=50),
-            jitter=JitterParameters(latency_us=40.0, off_latency_us=180.0),
+            jitter=effects.JitterParameters(latency_us=40.0, off_latency_us=180.0),
         ),
         "genx320": dataclasses.replace(
             _IMX636, width=320, height=320, readout=ReadoutParameters(event_ns=5.0, row_ns=50)

@@ -143,7 +143,7 @@ class HostAdjusted(ABC):
     @property
     @abstractmethod
     def sensor_factors(self) -> Mapping[str, float]:
-        """Factors of the sensor's parameters by its host's settings, by name; parameters not named are unchanged."""
+        """Factors of the sensor's parameters by its host's settings, by name, or Hz to add to `highpass_hz`."""
 
     @property
     def without_effect(self) -> Mapping[str, str]:

@@ -21,7 +21,7 @@ diff 51, diff_off 28, refr 10) all factors are 1. `prophesee.biases` has the for
     diff_off        range of 8 bits there
     fo, refr        one over the value at open, as for the IMX636: assumed is a current proportional to the register
 
-`[camera.bias_slopes]` of a rig replaces any of them.
+hpf has the IMX636's slope, above the value at open. `[camera.bias_slopes]` of a rig replaces any of them.
 """
 
 from __future__ import annotations

@@ -6,15 +6,16 @@
     refractory_us    1 / max(1 + refr    x steps of refr, refr)
     corner_max_hz         1 + fo         x steps of fo; source_follower_hz if the sensor has a source follower, which
                                          filters its noise as well, unless that has a pole of its own
+    highpass_hz      adds hpf        x steps of hpf above the factory's value, Hz
 
 `steps` are those away from the factory's value, and the slopes are those of `BiasSlopes`: at the factory's biases all
-factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000. The
-register of refr at 0 acts as at 1, the least current: without one a pixel would never leave its reset.
+factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000, the sum
+at 1000 Hz. The register of refr at 0 acts as at 1, the least current: without one a pixel would never leave its reset.
 
 No formula is public. Basis of the model:
 
     directions      Prophesee's page "Biases": a higher diff_on, diff_off is a higher threshold, a higher fo passes
-                    faster changes, a higher refr is a shorter dead time
+                    faster changes, a higher refr is a shorter dead time, a higher hpf suppresses faster changes
     diff_on,        fitted to latencies that NIST measured on a camera of this family at seven pairs of biases (doi
     diff_off        10.1109/tim.2025.3623767; digitised, see `evstim validate`), by the law of the photoreceptor:
                     thresholds by latency. From diff_on 70 and diff_off 95 on they rise no more
@@ -24,6 +25,8 @@ No formula is public. Basis of the model:
     fo, refr        registers are current DACs. The corner of a follower is proportional to its current and a dead time
                     inverse, as in jAER's formulas (IEEE 7962235); so a slope is one over the factory's value, 83 and 20
                     (those in neuromorphic_drivers). Assumed: current is proportional to the register
+    hpf             the same assumption for a corner frequency; the factory's register is 0, where there is no filter.
+                    Prophesee publishes the direction alone. 1 Hz a step, 120 Hz at the end of the range, is a guess
 """
 
 from __future__ import annotations
@@ -31,13 +34,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from firmware_protocol.bounds import Share, check_bounds
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 _WITHOUT_EFFECT = {
-    "hpf": "the simulated pixel has no high-pass filter",
+    "hpf": "the least cut-off is that of the factory's value",
     "diff": "the reference that both thresholds share is not modelled; Prophesee advises not to change it",
 }
 
@@ -60,6 +65,8 @@ class BiasSlopes:
         Of the low-pass corner frequency, as a share, 0 to 1: one over the factory's value of the register.
     refr
         Of the inverse of the refractory period, likewise.
+    hpf
+        Corner frequency of the high-pass, Hz a step above the factory's value, 0 to 100.
     """
 
     diff_on: Share = 0.0143
@@ -69,6 +76,7 @@ class BiasSlopes:
     off_delay: Share = 0.0445
     fo: Share = 0.012
     refr: Share = 0.05
+    hpf: Annotated[float, Meta(ge=0, le=100)] = 1.0
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -92,7 +100,7 @@ class BiasModel:
     has_delay: bool = False
 
     def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
-        """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
+        """Return the factors that are not 1, and Hz to add to `highpass_hz`, for steps from the factory's biases."""
         slopes, off = self.slopes, steps.get("diff_off", 0)
         off_slope = slopes.diff_off if off < 0 else slopes.diff_off_above
         faster = max(1 + slopes.refr * steps.get("refr", 0), slopes.refr)
@@ -104,10 +112,12 @@ class BiasModel:
             self.low_pass: 1 + slopes.fo * steps.get("fo", 0),
         }
         limited = {name: min(max(factor, LEAST_FACTOR), MOST_FACTOR) for name, factor in factors.items()}
-        return {name: factor for name, factor in limited.items() if factor != 1}
+        changed = {name: factor for name, factor in limited.items() if factor != 1}
+        high_hz = min(slopes.hpf * max(steps.get("hpf", 0), 0), MOST_FACTOR)
+        return {**changed, "highpass_hz": high_hz} if high_hz else changed
 
     def without_effect(self, steps: Mapping[str, int]) -> dict[str, str]:
         """Return the biases that were changed without an effect here, each with the reason."""
-        acting = {slope.name for slope in fields(self.slopes)}
+        acting = {slope.name for slope in fields(self.slopes) if slope.name != "hpf" or steps.get("hpf", 0) >= 0}
         moved = sorted(name for name, offset in steps.items() if offset and name not in acting)
         return {name: _WITHOUT_EFFECT.get(name, "it is not modelled") for name in moved}

@@ -37,27 +37,9 @@ from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera, Selected
 from firmware_protocol.prophesee.registers import ChipRegisters, Form
 from firmware_protocol.prophesee.treuzell import Board, BoardFacts
+from firmware_protocol.usb import descriptors, device
 from firmware_protocol.usb.control import Recipient, StandardControl
-from firmware_protocol.usb.descriptors import (
-    BULK_PACKET,
-    OTHER_SPEED,
-    Configuration,
-    DescriptorSet,
-    DeviceDescriptor,
-    Endpoint,
-    Interface,
-    Speed,
-    TransferType,
-)
-from firmware_protocol.usb.device import (
-    Identity,
-    RequestKind,
-    SetupPacket,
-    Stall,
-    Transfer,
-    UsbCamera,
-    UsbCameraSettings,
-)
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Transfer, UsbCamera, UsbCameraSettings
 
 _SILENCE_US = 4096  # a high part of the time
 _FEWEST_EVENTS = 16  # made into words together, also for a host that requests less
@@ -243,11 +225,11 @@ class TreuzellSettings(UsbCameraSettings):
         vendor, product = self.board.usb_id
         return Identity(vendor, product, self.bcd_device, self.speed, interfaces=(_INTERFACE_CLASS,))
 
-    def descriptors(self) -> DescriptorSet:
+    def descriptors(self) -> descriptors.DescriptorSet:
         """Return all descriptors at the camera's speed."""
-        board, other = self.board, OTHER_SPEED.get(self.speed)
-        return DescriptorSet(
-            device=DeviceDescriptor(self.speed, *board.usb_id, self.bcd_device, strings=(1, 2, 0)),
+        board, other = self.board, descriptors.OTHER_SPEED.get(self.speed)
+        return descriptors.DescriptorSet(
+            device=descriptors.DeviceDescriptor(self.speed, *board.usb_id, self.bcd_device, strings=(1, 2, 0)),
             configuration=_configuration(self.speed),
             strings={1: board.manufacturer, 2: board.product},
             other_speed=_configuration(other) if other else None,
@@ -260,11 +242,14 @@ class TreuzellSettings(UsbCameraSettings):
         return BoardFacts(serial, self.release, self.build_unix_s, names.name, names.compatible, short_frames)
 
 
-def _configuration(speed: Speed) -> Configuration:
+def _configuration(speed: descriptors.Speed) -> descriptors.Configuration:
     """Return the configuration; OpenEB requires these three endpoints in this order."""
     addresses = (ANSWER_ENDPOINT, REQUEST_ENDPOINT, DATA_ENDPOINT)
-    endpoints = tuple(Endpoint(address, TransferType.BULK, BULK_PACKET[speed], burst=15) for address in addresses)
-    return Configuration(speed, (Interface(endpoints, interface_class=_INTERFACE_CLASS),))
+    endpoints = tuple(
+        descriptors.Endpoint(address, descriptors.TransferType.BULK, descriptors.BULK_PACKET[speed], burst=15)
+        for address in addresses
+    )
+    return descriptors.Configuration(speed, (descriptors.Interface(endpoints, interface_class=_INTERFACE_CLASS),))
 
 
 _BOARD_KIND = 0x72
@@ -315,14 +300,14 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
             return self._standard.control(setup, data)
         board_request = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
         if (setup.kind, setup.recipient, setup.is_in, setup.request) != board_request:
-            raise Stall
+            raise device.Stall
         return self._kind[: setup.length]
 
     def write(self, endpoint: int, data: bytes) -> None:
         """Process a request; it stalls while 64 answers wait for a host that does not read them."""
         self._standard.require(endpoint)
         if endpoint != REQUEST_ENDPOINT or len(self._answers) >= _MOST_ANSWERS:
-            raise Stall
+            raise device.Stall
         self._answers.append(self._board.answer(data))
 
     def read(self, endpoint: int, max_bytes: int) -> Transfer | None:

@@ -108,18 +108,28 @@ class Noise(NamedTuple):
 
 
 @lane
-def noise_of(a1: Real, a2: Real, rms: Real) -> Noise:
-    """Return the noise of a receptor of rate a1, in front of a fixed pole of rate a2; 0: no such pole."""
-    if a2 == 0.0:
-        return Noise(rms, a1, a1, a1, 0.0, 0.0)
+def noise_of(a1: Real, a2: Real, rms: Real, high: Real = 0.0) -> Noise:
+    """Return the noise of a receptor of rate a1, in front of a fixed pole of rate a2; 0: no such pole.
+
+    Behind a high-pass of rate `high` it is that of two poles with the same variance, the same variance of its slope and
+    the same density at high frequencies, which is exact on short times.
+    """
     if a1 > _NEVER_HZ:  # no receptor: the rms is that behind the fixed pole
-        return Noise(rms, a2, a2, a2, 0.0, 0.0)
-    total = a1 + a2
-    rate = math.sqrt(a1 * a2)
-    ratio = rate / total
+        a1, a2 = a2, 0.0
+    if a2 == 0.0:
+        return Noise(rms * math.sqrt(a1 / (a1 + high)), a1 + high, a1 + high, a1 + high, 0.0, 0.0)
+    total, product = a1 + a2, a1 * a2
     sigma = rms * math.sqrt(a2 / total)
+    if high > 0.0:
+        sigma *= math.sqrt(product / ((high + a1) * (high + a2)))
+        product += high * total
+        half = max(0.5 * (total + high - a1 * a2 * high / product), math.sqrt(product))
+        total, a2 = 2 * half, half + math.sqrt(max(half * half - product, 0.0))
+        a1 = product / a2
+    rate = math.sqrt(product)
+    ratio = rate / total
     if ratio < LEAST_RATIO:
-        return Noise(sigma, a1, a2, a1 * a2 / total, 0.0, ratio)
+        return Noise(sigma, a1, a2, product / total, 0.0, ratio)
     return Noise(sigma, a1, a2, rate, ratio, 0.0)
 
 

@@ -97,14 +97,15 @@ def stay_at(  # noqa: PLR0913, PLR0917
 
 @cached_entry
 def _rates(  # noqa: PLR0913, PLR0917
-    on: float, off: float, leak_hz: float, rate: float, pole: float, rms: float, dead_s: float, tables: _Float32s
+    on: float, off: float, leak_hz: float, rate: float, pole: float, rms: float, high: float, dead_s: float,
+    tables: _Float32s,
 ) -> Rates:  # fmt: skip
     """Return the rates of a pixel with thresholds on and off, from the shares of time that its references have.
 
     The shares on a grid of references are solved without a subtraction (Grassmann, Taksar and Heyman 1985), because the
     rates at which they are left differ by many orders of magnitude.
     """
-    noise = noise_of(rate, pole, rms)
+    noise = noise_of(rate, pole, rms, high)
     grid = np.linspace(-on - noise.sigma, off + noise.sigma, _LEVELS)  # a reset may lead beyond a threshold
     kept, beyond = math.exp(-noise.rate * dead_s), 0.0
     step, lost = grid[1] - grid[0], 1 - kept * kept
@@ -147,7 +148,7 @@ def still_hz(p: SensorParameters, f_hz: float) -> Rates:
     if not p.noise.rms:
         return Rates(p.leak_hz, 0.0)
     rate, pole = 2 * math.pi * min(float(f_hz), _FASTEST_HZ), 2 * math.pi * fixed_corner_hz(p)
-    noise = rate, 0.0 if math.isinf(pole) else pole, p.noise.rms
+    noise = rate, 0.0 if math.isinf(pole) else pole, p.noise.rms, 2 * math.pi * p.highpass_hz
     (sums, w0), (differences, w1) = (np.polynomial.hermite_e.hermegauss(n) for n in _NODES)
     spread, dead_s = p.mismatch * math.sqrt(0.5), p.refractory_us * 1e-6
     on = p.threshold_on * np.maximum(1 + spread * np.add.outer(sums, differences), 0.1).reshape(-1)

@@ -22,42 +22,20 @@ from emulator.sensor.noise.hazard import hazard_tables
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
+from emulator.sensor.pixels import state as layout
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
 from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
-from emulator.sensor.pixels.state import (
-    BLOCK,
-    DEAD_THRESHOLD,
-    EPOCH_BITS,
-    FIELDS,
-    MEMORY,
-    PARTS,
-    Field,
-    FlatLight,
-    Levels,
-    LightConstants,
-    Pixels,
-    PixelState,
-    ResetError,
-    StepConstants,
-    draw,
-    field_index,
-    leak_phase,
-    light_constants,
-    noise_memory,
-    put_field,
-    take_field,
-)
 from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
 
-__all__ = ["PixelArray", "PixelState"]
+__all__ = ["PixelArray"]
 
-_EPOCH_NS = 1 << EPOCH_BITS
+_EPOCH_NS = 1 << layout.EPOCH_BITS
 _LONG_AGO_NS = 1 << 40
 _CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made
 _PART = 1 << 14  # pixels that a thread settles at once
@@ -115,37 +93,38 @@ class PixelArray(PixelMethod):
         self._flag_bits = int(parameters.noise.rms > 0)  # behind a pixel's number: whether the event is the noise's
         self._pixel_bits = max(1, (self._pixels - 1).bit_length()) + self._flag_bits
         self._refractory_ns = _refractory_ns(parameters)
-        self._light_constants = light_constants(parameters)
+        self._light_constants = layout.light_constants(parameters)
         self._noise_root = root_of(seed, Purpose.NOISE_EVENTS)
         self._buffers = EventBuffers()
         self._tables = hazard_tables() if parameters.noise.rms else np.empty(0, np.float32)
         self.state = self._dark_state()
         self._workers = Workers(self.state.fields.shape[0], threads)
         self._delays = max(parameters.comparator.on_us, parameters.comparator.off_us) > 0
-        self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + PARTS), np.uint8)
+        self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + layout.PARTS), np.uint8)
         self._moved_fields = self.state.fields
-        self._replacing: FlatLight | None = None
+        self._replacing: layout.FlatLight | None = None
         self._refinement: Refinement | None = None
 
-    def _dark_state(self) -> PixelState:
+    def _dark_state(self) -> layout.PixelState:
         """Return the state before the first light, with thresholds and leak of each pixel."""
-        blocks = -(-self._pixels // BLOCK)
-        fields, p = aligned_zeros((blocks, FIELDS, BLOCK)), self.parameters
-        fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
-        pixels = draw(p, self.seed)
-        put_field(fields, Field.ON, pixels.on)
-        put_field(fields, Field.OFF, pixels.off)
-        put_field(fields, Field.LEAK, pixels.leak_hz * take_field(fields, Field.ON, self._pixels))
-        for field in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL):
+        blocks = -(-self._pixels // layout.BLOCK)
+        fields, p = aligned_zeros((blocks, layout.FIELDS, layout.BLOCK)), self.parameters
+        fields[:, layout.Field.ON] = fields[:, layout.Field.OFF] = np.inf
+        pixels = layout.draw(p, self.seed)
+        layout.put_field(fields, layout.Field.ON, pixels.on)
+        layout.put_field(fields, layout.Field.OFF, pixels.off)
+        layout.put_field(
+            fields, layout.Field.LEAK, pixels.leak_hz * layout.take_field(fields, layout.Field.ON, self._pixels)
+        )
+        for field in (layout.Field.ON_LIMIT, layout.Field.OFF_LIMIT, layout.Field.SPEED_LIMIT, layout.Field.UNTIL):
             fields[:, field] = np.inf  # of the pixels beyond the sensor's end
-        memory = noise_memory(p, self.seed, blocks * BLOCK) if p.noise.rms else np.empty(0, np.float32)
-        positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * BLOCK, np.int64)
-        return PixelState(fields, positions, 0, 0, False, memory)
+        memory = layout.noise_memory(p, self.seed, blocks * layout.BLOCK) if p.noise.rms else np.empty(0, np.float32)
+        positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * layout.BLOCK, np.int64)
+        return layout.PixelState(fields, positions, 0, 0, False, memory)
 
     def _clear_counters(self) -> None:
-        self.lost_in_pixel = self.quiet_nan = self.undersampled = self.candidates = 0
+        self.lost_in_pixel = self.quiet_nan = self.undersampled = self.candidates = self.refined = 0
         self.of_noise = NO_CROSSINGS
-        self.refined = 0
 
     @property
     def settled_ns(self) -> int:
@@ -175,54 +154,67 @@ class PixelArray(PixelMethod):
             corner_hz = min(before.noise.corner_hz * value / before.source_follower_hz, 1e6)
             after = dataclasses.replace(after, noise=dataclasses.replace(before.noise, corner_hz=corner_hz))
         if name == "threshold_on":
-            self._scale_threshold(Field.ON, after.threshold_on / before.threshold_on)
+            self._scale_threshold(layout.Field.ON, after.threshold_on / before.threshold_on)
             self._scale_leak(after.threshold_on / before.threshold_on)  # events a second stay as they were
         elif name == "threshold_off":
-            self._scale_threshold(Field.OFF, after.threshold_off / before.threshold_off)
+            self._scale_threshold(layout.Field.OFF, after.threshold_off / before.threshold_off)
         elif name == "leak_hz" and before.leak_hz:
             self._scale_leak(after.leak_hz / before.leak_hz)
         elif name == "leak_hz":
-            pixels = draw(after, self.seed)
+            pixels = layout.draw(after, self.seed)
             self.set_leak(pixels.leak / pixels.on)
+        if bool(before.highpass_hz) != bool(after.highpass_hz):
+            self._switch_high_pass(before, after)
         if name == "corner_max_hz":
-            self._limit_rates(light_constants(after))
-        self.parameters, self._light_constants = after, light_constants(after)
+            self._limit_rates(layout.light_constants(after))
+        self.parameters, self._light_constants = after, layout.light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinement = None
-        put_field(self.state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))  # their certificates do not hold now
+        layout.put_field(
+            self.state.fields, layout.Field.UNTIL, np.full(self._pixels, -np.inf)
+        )  # their certificates do not hold now
         self.wake()
 
-    def _scale_threshold(self, field: Field, ratio: float) -> None:
+    def _scale_threshold(self, field: layout.Field, ratio: float) -> None:
         """Multiply a threshold of all pixels that are not dead."""
         values = self.state.fields[:, field]
-        values *= np.where(values < DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
+        values *= np.where(values < layout.DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
 
-    def _limit_rates(self, c: LightConstants) -> None:
+    def _switch_high_pass(self, before: SensorParameters, after: SensorParameters) -> None:
+        """Begin the high-pass, at rest on the present signal, or end it; the comparators' levels stay."""
+        fields = self.state.fields
+        if after.highpass_hz:
+            fields[:, layout.Field.HIGH_PASSED] = 0
+        fields[:, layout.Field.REFERENCE] += (
+            fields[:, layout.compared_field(after)] - fields[:, layout.compared_field(before)]
+        )
+
+    def _limit_rates(self, c: layout.LightConstants) -> None:
         """Give the photoreceptors the rates of new constants at once, and the slopes by warped time with them."""
         fields, highest = self.state.fields, self._light_constants.rate_max
-        rate, slope = fields[:, Field.RATE].copy(), fields[:, Field.SLOPE]
+        rate, slope = fields[:, layout.Field.RATE].copy(), fields[:, layout.Field.SLOPE]
         with np.errstate(over="ignore"):
-            unlimited = np.where(rate >= highest, c.rate_at_reference * np.exp(fields[:, Field.LOG_LIGHT]), rate)
-        fields[:, Field.RATE] = np.clip(unlimited, c.rate_min, c.rate_max)
-        slope *= rate / fields[:, Field.RATE]
+            unlimited = np.where(rate >= highest, c.rate_at_reference * np.exp(fields[:, layout.Field.LOG_LIGHT]), rate)
+        fields[:, layout.Field.RATE] = np.clip(unlimited, c.rate_min, c.rate_max)
+        slope *= rate / fields[:, layout.Field.RATE]
 
     def _scale_leak(self, ratio: float) -> None:
         """Multiply the leak of all pixels; the reference moves, so that the comparators' levels stay."""
         state = self.state
-        leak, since_epoch_s = state.fields[:, Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
+        leak, since_epoch_s = state.fields[:, layout.Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
         change = leak * np.float32(ratio) - leak
-        state.fields[:, Field.REFERENCE] += change * since_epoch_s
+        state.fields[:, layout.Field.REFERENCE] += change * since_epoch_s
         leak += change
 
     def thresholds_of(self, pixel: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
         flat, pixels = self.state.fields.reshape(-1), np.array([pixel])
-        on, off = (float(flat[field_index(pixels, field)][0]) for field in (Field.ON, Field.OFF))
-        return (on, off) if on < DEAD_THRESHOLD else (math.inf, math.inf)
+        on, off = (float(flat[layout.field_index(pixels, field)][0]) for field in (layout.Field.ON, layout.Field.OFF))
+        return (on, off) if on < layout.DEAD_THRESHOLD else (math.inf, math.inf)
 
-    def levels(self) -> Levels:
+    def levels(self) -> layout.Levels:
         """Return the access to the comparators' levels."""
-        return Levels(self)
+        return layout.Levels(self)
 
     def kill(self, pixel: npt.NDArray[np.int64]) -> None:
         """Make pixels, (n,), dead.
@@ -230,23 +222,29 @@ class PixelArray(PixelMethod):
         A dead pixel leaks in units of its threshold, so the parasitic leak still fires it.
         """
         flat = self.state.fields.reshape(-1)
-        flat[field_index(pixel, Field.ON)] = flat[field_index(pixel, Field.OFF)] = DEAD_THRESHOLD
-        flat[field_index(pixel, Field.LEAK)] = 0
+        flat[layout.field_index(pixel, layout.Field.ON)] = flat[layout.field_index(pixel, layout.Field.OFF)] = (
+            layout.DEAD_THRESHOLD
+        )
+        flat[layout.field_index(pixel, layout.Field.LEAK)] = 0
         self.wake()
 
     def leak_hz(self) -> npt.NDArray[np.float64]:
         """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
-        leak, on = (take_field(self.state.fields, field, self._pixels) for field in (Field.LEAK, Field.ON))
+        leak, on = (
+            layout.take_field(self.state.fields, field, self._pixels) for field in (layout.Field.LEAK, layout.Field.ON)
+        )
         return np.asarray(leak / on.astype(np.float64))
 
     def set_leak(self, leak_hz: npt.NDArray[np.float64]) -> None:
         """Set the leak rate of all pixels, (pixels,); the reference moves, so that the comparators' levels stay."""
         state, pixel = self.state, np.arange(self._pixels)
         flat = state.fields.reshape(-1)
-        leak = (leak_hz * flat[field_index(pixel, Field.ON)]).astype(np.float32)
+        leak = (leak_hz * flat[layout.field_index(pixel, layout.Field.ON)]).astype(np.float32)
         since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
-        flat[field_index(pixel, Field.REFERENCE)] += (leak - flat[field_index(pixel, Field.LEAK)]) * since_epoch_s
-        flat[field_index(pixel, Field.LEAK)] = leak
+        flat[layout.field_index(pixel, layout.Field.REFERENCE)] += (
+            leak - flat[layout.field_index(pixel, layout.Field.LEAK)]
+        ) * since_epoch_s
+        flat[layout.field_index(pixel, layout.Field.LEAK)] = leak
         self.wake()
 
     def compile_part(self, part: str) -> None:
@@ -255,25 +253,27 @@ class PixelArray(PixelMethod):
         share = Share(0, 1, self._workers.idle, self._touched(None))
         compile_parts(part, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
 
-    def _flat_state(self) -> Pixels:
+    def _flat_state(self) -> layout.Pixels:
         state = self.state
-        return Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, self._tables)
+        return layout.Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, self._tables)
 
     def wake(self) -> None:
         """Compute all blocks in the next step; for callers that change the state of pixels."""
         wake(self._workers.idle)
 
-    def field(self, field: Field) -> _Float32s:
+    def field(self, field: layout.Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
-        return take_field(self.state.fields, field, self._pixels).reshape(self.parameters.height, self.parameters.width)
+        return layout.take_field(self.state.fields, field, self._pixels).reshape(
+            self.parameters.height, self.parameters.width
+        )
 
     def reset(self, frame: LightFrame) -> None:
         """Start at the time of `frame` with the filter at rest on its light, and counters at zero."""
         log_compilation(advance, "the pixel step")
         state, p = self.state, self.parameters
         flat, slope = self._flat(frame.light), _NO_RATE if frame.rate is None else self._flat(frame.rate)
-        state.t_ns, state.epoch_ns = int(frame.t_ns), (int(frame.t_ns) >> EPOCH_BITS) << EPOCH_BITS
-        pixels = state.fields.shape[0] * BLOCK
+        state.t_ns, state.epoch_ns = int(frame.t_ns), (int(frame.t_ns) >> layout.EPOCH_BITS) << layout.EPOCH_BITS
+        pixels = state.fields.shape[0] * layout.BLOCK
         state.refractory_until_ns[:pixels] = frame.t_ns
         if p.reset.noise:
             state.refractory_until_ns[pixels:] = streams(root_of(self.seed, Purpose.RESET_NOISE), pixels).view(np.int64)
@@ -284,21 +284,21 @@ class PixelArray(PixelMethod):
         light = self._light_constants
         with np.errstate(over="ignore"):
             filter_rate = np.clip(light.rate_at_reference * current, light.rate_min, light.rate_max)
-        phase = leak_phase(p, self.seed)
-        on, leak = (take_field(state.fields, field, self._pixels) for field in (Field.ON, Field.LEAK))
+        phase = layout.leak_phase(p, self.seed)
+        on, leak = (
+            layout.take_field(state.fields, field, self._pixels) for field in (layout.Field.ON, layout.Field.LEAK)
+        )
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
-        state.fields[:, Field.LEAKED] = 0
+        state.fields[:, [layout.Field.LEAKED, layout.Field.HIGH_PASSED]] = 0
         self._move_parasitic(-since_epoch, log_light)
         state.slopes_known = frame.rate is not None
-        for field in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
-            put_field(state.fields, field, log_light)
-        put_field(state.fields, Field.RATE, filter_rate)
-        put_field(
-            state.fields,
-            Field.SLOPE,
-            np.where(flat > 0, slope, 0) / (current * filter_rate) if slope.size else np.full(flat.size, np.nan),
-        )
-        put_field(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
+        for field in (layout.Field.LOG_LIGHT, layout.Field.FILTERED, layout.Field.SECOND):
+            layout.put_field(state.fields, field, log_light)
+        layout.put_field(state.fields, layout.Field.RATE, filter_rate)
+        lit_slope = np.where(flat > 0, slope, 0) if slope.size else np.full(flat.size, np.nan, np.float32)
+        layout.put_field(state.fields, layout.Field.SLOPE, lit_slope / (current * filter_rate))
+        settled = log_light - log_light if p.highpass_hz else log_light
+        layout.put_field(state.fields, layout.Field.REFERENCE, settled + leak * since_epoch - on * phase)
         if p.noise.rms:
             self._settle(pixels)
         self._clear_counters()
@@ -308,8 +308,8 @@ class PixelArray(PixelMethod):
     def _settle(self, pixels: int) -> None:
         """Let noise act on the references before the start, by all cores, and certify the pixels."""
         state = self.state
-        put_field(state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))
-        state.memory.reshape(-1, MEMORY)[:, :2] = 0
+        layout.put_field(state.fields, layout.Field.UNTIL, np.full(self._pixels, -np.inf))
+        state.memory.reshape(-1, layout.MEMORY)[:, :2] = 0
         state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
         root, history_s = root_of(self.seed, Purpose.NOISE_BURST), self.parameters.noise.history_s
         c, flat = self._constants(state.t_ns - _CERTIFIED_NS, state.t_ns), self._flat_state()
@@ -344,9 +344,9 @@ class PixelArray(PixelMethod):
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._advance(FlatLight(flat, slope), t_ns, n, frame.at, frame.changed)
+            n = self._advance(layout.FlatLight(flat, slope), t_ns, n, frame.at, frame.changed)
         else:
-            self._replacing = FlatLight(flat.copy(), slope.copy())
+            self._replacing = layout.FlatLight(flat.copy(), slope.copy())
         events = self._buffers
         if self._flag_bits:
             flagged = np.flatnonzero(events.pixel[:n] & 1)
@@ -358,10 +358,10 @@ class PixelArray(PixelMethod):
         """Advance by whole epochs, on a straight line in log light, until at most one is left; return the number."""
         state, n = self.state, 0
         self._replace_light()
-        before, t0_ns = take_field(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
+        before, t0_ns = layout.take_field(state.fields, layout.Field.LOG_LIGHT, self._pixels), state.t_ns
         while t_ns - state.t_ns > _EPOCH_NS:
             share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
-            light = FlatLight(self._between(before, flat, share), _NO_RATE)
+            light = layout.FlatLight(self._between(before, flat, share), _NO_RATE)
             n = self._advance(light, state.t_ns + _EPOCH_NS, n)
         return n
 
@@ -373,7 +373,7 @@ class PixelArray(PixelMethod):
 
     def _advance(
         self,
-        frame: FlatLight,
+        frame: layout.FlatLight,
         t_ns: int,
         n: int,
         at: PixelLight | None = None,
@@ -388,7 +388,7 @@ class PixelArray(PixelMethod):
             self._moved_fields = state.fields
             self.wake()
         if with_slopes and not state.slopes_known:
-            state.fields[:, Field.SLOPE] = np.nan
+            state.fields[:, layout.Field.SLOPE] = np.nan
             self.wake()
         state.slopes_known = with_slopes
         t0_ns = state.t_ns
@@ -444,12 +444,12 @@ class PixelArray(PixelMethod):
     def _move_epoch(self) -> None:
         """Count leak from the last whole epoch: the only place where a reference moves without an event."""
         state = self.state
-        epoch_ns = (state.t_ns >> EPOCH_BITS) << EPOCH_BITS
+        epoch_ns = (state.t_ns >> layout.EPOCH_BITS) << layout.EPOCH_BITS
         if epoch_ns != state.epoch_ns:
             moved_s = np.float32((epoch_ns - state.epoch_ns) * 1e-9)
-            state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
-            state.fields[:, Field.UNTIL] -= moved_s + np.float32(1e-5)  # never later by its rounding
-            self._move_parasitic(moved_s, take_field(state.fields, Field.LOG_LIGHT, self._pixels))
+            state.fields[:, layout.Field.REFERENCE] -= state.fields[:, layout.Field.LEAK] * moved_s
+            state.fields[:, layout.Field.UNTIL] -= moved_s + np.float32(1e-5)  # never later by its rounding
+            self._move_parasitic(moved_s, layout.take_field(state.fields, layout.Field.LOG_LIGHT, self._pixels))
             state.epoch_ns = epoch_ns
 
     def _move_parasitic(self, by_s: float | np.float32, log_light: _Float32s) -> None:
@@ -457,19 +457,18 @@ class PixelArray(PixelMethod):
         hz = self.parameters.parasitic_hz_at_reference
         if hz:
             fields, lit = self.state.fields, np.where(np.isfinite(log_light), np.exp(np.minimum(log_light, 80)), 0)
-            leaked = (
-                take_field(fields, Field.LEAKED, self._pixels)
-                + hz * take_field(fields, Field.ON, self._pixels) * lit * by_s
-            )
-            put_field(fields, Field.LEAKED, leaked)
+            leaked, on = (layout.take_field(fields, of, self._pixels) for of in (layout.Field.LEAKED, layout.Field.ON))
+            layout.put_field(fields, layout.Field.LEAKED, leaked + hz * on * lit * by_s)
 
     def _make_refinement(self) -> Refinement:
         """Make the refinement of undersampled steps, which few arrays need."""
         light = self._light_constants
-        resting = np.zeros(FIELDS, np.float32)
-        resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(light.dark)
-        resting[Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
-        resting[[Field.ON, Field.OFF]] = np.inf
+        resting = np.zeros(layout.FIELDS, np.float32)
+        resting[[layout.Field.LOG_LIGHT, layout.Field.FILTERED, layout.Field.REFERENCE, layout.Field.SECOND]] = np.log(
+            light.dark
+        )
+        resting[layout.Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
+        resting[[layout.Field.ON, layout.Field.OFF]] = np.inf
         table = self._workers.buffers().table
         self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement
@@ -481,10 +480,10 @@ class PixelArray(PixelMethod):
         self.quiet_nan += tally.unreadable
         self.refined += tally.refined
 
-    def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> StepConstants:
+    def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> layout.StepConstants:
         p = self.parameters
         since_ns, h_ns = t0_ns - self.state.epoch_ns, t1_ns - t0_ns
-        return StepConstants(
+        return layout.StepConstants(
             *self._light_constants,
             parasitic=np.float32(p.parasitic_hz_at_reference),
             second=np.float32(2 * math.pi * p.source_follower_hz * h_ns * 1e-9),
@@ -500,7 +499,7 @@ class PixelArray(PixelMethod):
             unseen_share=UNSEEN_SHARE,
             refine=False,
             large=p.photoreceptor == "large_signal",
-            reset=ResetError(np.float32(p.reset.offset), np.float32(p.reset.noise)),
+            reset=layout.ResetError(np.float32(p.reset.offset), np.float32(p.reset.noise)),
             on_delay=p.comparator.on_us * 1e-6,
             off_delay=p.comparator.off_us * 1e-6,
             contrast_per_e=float(p.comparator.contrast_per_e),
@@ -509,6 +508,9 @@ class PixelArray(PixelMethod):
             noise_pole=2 * math.pi * (p.noise.corner_hz or p.source_follower_hz),
             noise_root=self._noise_root,
             since_s=since_ns * 1e-9,
+            high=np.float32(2 * math.pi * p.highpass_hz * h_ns * 1e-9),
+            high_rate=2 * math.pi * p.highpass_hz,
+            compared=int(layout.compared_field(p)) * layout.BLOCK,
         )
 
 

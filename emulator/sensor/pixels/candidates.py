@@ -21,43 +21,21 @@ import numpy.typing as npt
 
 import emulator.sensor.pixels.substeps as substep
 from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
-from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
+from emulator.sensor.numerics.elementary import aligned_zeros, decay, exponential, use_widest_vectors
+from emulator.sensor.pixels import curve, event_time, state
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
-from emulator.sensor.pixels.curve import Course, Filtered, is_smooth, missed_by_cubic, photocurrent, transient
-from emulator.sensor.pixels.event_time import (
-    MOST_EVENTS,
-    SETTLED,
-    Bracket,
-    Cubic,
-    bisect,
-    delay_s,
-    levels_passed,
-    newton,
-    pass_over,
-    value,
-)
 from emulator.sensor.pixels.idle import pixel_at
 from emulator.sensor.pixels.march import solve_substeps
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
-from emulator.sensor.pixels.state import (
-    BEFORE_ROWS,
-    BLOCK,
-    Field,
-    Pixels,
-    StepConstants,
-    count_reset,
-    reset_offset,
-    slot,
-    whole_vectors,
-)
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, Pixels, StepConstants
 from emulator.sensor.pixels.substeps import CAPACITY, SubstepTable, new_substep_table
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _, _Y = (int(f) * BLOCK for f in Field)
 
-_U0, _V0, _L0, _G0, _A0, _A1, _S, _, _W0, _P0, _, _ = BEFORE_ROWS
+_U0, _V0, _L0, _G0, _A0, _A1, _S, _, _W0, _P0, _, _, _Y0 = BEFORE_ROWS
 
 BATCH = BLOCK
 """Candidates from which on the table is solved; a block more fits."""
@@ -67,9 +45,9 @@ BATCH = BLOCK
     C_U0, C_V0, C_L0, C_A0, C_U1, C_V1, C_L1, C_A1, C_S, C_REF, C_ON, C_OFF, C_LEAK,
     C_W0, C_W1, C_P0, C_P1, C_START, C_BASE, C_A, C_D0, C_D1, C_C1, C_C2, C_C3, C_KIND,
     C_Z, C_MISS, C_NEXT_A, C_NEXT_START, C_NEXT_REF, C_AGAIN, C_LIT,
-    C_RESET, C_NEXT_RESET, C_LATE,
-) = (k * CAPACITY for k in range(36))  # fmt: skip
-C_ROWS = 36
+    C_RESET, C_NEXT_RESET, C_LATE, C_Y0, C_Y1,
+) = (k * CAPACITY for k in range(38))  # fmt: skip
+C_ROWS = 38
 _LAST, _NEXT = (np.int64(n) for n in range(2))
 
 _NOTHING, _RE_ARMS, _FIRES, NEEDS_SUBSTEPS = (np.float32(kind) for kind in range(4))
@@ -122,14 +100,16 @@ def select(
         reference = s[entry_at(_REF, i)]
         if v0 != v0 or u1 != u1:
             s[entry_at(_V, i)] = s[entry_at(_W, i)] = u1
+            s[entry_at(_Y, i)] = u1 - u1
         unreadable += u1 != u1
         flagged[selected] = place  # written always, counted where it stays: no branch
-        if reference != reference and refractory_until_ns[pixel_at(firsts, place)] - c.t0_ns > c.h_ns:
+        waits = reference != reference and refractory_until_ns[pixel_at(firsts, place)] - c.t0_ns > c.h_ns
+        if waits and c.high == _ZERO:  # the quiet pass may not know the output of a high-pass
             d = u1 - before[entry_at(_U0, i)]
             threshold = min(s[entry_at(_ON, i)], s[entry_at(_OFF, i)])
             in_one_piece = not c.large or before[entry_at(_U0, i)] - v0 < MOST_BEHIND
             a0, a1 = before[entry_at(_A0, i)], before[entry_at(_A1, i)]
-            if in_one_piece and is_smooth(d, a0, a1, threshold, c.unseen_share):
+            if in_one_piece and curve.is_smooth(d, a0, a1, threshold, c.unseen_share):
                 continue
         selected += (u1 == u1) & (v0 == v0)
     return selected, unreadable
@@ -160,7 +140,7 @@ def gather(selected: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, 
 
 @kernel
 def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, table: Table, c: StepConstants) -> None:
-    """Add the state that only sensors with a second pole or parasitic leak have; `_complete_parasitic` follows."""
+    """Add the state behind a second pole or a high-pass and of parasitic leak; `_complete_parasitic` follows."""
     rows = table.rows
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
@@ -168,6 +148,8 @@ def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, tabl
             rows[entry_at(C_W0, k)], rows[entry_at(C_W1, k)] = before[entry_at(_W0, i)], s[entry_at(_W, i)]
         if c.parasitic > _ZERO:
             rows[entry_at(C_P0, k)], rows[entry_at(C_P1, k)] = before[entry_at(_P0, i)], s[entry_at(_P, i)]
+        if c.high > _ZERO:
+            rows[entry_at(C_Y0, k)] = before[entry_at(_Y0, i)]
 
 
 @kernel
@@ -176,7 +158,7 @@ def _complete_parasitic(rows: _Float32s, n: int, c: StepConstants) -> None:
     use_widest_vectors()
     for j in range(n):
         leaks = c.parasitic * rows[C_ON + j]
-        since0, since1 = leaks * photocurrent(rows[C_U0 + j]), leaks * photocurrent(rows[C_U1 + j])
+        since0, since1 = leaks * curve.photocurrent(rows[C_U0 + j]), leaks * curve.photocurrent(rows[C_U1 + j])
         rows[C_P0 + j] += since0 * c.since_epoch_0
         rows[C_P1 + j] += since1 * c.since_epoch_1
         rows[C_LIT + j] = since1
@@ -200,8 +182,8 @@ def _find_offsets(pixels: Pixels, table: Table, n: int, c: StepConstants) -> Non
     rows = table.rows
     for j in range(n):
         pixel, on, off = table.pixels[j], rows[C_ON + j], rows[C_OFF + j]
-        rows[C_RESET + j] = reset_offset(pixels, pixel, _LAST, on, off, c.reset)
-        rows[C_NEXT_RESET + j] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
+        rows[C_RESET + j] = state.reset_offset(pixels, pixel, _LAST, on, off, c.reset)
+        rows[C_NEXT_RESET + j] = state.reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
 
 
 @vector_kernel
@@ -216,15 +198,15 @@ def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
         threshold = min(table[C_ON + j], table[C_OFF + j])
         r0 = c.h * table[C_L0 + j]  # rates of the filter, per step
         r1 = c.h * table[C_L1 + j]
-        smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share)
+        smooth = curve.is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share)
         # The slopes of the filter's output are its rate times its lag. Where the exponential is rounding noise, the lag
         # without it is more accurate than the difference of two large numbers.
         allowed = _SHARE * threshold
-        t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1), allowed)
+        t = curve.transient(u0 - v0, curve.Course(s, u1 - u0, s * a0 / r0, s * a1 / r1), allowed)
         m0 = r0 * (t.lag0 if t.faint else u0 - v0)
         m1 = r1 * (t.lag1 if t.faint else u1 - v1)
         # A cubic is good where it misses little of the exponential.
-        fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= allowed
+        fits = (_ZERO if t.faint else curve.missed_by_cubic(t.b, s)) <= allowed
         table[C_D0 + j] = v0
         table[C_D1 + j] = v1
         table[C_C1 + j] = m0
@@ -245,9 +227,9 @@ def _make_curves_of_receptor(table: _Float32s, n: int, c: StepConstants) -> None
         r0 = c.h * table[C_L0 + j]
         r1 = c.h * table[C_L1 + j]
         allowed = _SHARE * threshold if c.second == _ZERO else min(_SHARE * threshold, _MISSED)
-        course = Course(s, u1 - u0, s * a0 / r0, s * a1 / r1)
-        r = response(Filtered(u0 - v0, u1 - v1, v1 - v0, r0, r1), course, allowed)
-        smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share) & (u0 - v0 < MOST_BEHIND)
+        course = curve.Course(s, u1 - u0, s * a0 / r0, s * a1 / r1)
+        r = response(curve.Filtered(u0 - v0, u1 - v1, v1 - v0, r0, r1), course, allowed)
+        smooth = curve.is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share) & (u0 - v0 < MOST_BEHIND)
         table[C_D0 + j] = v0
         table[C_D1 + j] = v1
         table[C_C1 + j] = r.m0
@@ -263,13 +245,29 @@ def _make_curves_of_second_pole(table: _Float32s, n: int, c: StepConstants) -> N
         v0, v1 = table[C_V0 + j], table[C_V1 + j]
         w0, w1 = table[C_W0 + j], table[C_W1 + j]
         allowed = _SHARE * min(table[C_ON + j], table[C_OFF + j])
-        t = transient(v0 - w0, Course(c.second, v1 - v0, table[C_C1 + j], table[C_C2 + j]), allowed)
-        fits = (_ZERO if t.faint else missed_by_cubic(t.b, c.second)) <= allowed
+        t = curve.transient(v0 - w0, curve.Course(c.second, v1 - v0, table[C_C1 + j], table[C_C2 + j]), allowed)
+        fits = (_ZERO if t.faint else curve.missed_by_cubic(t.b, c.second)) <= allowed
         table[C_D0 + j] = w0
         table[C_D1 + j] = w1
         table[C_C1 + j] = c.second * (t.lag0 if t.faint else v0 - w0)
         table[C_C2 + j] = c.second * (t.lag1 if t.faint else v1 - w1)
         table[C_KIND + j] = table[C_KIND + j] if fits else NEEDS_SUBSTEPS
+
+
+@vector_kernel
+def _make_curves_of_high_pass(table: _Float32s, n: int, c: StepConstants) -> None:
+    """Replace each candidate's cubic by that of the high-pass's output; long steps are left to substeps."""
+    use_widest_vectors()
+    q = decay(c.high)
+    for j in range(n):
+        w = curve.Course(c.high, table[C_D1 + j] - table[C_D0 + j], table[C_C1 + j], table[C_C2 + j])
+        y0 = table[C_Y0 + j]
+        y1 = curve.behind_high_pass(q, y0, w)
+        table[C_D0 + j] = y0
+        table[C_D1 + j] = table[C_Y1 + j] = y1
+        table[C_C1 + j] = w.w0 - c.high * y0
+        table[C_C2 + j] = w.w1 - c.high * y1
+        table[C_KIND + j] = table[C_KIND + j] if c.high <= curve.LARGEST_CHANGE else NEEDS_SUBSTEPS
 
 
 @vector_kernel
@@ -285,21 +283,26 @@ def _add_parasitic(table: _Float32s, n: int, c: StepConstants) -> None:
 
 
 @kernel
-def make_curves(rows: _Float32s, n: int, c: StepConstants) -> None:
+def make_curves(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
     """Write values and slopes of the n candidates' curves at both ends of the step, without the junction's leak.
 
     Marks those that need substeps. The rows of the coefficients hold the slopes at the ends, C1 and C2.
     """
+    rows = table.rows
     if c.parasitic > _ZERO:
-        _complete_parasitic(rows, whole_vectors(n), c)
+        _complete_parasitic(rows, state.whole_vectors(n), c)
     if c.large:
-        _make_curves_of_receptor(rows, whole_vectors(n), c)
+        _make_curves_of_receptor(rows, state.whole_vectors(n), c)
     else:
-        _make_curves(rows, whole_vectors(n), c)
+        _make_curves(rows, state.whole_vectors(n), c)
     if c.second > _ZERO:
-        _make_curves_of_second_pole(rows, whole_vectors(n), c)
+        _make_curves_of_second_pole(rows, state.whole_vectors(n), c)
+    if c.high > _ZERO:
+        _make_curves_of_high_pass(rows, state.whole_vectors(n), c)
+        for j in range(n):
+            pixels.fields[state.slot(table.pixels[j]) + _Y] = rows[C_Y1 + j]
     if c.parasitic > _ZERO:
-        _add_parasitic(rows, whole_vectors(n), c)
+        _add_parasitic(rows, state.whole_vectors(n), c)
 
 
 @vector_kernel
@@ -345,18 +348,18 @@ def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
 
 
 @lane
-def _cubic(rows: _Float32s, j: int) -> Cubic:
+def _cubic(rows: _Float32s, j: int) -> event_time.Cubic:
     """Return the curve of candidate j over the step."""
-    return Cubic(rows[C_D0 + j], rows[C_C1 + j], rows[C_C2 + j], rows[C_C3 + j])
+    return event_time.Cubic(rows[C_D0 + j], rows[C_C1 + j], rows[C_C2 + j], rows[C_C3 + j])
 
 
 @lane
-def _bracket(rows: _Float32s, j: int) -> Bracket:
+def _bracket(rows: _Float32s, j: int) -> event_time.Bracket:
     """Return the bracket in which the curve of candidate j meets its next level."""
     a = rows[C_A + j]
     rising = rows[C_D1 + j] > a
     level = a + (rows[C_ON + j] if rising else -rows[C_OFF + j])
-    return Bracket(rows[C_START + j], _ONE, level, rising)
+    return event_time.Bracket(rows[C_START + j], _ONE, level, rising)
 
 
 @vector_kernel
@@ -365,9 +368,9 @@ def _cross(table: _Float32s, n: int) -> None:
     use_widest_vectors()
     for j in range(n):
         g, at = _cubic(table, j), _bracket(table, j)
-        at_start = value(g, at.low)
+        at_start = event_time.value(g, at.low)
         guess = at.low + (_ONE - at.low) * (at.level - at_start) / (table[C_D1 + j] - at_start)
-        table[C_Z + j], table[C_MISS + j] = newton(g, at, guess)
+        table[C_Z + j], table[C_MISS + j] = event_time.newton(g, at, guess)
 
 
 @kernel
@@ -379,10 +382,10 @@ def _bisect_unsettled(table: Table, n: int) -> None:
     rows, unsettled = table.rows, 0
     for j in range(n):
         table.listed[unsettled] = j
-        unsettled += (rows[C_KIND + j] == _FIRES) & (rows[C_MISS + j] > SETTLED)
+        unsettled += (rows[C_KIND + j] == _FIRES) & (rows[C_MISS + j] > event_time.SETTLED)
     for k in range(unsettled):
         j = table.listed[k]
-        rows[C_Z + j] = bisect(_cubic(rows, j), _bracket(rows, j))
+        rows[C_Z + j] = event_time.bisect(_cubic(rows, j), _bracket(rows, j))
 
 
 @kernel
@@ -393,7 +396,7 @@ def _find_delays(table: Table, n: int, c: StepConstants) -> None:
         if rows[C_KIND + j] == _FIRES:
             z = rows[C_Z + j]
             slope = (_THREE * rows[C_C3 + j] * z + _TWO * rows[C_C2 + j]) * z + rows[C_C1 + j]
-            late_s = delay_s(np.float64(abs(slope) / c.h), rows[C_D1 + j] > rows[C_A + j], c)
+            late_s = event_time.delay_s(np.float64(abs(slope) / c.h), rows[C_D1 + j] > rows[C_A + j], c)
             rows[C_LATE + j] = np.float32(late_s / c.h)
 
 
@@ -407,7 +410,7 @@ def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
         re_armed = table[C_Z + j] + (table[C_LATE + j] + c.refractory)
         # Without a refractory period the level that was crossed is the next reference; else the curve at its end is.
         crossed = a + (on if d1 > a else -off)
-        at_end = value(_cubic(table, j), re_armed)
+        at_end = event_time.value(_cubic(table, j), re_armed)
         following = (at_end if c.refractory > _ZERO else crossed) + table[C_NEXT_RESET + j]
         fires = ((d1 - following >= on) | (d1 - following <= -off)) & (re_armed <= _ONE)
         table[C_NEXT_A + j] = following
@@ -442,15 +445,15 @@ def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: Step
         n_keys += 1
         # The reset. The reference is NaN in the refractory period, if that lasts longer than the step.
         reference = rows[C_NEXT_REF + j]
-        pixels.fields[slot(pixel) + _REF] = reference
+        pixels.fields[state.slot(pixel) + _REF] = reference
         if reference != reference:
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
-        count_reset(pixels, pixel, c.reset.noise)
+        state.count_reset(pixels, pixel, c.reset.noise)
         if rows[C_AGAIN + j] != _ZERO:
             _move_column(table, j, again)  # to the front: `again` is never behind j
             if c.reset.noise > _ZERO:
                 on, off = rows[C_ON + j], rows[C_OFF + j]
-                rows[C_NEXT_RESET + again] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
+                rows[C_NEXT_RESET + again] = state.reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
             again += 1
     return n_keys, again
 
@@ -461,18 +464,18 @@ def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
     rows, lost = table.rows, NONE
     for j in range(n):
         pixel = table.pixels[j]
-        at = slot(pixel)
-        compared = pixels.fields[at + (_W if c.second > _ZERO else _V)] + pixels.fields[at + _LEAK] * c.since_epoch_1
+        at = state.slot(pixel)
+        compared = pixels.fields[at + c.compared] + pixels.fields[at + _LEAK] * c.since_epoch_1
         on, off = rows[C_ON + j], rows[C_OFF + j]
         rising = rows[C_D1 + j] > rows[C_A + j]
         if c.refractory_ns == 0:
-            crossings, climbed = levels_passed(rows[C_A + j], rows[C_D1 + j], on if rising else off)
+            crossings, climbed = event_time.levels_passed(rows[C_A + j], rows[C_D1 + j], on if rising else off)
             pixels.fields[at + _REF] = compared - np.float32(climbed)
             lost += crossings
             continue
-        offset = reset_offset(pixels, pixel, _LAST, on, off, c.reset)
+        offset = state.reset_offset(pixels, pixel, _LAST, on, off, c.reset)
         threshold = np.float64(on + offset if rising else off - offset)
-        passed = pass_over(_cubic(rows, j), np.float64(rows[C_START + j]), 1.0, threshold, rising, 1.0, c)
+        passed = event_time.pass_over(_cubic(rows, j), np.float64(rows[C_START + j]), 1.0, threshold, rising, 1.0, c)
         if passed.waiting > 0:
             pixels.fields[at + _REF] = _NAN
             pixels.refractory_until_ns[pixel] = c.t0_ns + int((1.0 + passed.waiting) * c.h_ns)
@@ -496,6 +499,7 @@ def enter(table: Table, j: int, k: int, c: StepConstants) -> None:
     # filters and leak
     to[substep.V + k] = rows[C_V0 + j]
     to[substep.W + k] = rows[C_W0 + j] if c.second > _ZERO else rows[C_V0 + j]
+    to[substep.Y + k] = rows[C_Y0 + j] if c.high > _ZERO else _ZERO
     to[substep.P + k] = rows[C_P0 + j] if c.parasitic > _ZERO else _ZERO
     to[substep.LEAK + k] = rows[C_LEAK + j]
     # comparator: the reference is NaN in the refractory period, until `re_armed`
@@ -519,7 +523,7 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
             enter(table, j, in_substeps, c)
             in_substeps += 1
         elif kind == _RE_ARMS:
-            pixels.fields[slot(table.pixels[j]) + _REF] = rows[C_BASE + j] + rows[C_A + j]
+            pixels.fields[state.slot(table.pixels[j]) + _REF] = rows[C_BASE + j] + rows[C_A + j]
     return int(in_substeps)
 
 
@@ -530,7 +534,7 @@ def _fold_parasitic(pixels: Pixels, table: Table, n: int, c: StepConstants) -> N
         kind = table.rows[C_KIND + j]
         if (kind == _FIRES) | (kind == _RE_ARMS):
             table.rows[C_BASE + j] -= table.rows[C_P1 + j]
-            pixels.fields[slot(table.pixels[j]) + _P] = -table.rows[C_LIT + j] * c.since_epoch_1
+            pixels.fields[state.slot(table.pixels[j]) + _P] = -table.rows[C_LIT + j] * c.since_epoch_1
 
 
 @cached_entry
@@ -547,22 +551,22 @@ def solve(
     _find_starts(pixels, table, n, c)
     if (c.reset.offset != _ZERO) | (c.reset.noise > _ZERO):
         _find_offsets(pixels, table, n, c)
-    make_curves(table.rows, n, c)
-    _sort_by_kind(table.rows, whole_vectors(n), c)
+    make_curves(pixels, table, n, c)
+    _sort_by_kind(table.rows, state.whole_vectors(n), c)
     if c.parasitic > _ZERO:
         _fold_parasitic(pixels, table, n, c)
     in_substeps = _dispatch(pixels, table, n, c)
     keys, n_keys, lost, undersampled = solve_substeps(pixels, table.substep_table, in_substeps, keys, n_keys, c)
     event = 0
     while n > 0:
-        if event == MOST_EVENTS:
+        if event == event_time.MOST_EVENTS:
             lost += _pass_over(pixels, table, n, c)
             break
-        _cross(table.rows, whole_vectors(n))
+        _cross(table.rows, state.whole_vectors(n))
         _bisect_unsettled(table, n)
         if max(c.on_delay, c.off_delay) > 0:
             _find_delays(table, n, c)
-        _follow(table.rows, whole_vectors(n), c)
+        _follow(table.rows, state.whole_vectors(n), c)
         keys = reserve(keys, n_keys + n)
         n_keys, n = _fire(pixels, table, n, keys, n_keys, c)
         event += 1

@@ -37,6 +37,9 @@ A second pole of fixed rate follows v: dw/dt = lambda2 (v - w). Up to S = 1, v i
 and slopes. On longer intervals no cubic fits B e^-s, and the first slope alone may shift it by many times B; there the
 cubic is used for the steady part of v only, and B e^-s has a closed form, which is accurate where both rates are equal.
 
+A high-pass behind them, y = w - h with dh/dt = a (w - h), is h as a pole behind the cubic of w. The state is y: in
+still light it decays to 0, and h would stop where a step's change is lost in rounding.
+
 Fast because the answer over an interval is a closed form: no steps of time, few divisions, and choices of values in the
 place of branches, so that callers compute 16 pixels at once.
 """
@@ -223,6 +226,19 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
     k = series if short else less_i1 * inverse
     bent = (_SIX * d - _FOUR * w0 - _TWO * w1) * less_i1 + (_THREE * (w0 + w1) - _SIX * d) * (_THIRD - _TWO * k)
     return q * behind + (w0 * less_i0 + bent)
+
+
+_AT_REST = np.float32(1e-6)  # ln units
+
+
+@lane
+def behind_high_pass(q: Real, y: Real, w: Course) -> Real:
+    """Return the output of a high-pass at an interval's end, from that at its start, y, and the course of its input.
+
+    y' = w' - y, in time constants of the high-pass. In still light the output comes to rest at 0.
+    """
+    after = y + (w.d - rise_of_filter(q, y, w))
+    return _ZERO if (w.d == _ZERO) & (abs(after) < _AT_REST) else after
 
 
 @lane

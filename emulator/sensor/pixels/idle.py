@@ -33,18 +33,8 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, exponential_less_one
-from emulator.sensor.pixels.state import (
-    BEFORE_ROWS,
-    BLOCK,
-    EPOCH_BITS,
-    FIELDS,
-    PART,
-    PARTS,
-    Field,
-    FlatLight,
-    StepConstants,
-    slot,
-)
+from emulator.sensor.pixels import state
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Field, FlatLight, StepConstants
 
 _BLOCK, _PART = np.int64(BLOCK), np.int64(PART)  # as literals, they would be compiled for one by one
 _Bytes = npt.NDArray[np.uint8]
@@ -109,8 +99,8 @@ _Float32s = npt.NDArray[np.float32]
 _Words = npt.NDArray[np.uint64]
 _Int64s = npt.NDArray[np.int64]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _ON_LIMIT, _, _, _UNTIL = (int(f) * BLOCK for f in Field)
-_U0, _V0, _L0, _G0, _, _, _, _Q, _W0, _P0, _WAIT, _ = BEFORE_ROWS  # the bounds are not needed any more
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _ON_LIMIT, _, _, _UNTIL, _Y = (int(f) * BLOCK for f in Field)
+_U0, _V0, _L0, _G0, _, _, _, _Q, _W0, _P0, _WAIT, _, _Y0 = BEFORE_ROWS  # the bounds are not needed any more
 _WORDS, _PART_WORDS = np.int64(BLOCK // 2), PART // 2
 _SIGNLESS, _SIGNLESS_HALF = np.uint64(0x7FFFFFFF7FFFFFFF), np.uint32(0x7FFFFFFF)
 _NONE = np.uint64(0)
@@ -222,6 +212,9 @@ def _moved(s: _Words, before: _Words, begin: int, end: int, c: StepConstants) ->
     if c.parasitic > _ZERO:
         for k in range(begin, end):
             differing |= s[_P // 2 + k] ^ before[_P0 // 2 + k]
+    if c.high > _ZERO:
+        for k in range(begin, end):
+            differing |= s[_Y // 2 + k] ^ before[_Y0 // 2 + k]
     return bool(differing != _NONE)
 
 
@@ -233,7 +226,8 @@ def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         on = s[_ON + i]
         by_light = c.parasitic * on * exponential(u) if c.parasitic > _ZERO else _ZERO
         leak = s[_LEAK + i] + by_light
-        compared = (s[_W + i] if c.second > _ZERO else v) + (s[_P + i] if c.parasitic > _ZERO else _ZERO)
+        passed = s[_Y + i] if c.high > _ZERO else (s[_W + i] if c.second > _ZERO else v)
+        compared = passed + (s[_P + i] if c.parasitic > _ZERO else _ZERO)
         pulled = -exponential_less_one(v - u) if c.large else u - v
         # The filter rests where its motion is lost in rounding, even in a step 1.1 times as long.
         rests = v + _MORE * (before[_Q + i] * pulled) == v
@@ -283,7 +277,7 @@ def _stands_still(s: _Float32s, before: _Float32s, flags: _Words, j: int, c: Ste
 def _mark_part(light: _Float32s, wait: _Float32s, idle: Idle, first: int, c: StepConstants) -> None:
     """Note until when a part that stands still, from pixel `first` on, is idle; `light` and `wait` are its own."""
     part, least = part_at(idle, first), _least(wait)
-    epoch_ns, longest_ns = (c.t0_ns >> EPOCH_BITS) << EPOCH_BITS, 1 << EPOCH_BITS
+    epoch_ns, longest_ns = (c.t0_ns >> state.EPOCH_BITS) << state.EPOCH_BITS, 1 << state.EPOCH_BITS
     wait_ns = longest_ns if least * 1e9 >= longest_ns else int(least * 1e9) - _EARLY_NS
     idle.until_ns[part] = epoch_ns + wait_ns if wait_ns > 0 else _NOT_IDLE
     idle.longest[part] = c.h
@@ -342,7 +336,7 @@ MOST_PACKED = PARTS // 2
 """Active parts of a block up to which it is packed; with more it is moved in place, which saves the copies."""
 
 _MOVED = tuple(int(f) * BLOCK for f in (Field.LOG_LIGHT, Field.FILTERED, Field.RATE, Field.SLOPE, Field.SECOND))
-_LEAKED = int(Field.LEAKED) * BLOCK
+_MOVED_IN_FEW = tuple(int(f) * BLOCK for f in (Field.LEAKED, Field.HIGH_PASSED))
 
 
 @kernel
@@ -398,7 +392,7 @@ def gather_parts(
 ) -> None:
     """Copy the state of parts to the front of a scratch block `s`, and their light to `pack`; no rate if `chord`."""
     for j in range(firsts.size):
-        to, at = j * PART, slot(firsts[j])
+        to, at = j * PART, state.slot(firsts[j])
         _copy_values(frame.light, firsts[j], pack.light[to : to + PART])
         if not chord:
             _copy_values(frame.rate, firsts[j], pack.rate[to : to + PART])
@@ -407,11 +401,12 @@ def gather_parts(
 
 
 @kernel
-def scatter_parts(s: _Float32s, fields: _Float32s, firsts: _Int64s, parasitic: bool) -> None:
-    """Copy the state that a step may have changed from a scratch block back to its parts."""
+def scatter_parts(s: _Float32s, fields: _Float32s, firsts: _Int64s, few: bool) -> None:
+    """Copy the state that a step may have changed from a scratch block back; `few`: that of few sensors as well."""
     for j in range(firsts.size):
-        begin, at = j * PART, slot(firsts[j])
+        begin, at = j * PART, state.slot(firsts[j])
         for row in _MOVED:
             _copy(s[begin + row : begin + row + PART], fields[at + row : at + row + PART])
-        if parasitic:
-            _copy(s[begin + _LEAKED : begin + _LEAKED + PART], fields[at + _LEAKED : at + _LEAKED + PART])
+        if few:
+            for row in _MOVED_IN_FEW:
+                _copy(s[begin + row : begin + row + PART], fields[at + row : at + row + PART])

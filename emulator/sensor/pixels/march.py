@@ -16,35 +16,15 @@ import numpy.typing as npt
 
 import emulator.sensor.pixels.substeps as row
 from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.pixels import event_time, state
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import photocurrent
-from emulator.sensor.pixels.event_time import (
-    MOST_EVENTS,
-    SETTLED,
-    Bracket,
-    Cubic,
-    bisect,
-    delay_s,
-    levels_passed,
-    newton,
-    pass_over,
-    value,
-)
-from emulator.sensor.pixels.state import (
-    BLOCK,
-    Field,
-    Pixels,
-    StepConstants,
-    count_reset,
-    reset_offset,
-    slot,
-    whole_vectors,
-)
-from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on
+from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants
+from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on, store_filters
 
 _Float32s = npt.NDArray[np.float32]
 
-_U, _V, _, _, _REF, _, _, _, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_U, _REF, _P = (int(f) * BLOCK for f in (Field.LOG_LIGHT, Field.REFERENCE, Field.LEAKED))
 
 _NAN = np.float32(np.nan)
 _ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))
@@ -53,16 +33,16 @@ _LAST = np.int64(0)
 
 
 @lane
-def _cubic(rows: _Float32s, j: int) -> Cubic:
+def _cubic(rows: _Float32s, j: int) -> event_time.Cubic:
     """Return the curve of column j over its substep."""
-    return Cubic(rows[row.D0 + j], rows[row.C1 + j], rows[row.C2 + j], rows[row.C3 + j])
+    return event_time.Cubic(rows[row.D0 + j], rows[row.C1 + j], rows[row.C2 + j], rows[row.C3 + j])
 
 
 @lane
-def _bracket(rows: _Float32s, j: int) -> Bracket:
+def _bracket(rows: _Float32s, j: int) -> event_time.Bracket:
     """Return the bracket in which the curve of column j meets its level."""
     to = rows[row.TO + j]
-    return Bracket(rows[row.LOW + j], rows[row.HIGH + j], to, to > rows[row.LEVEL + j])
+    return event_time.Bracket(rows[row.LOW + j], rows[row.HIGH + j], to, to > rows[row.LEVEL + j])
 
 
 @vector_kernel
@@ -80,15 +60,15 @@ def _find_firing_part(rows: _Float32s, n: int) -> None:
         refractory = level != level
         x = max(x, opens) if refractory else x
         armed = x <= _ONE
-        level = value(g, x) + rows[row.RESET + j] if refractory & armed else level
+        level = event_time.value(g, x) + rows[row.RESET + j] if refractory & armed else level
         # The curve is monotone between x, its turns and the end. The pixel fires on the first of these three parts at
         # whose end a threshold is met; at x itself if it is met there already.
         turn = max(rows[row.TURN + j], x)
         turn2 = max(rows[row.TURN2 + j], x)
-        g0 = value(g, x) - level
-        g1 = value(g, turn) - level
-        g2 = value(g, turn2) - level
-        g3 = value(g, _ONE) - level
+        g0 = event_time.value(g, x) - level
+        g1 = event_time.value(g, turn) - level
+        g2 = event_time.value(g, turn2) - level
+        g3 = event_time.value(g, _ONE) - level
         at_once = (g0 >= on) | (g0 <= -off)
         by1 = (g1 >= on) | (g1 <= -off)
         by2 = (g2 >= on) | (g2 <= -off)
@@ -108,11 +88,11 @@ def _cross(rows: _Float32s, n: int) -> None:
     """Find where each column meets its level in its monotone part, and write the last Newton correction."""
     for j in range(n):
         g, at = _cubic(rows, j), _bracket(rows, j)
-        at_low, at_high = value(g, at.low), value(g, at.high)
+        at_low, at_high = event_time.value(g, at.low), event_time.value(g, at.high)
         # The secant is a first guess so near that four iterations settle almost all columns.
         secant = at.low + (at.high - at.low) * (at.level - at_low) / (at_high - at_low)
         guess = secant if (secant >= at.low) & (secant <= at.high) else at.high
-        rows[row.HIT + j], rows[row.MISS + j] = newton(g, at, guess)
+        rows[row.HIT + j], rows[row.MISS + j] = event_time.newton(g, at, guess)
 
 
 @kernel
@@ -121,10 +101,10 @@ def _bisect_unsettled(table: SubstepTable, n: int) -> None:
     rows, unsettled = table.rows, 0
     for j in range(n):
         table.unsettled[unsettled] = j
-        unsettled += (rows[row.FIRES + j] != _ZERO) & (rows[row.MISS + j] > SETTLED)
+        unsettled += (rows[row.FIRES + j] != _ZERO) & (rows[row.MISS + j] > event_time.SETTLED)
     for k in range(unsettled):
         j = table.unsettled[k]
-        rows[row.HIT + j] = bisect(_cubic(rows, j), _bracket(rows, j))
+        rows[row.HIT + j] = event_time.bisect(_cubic(rows, j), _bracket(rows, j))
 
 
 @kernel
@@ -136,16 +116,16 @@ def _pass_over(rows: _Float32s, j: int) -> int:
     level = rows[row.LEVEL + j]
     high = rows[row.HIGH + j]
     to = rows[row.TO + j]
-    end = value(_cubic(rows, j), high)
+    end = event_time.value(_cubic(rows, j), high)
     threshold = rows[row.ON + j] if to >= level else rows[row.OFF + j]
-    passed, beyond = levels_passed(level, end, threshold)
+    passed, beyond = event_time.levels_passed(level, end, threshold)
     last = end - np.float32(beyond)
     rows[row.X + j], rows[row.LEVEL + j] = high, last if abs(end - last) < threshold else end
     if passed == 0 and to != level:
         rows[row.LEVEL + j], passed = to, 1
     elif passed == 0:
-        end = value(_cubic(rows, j), _ONE)
-        passed, _ = levels_passed(level, end, threshold)
+        end = event_time.value(_cubic(rows, j), _ONE)
+        passed, _ = event_time.levels_passed(level, end, threshold)
         rows[row.X + j], rows[row.LEVEL + j] = _BEHIND, end
     return int(passed)
 
@@ -162,7 +142,7 @@ def _pass_over_waiting(pixels: Pixels, table: SubstepTable, j: int, c: StepConst
     offset = rows[row.RESET + j]
     threshold = np.float64(rows[row.ON + j] + offset if rising else rows[row.OFF + j] - offset)
     re_armed = rows[row.HIT + j] + (np.float64(_late(rows, j, c)) + c.refractory) / span
-    passed = pass_over(_cubic(rows, j), re_armed, high, threshold, rising, span, c)
+    passed = event_time.pass_over(_cubic(rows, j), re_armed, high, threshold, rising, span, c)
     rows[row.X + j] = rows[row.HIGH + j]
     if passed.waiting > 0:
         re_armed = rows[row.Z + j] + (high + passed.waiting) * span
@@ -170,7 +150,7 @@ def _pass_over_waiting(pixels: Pixels, table: SubstepTable, j: int, c: StepConst
         pixels.refractory_until_ns[pixel] = c.t0_ns + int(re_armed * c.h_ns)
     else:
         climbed = np.float32(passed.climbed if rising else -passed.climbed)
-        rows[row.LEVEL + j] = value(_cubic(rows, j), rows[row.HIGH + j]) - climbed + offset
+        rows[row.LEVEL + j] = event_time.value(_cubic(rows, j), rows[row.HIGH + j]) - climbed + offset
     return int(passed.crossings) + 1
 
 
@@ -181,7 +161,7 @@ def _late(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
         return _ZERO
     g, x = _cubic(rows, j), rows[row.HIT + j]
     slope = ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1) / (rows[row.SPAN + j] * c.h)
-    return np.float32(delay_s(np.float64(abs(slope)), rows[row.TO + j] > rows[row.LEVEL + j], c) / c.h)
+    return np.float32(event_time.delay_s(np.float64(abs(slope)), rows[row.TO + j] > rows[row.LEVEL + j], c) / c.h)
 
 
 @kernel
@@ -195,7 +175,7 @@ def _fire(
         if rows[row.FIRES + j] == _ZERO:
             continue
         fired += 1
-        if rows[row.COUNT + j] >= MOST_EVENTS:
+        if rows[row.COUNT + j] >= event_time.MOST_EVENTS:
             lost += _pass_over(rows, j) if c.refractory_ns == 0 else _pass_over_waiting(pixels, table, j, c)
             continue
         # The event: its time in the step is the crossing's, and the delay of the comparator.
@@ -209,8 +189,8 @@ def _fire(
         rows[row.COUNT + j] += _ONE
         # The reset: without a refractory period the level that was crossed is the new reference; else it is read when
         # the period ends.
-        count_reset(pixels, pixel, c.reset.noise)
-        offset = reset_offset(pixels, pixel, _LAST, rows[row.ON + j], rows[row.OFF + j], c.reset)
+        state.count_reset(pixels, pixel, c.reset.noise)
+        offset = state.reset_offset(pixels, pixel, _LAST, rows[row.ON + j], rows[row.OFF + j], c.reset)
         rows[row.X + j] = rows[row.HIT + j]
         rows[row.LEVEL + j] = level + offset
         rows[row.RESET + j] = offset
@@ -224,8 +204,9 @@ def _fire(
 def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
     """Return the reference of a column that fired too often: near its comparator, however large its leak has become."""
     on, off = rows[row.ON + j], rows[row.OFF + j]
-    change = min(max(value(_cubic(rows, j), _ONE) - rows[row.LEVEL + j], -off), on)
-    reference: np.float32 = rows[row.W1 + j] + rows[row.LEAK + j] * c.since_epoch_1 - change
+    change = min(max(event_time.value(_cubic(rows, j), _ONE) - rows[row.LEVEL + j], -off), on)
+    compared = rows[(row.Y1 if c.high > _ZERO else row.W1) + j]
+    reference: np.float32 = compared + rows[row.LEAK + j] * c.since_epoch_1 - change
     return reference
 
 
@@ -233,17 +214,15 @@ def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
 def _store(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> None:
     """Write the state of a column that has reached the end of the step."""
     rows = table.rows
-    at = slot(table.pixels[j])
+    at = state.slot(table.pixels[j])
     level, leaked = rows[row.LEVEL + j], _ZERO
-    pixels.fields[at + _V] = rows[row.V1 + j]
-    if c.second > _ZERO:
-        pixels.fields[at + _W] = rows[row.W1 + j]
+    store_filters(pixels, table.pixels[j], rows, j, c)
     if c.parasitic > _ZERO:
         # A level other than 0 is that of an event in this step, which the sum of the leak counts from.
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[at + _U])
         pixels.fields[at + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
-    if (rows[row.COUNT + j] >= MOST_EVENTS) & (level == level):
+    if (rows[row.COUNT + j] >= event_time.MOST_EVENTS) & (level == level):
         pixels.fields[at + _REF] = _last_reference(rows, j, c)
         return
     moved = level - leaked if level != _ZERO else _ZERO
@@ -274,17 +253,17 @@ def solve_substeps(
     The keys (a longer copy where they were too short), the number of events in them, the number of crossings beyond
     MOST_EVENTS of a pixel, and the number of undersampled pixels.
     """
-    begin(table.rows, whole_vectors(n), c)
+    begin(table.rows, state.whole_vectors(n), c)
     undersampled = lost = NONE
     for j in range(n):
         undersampled += table.rows[row.UNDERSAMPLED + j] != _ZERO
     while n > 0:
-        begin_substep(table.rows, whole_vectors(n), c)
+        begin_substep(table.rows, state.whole_vectors(n), c)
         fired = n
         while fired > 0:
             keys = reserve(keys, n_keys + n)
-            _find_firing_part(table.rows, whole_vectors(n))
-            _cross(table.rows, whole_vectors(n))
+            _find_firing_part(table.rows, state.whole_vectors(n))
+            _cross(table.rows, state.whole_vectors(n))
             _bisect_unsettled(table, n)
             n_keys, fired, passed = _fire(pixels, table, n, keys, n_keys, c)
             lost += passed

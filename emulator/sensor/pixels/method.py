@@ -19,7 +19,9 @@ _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
 _Int64s = npt.NDArray[np.int64]
 
-ADJUSTABLE = ("threshold_on", "threshold_off", "leak_hz", "refractory_us", "corner_max_hz", "source_follower_hz")
+ADJUSTABLE = (
+    "threshold_on", "threshold_off", "leak_hz", "refractory_us", "corner_max_hz", "source_follower_hz", "highpass_hz",
+)  # fmt: skip
 """Fields of SensorParameters that can change between two steps, where a method is adjustable."""
 
 
@@ -42,7 +44,7 @@ class Capabilities:
     has_faults : bool
         Pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
     has_comparator : bool
-        The comparator's delay, its noise as first passages, and the offset and the noise of resets.
+        The comparator's delay, its noise as first passages, the high-pass, and the offset and the noise of resets.
     has_grid_noise, has_large_signal, has_circuit : bool
         The method contains noise of the grade "grid", the large-signal photoreceptor, or its circuit.
     """
@@ -68,9 +70,10 @@ class Capabilities:
             raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
         comparator, reset = parameters.comparator, parameters.reset
         noise = 0.0 if self.has_grid_noise else parameters.noise.rms
-        if max(noise, comparator.on_us, comparator.off_us, abs(reset.offset), reset.noise) and not self.has_comparator:
+        behind = comparator.on_us, comparator.off_us, abs(reset.offset), reset.noise
+        if max(noise, parameters.highpass_hz, *behind) and not self.has_comparator:
             raise ValueError(
-                "noise.rms, comparator.on_us, comparator.off_us, reset.offset and reset.noise need evstim's own pixels:"
+                "noise.rms, highpass_hz, comparator.on_us, off_us, reset.offset, reset.noise need evstim's own pixels:"
                 " set them to 0, or leave out the method"
             )
 

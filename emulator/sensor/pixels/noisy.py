@@ -25,11 +25,11 @@ from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import photocurrent
 from emulator.sensor.pixels.passage import MOST_PASSAGES, Piece, certify, pass_piece
 from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Pixels, StepConstants, slot, whole_vectors
-from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on
+from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on, store_filters
 
 _Float32s = npt.NDArray[np.float32]
 
-_U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _, _, _, _, _ = (int(f) * BLOCK for f in Field)
 _ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
 
 
@@ -116,9 +116,7 @@ def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) 
         if rows[sub.Z1 + j] >= _ONE:
             pixel = table.pixels[j]
             at = slot(pixel)
-            pixels.fields[at + _V] = rows[sub.V1 + j]
-            if c.second > _ZERO:
-                pixels.fields[at + _W] = rows[sub.W1 + j]
+            store_filters(pixels, pixel, rows, j, c)
             leaked = lit = 0.0
             if c.parasitic > _ZERO:
                 leaked = np.float64(rows[sub.P1 + j])
@@ -140,7 +138,7 @@ def solve_noisy(
     for j in range(n):
         rows[row.C_LEAK + j] = _ZERO
         rows[row.C_REF + j] = _NAN  # no curve is relative to a reference, which depends on the step
-    make_curves(rows, n, c)
+    make_curves(pixels, table, n, c)
     _make_pieces(rows, whole_vectors(n))
     lost = undersampled = in_substeps = NONE
     for j in range(n):
@@ -189,10 +187,10 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
             continue
         on, off = np.float64(fields[at + _ON]), np.float64(fields[at + _OFF])
         leak, rate = np.float64(fields[at + _LEAK]), np.float64(fields[at + _L])
-        value = np.float64(fields[at + _V]) + leak * c.since_epoch_1
+        value = np.float64(fields[at + c.compared]) + leak * c.since_epoch_1
         if c.parasitic > _ZERO:
             leak += np.float64(c.parasitic * fields[at + _ON] * photocurrent(fields[at + _U]))
-        noise = noise_of(rate, c.noise_pole, c.noise_rms * pixels.memory[pixel * MEMORY + 2])
+        noise = noise_of(rate, c.noise_pole, c.noise_rms * pixels.memory[pixel * MEMORY + 2], c.high_rate)
         rarest = still_hazard((on + off) / 2, (on + off) / 2, noise, pixels.tables)
         left_s = min(history_s, 0.5 * on / leak, _STAYS / (rarest.on + rarest.off))
         level = np.float64(fields[at + _REF]) - value + leak * left_s

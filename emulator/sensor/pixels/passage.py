@@ -26,39 +26,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.hazard import (
-    BEYOND,
-    Distance,
-    Hazard,
-    Noise,
-    exit_speed,
-    hazard,
-    noise_of,
-    transition,
-)
+from emulator.sensor.noise.hazard import BEYOND, Distance, Hazard, Noise, exit_speed, hazard, noise_of, transition
+from emulator.sensor.numerics import keyed
 from emulator.sensor.numerics.compiled import kernel, lane
-from emulator.sensor.numerics.keyed import (
-    CERTAIN_HZ,
-    NEVER_NS,
-    TOP_HZ,
-    high,
-    mix_word,
-    next_point,
-    normal_from,
-    unit,
-)
+from emulator.sensor.pixels import state
 from emulator.sensor.pixels.crossings import Keys, pack
 from emulator.sensor.pixels.event_time import delay_s
-from emulator.sensor.pixels.state import (
-    BLOCK,
-    MEMORY,
-    Field,
-    Pixels,
-    StepConstants,
-    noise_stream,
-    reset_offset_at,
-    slot,
-)
+from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Pixels, StepConstants, noise_stream, reset_offset_at
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -94,6 +68,7 @@ _SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
 _LEAST_FAR = 1.5  # deviations
 _GROWTH = 1.15  # of the hazard, beside that of its Gaussian
 _LONGEST_NS, _LONGEST_STEPS = 1 << 33, 256
+_SLOWEST = 0.1  # 1/s: forgets in more than the longest time
 
 # Purposes of an event's random numbers.
 _SLOPE, _VALUE = np.uint64(0xD6E8FEB86659FD93), np.uint64(0x9E3779B97F4A7C15)
@@ -144,11 +119,14 @@ def _signal(t_ns: float, p: Piece, leak: float, scale: float, c: StepConstants) 
     value = p.base + ((((p.c3 * x + p.c2) * x + p.c1) * x + p.d0) + leak * (c.since_s + t_ns * 1e-9))
     speed = ((3 * p.c3 * x + 2 * p.c2) * x + p.c1) * per_s + leak
     rate = p.rate0 + (p.rate1 - p.rate0) * x
-    noise = noise_of(rate, c.noise_pole, c.noise_rms * scale)
-    # sigma^2 is rms^2 a2 / (a1 + a2): it shrinks as the receptor becomes faster.
+    noise = noise_of(rate, c.noise_pole, c.noise_rms * scale, c.high_rate)
+    # sigma^2 is rms^2 a2 / (a1 + a2): it shrinks as the receptor becomes faster. A high-pass then takes less of it.
     narrowing = 0.0
-    if p.rate1 != p.rate0 and noise.a1 != noise.a2:
-        narrowing = 0.5 * (p.rate1 - p.rate0) * per_s / (noise.a1 + noise.a2)
+    if p.rate1 != p.rate0:
+        faster = 0.5 * (p.rate1 - p.rate0) * per_s
+        if noise.a1 != noise.a2:
+            narrowing = faster / (noise.a1 + noise.a2)
+        narrowing -= faster * c.high_rate / (rate * (rate + c.high_rate))
     return _Signal(value, speed, narrowing, noise)
 
 
@@ -196,7 +174,7 @@ def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConst
     if min(h.c_on, h.c_off) < BEYOND:
         # The signal has passed the threshold faster than the field can show: any next point is the event.
         is_on = h.c_on < h.c_off
-        on_hz, off_hz = (CERTAIN_HZ, 0.0) if is_on else (0.0, CERTAIN_HZ)
+        on_hz, off_hz = (keyed.CERTAIN_HZ, 0.0) if is_on else (0.0, keyed.CERTAIN_HZ)
         h = Hazard(on_hz, off_hz, h.c_on, h.c_off, h.nu_on, h.nu_off, h.mean_slope, h.deviation, h.pull, h.slope)
     return now, h
 
@@ -231,7 +209,7 @@ def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> flo
         window_s = min(window_s, since_s)
     speed = abs(now.speed) / noise.sigma
     window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
-    total = min(h.on + h.off, TOP_HZ)
+    total = min(h.on + h.off, keyed.TOP_HZ)
     if total * window_s > _MOST_POINTS:
         window_s = _MOST_POINTS / total
     to: float = min(t + max(window_s * 1e9, 1.0), end)
@@ -256,7 +234,7 @@ def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _
     nu, c_event = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
     if c_event < BEYOND:
         return _Event(t_ns, on, now, h, h.mean_slope)
-    share = unit(high(mix_word(a.stream ^ (np.uint64(t_ns) * _SLOPE))))
+    share = keyed.unit(keyed.high(keyed.mix_word(a.stream ^ (np.uint64(t_ns) * _SLOPE))))
     beyond = exit_speed(nu, c_event, share, now.noise.ratio, tables) - nu
     outward = now.noise.sigma * h.deviation * (beyond * h.slope + c_event * h.pull)
     return _Event(t_ns, on, now, h, h.mean_slope + (outward if on else -outward))
@@ -270,8 +248,8 @@ def _first_event(  # noqa: PLR0913, PLR0917
     # Windows share no point: each has those from its start, included, to its end, not included.
     from_ns, to_ns = c.t0_ns + math.ceil(t) - 1, c.t0_ns + math.ceil(to) - 1
     while True:
-        point = next_point(a.stream, from_ns, to_ns, bound_hz)
-        if point.t_ns == NEVER_NS:
+        point = keyed.next_point(a.stream, from_ns, to_ns, bound_hz)
+        if point.t_ns == keyed.NEVER_NS:
             return none
         now, h = _hazard_at(np.float64(point.t_ns - c.t0_ns), p, a, tables, c)
         if point.hz < h.on + h.off:
@@ -284,21 +262,21 @@ def _first_event(  # noqa: PLR0913, PLR0917
 def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
     """Return value and slope of the noise at the end of the dead time that follows an event."""
     noise = e.signal.noise
-    first = mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
+    first = keyed.mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
     value = a.reference + (a.on if e.on else -a.off) - e.signal.value
     c_event = e.hazard.c_on if e.on else e.hazard.c_off
     if c_event < BEYOND:  # the signal has jumped: the noise is not that of a passage, but any
-        inward = noise.sigma * e.hazard.deviation * (normal_from(mix_word(first ^ _SLOPE)) - c_event)
+        inward = noise.sigma * e.hazard.deviation * (keyed.normal_from(keyed.mix_word(first ^ _SLOPE)) - c_event)
         value += inward if e.on else -inward
     if noise.ratio == 0.0:
         decay = math.exp(-noise.rate * dead_s)
-        return value * decay + noise.sigma * math.sqrt(1 - decay * decay) * normal_from(first), 0.0
+        return value * decay + noise.sigma * math.sqrt(1 - decay * decay) * keyed.normal_from(first), 0.0
     if dead_s <= 0:
         return value, e.slope
     m = transition(dead_s, noise)
     deviation = math.sqrt(m.v)
     with_value = m.c / deviation
-    g1, g2 = noise.sigma * normal_from(first), noise.sigma * normal_from(mix_word(first + _VALUE))
+    g1, g2 = noise.sigma * keyed.normal_from(first), noise.sigma * keyed.normal_from(keyed.mix_word(first + _VALUE))
     slope = m.p21 * value + m.p22 * e.slope + with_value * g1 + math.sqrt(max(m.w - with_value * with_value, 0.0)) * g2
     return m.p11 * value + m.p12 * e.slope + deviation * g1, slope
 
@@ -308,14 +286,14 @@ def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConsta
     """Return a pixel whose dead time ends: its reference is signal plus noise; without dead time, the level passed."""
     offset = reset_offset_at(a.stream, pixels.refractory_until_ns[pixel], a.on, a.off, c.reset)
     reference = np.float32((a.reference if a.reference == a.reference else now.value + a.n_r) + offset)
-    pixels.fields[slot(pixel) + _REF] = reference
+    pixels.fields[state.slot(pixel) + _REF] = reference
     return _State(a.on, a.off, a.leak, a.scale, a.stream, np.float64(reference), a.n_r, a.v_r, a.reset)
 
 
 @kernel
 def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
     """Return a pixel's state."""
-    at, memory = slot(pixel), pixel * MEMORY
+    at, memory = state.slot(pixel), pixel * MEMORY
     fields = pixels.fields
     return _State(
         np.float64(fields[at + _ON]),
@@ -367,7 +345,7 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         a = _re_armed(pixels, pixel, _signal(t, p, a.leak, a.scale, c), a, c)
     turn, turn2 = _turns(p, a.leak)
     now, h = _hazard_at(t, p, a, tables, c)
-    none = _Event(NEVER_NS, False, now, h, 0.0)
+    none = _Event(keyed.NEVER_NS, False, now, h, 0.0)
     before = 0.0 if t <= a.reset else h.on + h.off
     while t < end:
         to, calm_hz = t, 0.0
@@ -378,15 +356,15 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         to = turn if t < turn < to else to
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
-        bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
-        while min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # the signal became faster
+        bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), keyed.CERTAIN_HZ)
+        while min(bound_hz, keyed.TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # the signal became faster
             to = t + (to - t) * 0.25
             after, at_end = _hazard_at(to, p, a, tables, c)
-            bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
+            bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), keyed.CERTAIN_HZ)
         event = none
         if bound_hz * (to - t) > _NO_POINT:
             event = _first_event(t, to, bound_hz, p, a, tables, none, c)
-        if event.t_ns == NEVER_NS:
+        if event.t_ns == keyed.NEVER_NS:
             t, now = to, after
             h, before = at_end, at_end.on + at_end.off
             continue
@@ -402,8 +380,8 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         )
         dead_ns = t_ns - event.t_ns + c.refractory_ns
         level = a.reference + (a.on if event.on else -a.off)
-        pixels.fields[slot(pixel) + _REF] = np.float32(level) if dead_ns == 0 else _NAN
-        pixels.fields[slot(pixel) + _UNTIL] = -_ENDLESS
+        pixels.fields[state.slot(pixel) + _REF] = np.float32(level) if dead_ns == 0 else _NAN
+        pixels.fields[state.slot(pixel) + _UNTIL] = -_ENDLESS
         pixels.refractory_until_ns[pixel] = t_ns + c.refractory_ns
         n_keys += 1
         fired += 1
@@ -415,7 +393,7 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         a = _re_armed(pixels, pixel, now, a, c)
         before = 0.0
         if fired >= MOST_PASSAGES:
-            pixels.fields[slot(pixel) + _REF] = np.float32(_signal(end, p, a.leak, a.scale, c).value)
+            pixels.fields[state.slot(pixel) + _REF] = np.float32(_signal(end, p, a.leak, a.scale, c).value)
             return n_keys, fired, 1 + int(min(fired * (end - t) / max(t, 1.0), _MOST_LOST))
     return n_keys, fired, 0
 
@@ -428,17 +406,20 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, 
     `moves` whether the value was in motion: a pixel that rests gets a longer certificate with narrower limits, so that
     its whole block can rest.
     """
-    at, a = slot(pixel), _state_of(pixels, pixel, c)
+    at, a = state.slot(pixel), _state_of(pixels, pixel, c)
     fields = pixels.fields
     fields[at + _UNTIL] = -_ENDLESS
-    noise = noise_of(rate, c.noise_pole, c.noise_rms * a.scale)
+    noise = noise_of(rate, c.noise_pole, c.noise_rms * a.scale, c.high_rate)
     since_s = (c.h_ns - a.reset) * 1e-9
     if a.reference != a.reference or since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
         return
     on, off = a.reference + a.on - value, value - a.reference + a.off
-    # Light that falls to the limit may raise the rms by a share, to no more than behind the receptor.
-    if noise.a1 != noise.a2:
-        share = 1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0)
+    # Light that falls to the limit may raise the rms by a share, to no more than behind the receptor. Behind a
+    # high-pass, light may change by twice as much in one time constant, and the rms rises with it too.
+    if noise.a1 != noise.a2 or c.high_rate > 0:
+        reach = max(off, 0.0) if c.high_rate == 0 else 2 * max(on, off)
+        slower = noise.a1 / (noise.a1 + noise.a2) if noise.a1 != noise.a2 else 0.0
+        share = 1 + 0.5 * max(slower, c.high_rate / (rate + c.high_rate)) * reach
         louder = min(noise.sigma * share, c.noise_rms * a.scale)
         noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
     speed = _SPEED_SHARE * noise.sigma * noise.rate
@@ -461,12 +442,14 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, 
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
-    last_ns = end_ns + (min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns) if moves else _LONGEST_NS)
-    point = next_point(a.stream, end_ns - 1, last_ns, bound_hz)
+    forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
+    last_ns = end_ns + (min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns, forgotten_ns) if moves else _LONGEST_NS)
+    point = keyed.next_point(a.stream, end_ns - 1, last_ns, bound_hz)
     until_ns = min(point.t_ns, last_ns)
     fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
     fields[at + _OFF_LIMIT] = np.float32(a.off - noise.sigma * limit_off)
-    fields[at + _SPEED] = np.float32(speed)
+    # Slow light could go any way behind a high-pass: there a pixel that rests is certified for still light only.
+    fields[at + _SPEED] = np.float32(speed if moves or c.high_rate == 0 else 0.0)
     # Seconds since the epoch, earlier than the point by more than float32 may round.
     until_s = np.float64(c.since_epoch_1) + (until_ns - end_ns) * 1e-9
     fields[at + _UNTIL] = np.float32(until_s - 1e-6 - 1e-6 * abs(until_s))

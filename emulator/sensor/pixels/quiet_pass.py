@@ -7,6 +7,7 @@ The equations (photocurrent i relative to the reference light, u = ln i, natural
               dw/dt = lambda2 (v - w), else w is v
     leak      the reference falls by l each second, and by the parasitic l' i; here the filtered value rises instead:
               g = w + l T + the parasitic part, T seconds since the epoch; the stored reference moves at events only
+    high-pass if there is one: y = w - h, dh/dt = a (w - h), in place of w
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
 
 Between two frames u is the cubic through its values and time derivatives at both; the filter is solved over S, the
@@ -41,30 +42,16 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import decay, lowest_bit, natural_log, use_widest_vectors
-from emulator.sensor.pixels.curve import (
-    Course,
-    Filtered,
-    is_smooth,
-    photocurrent,
-    rise_behind_second_pole,
-    rise_of_filter,
-    warped_time,
-)
-from emulator.sensor.pixels.receptor import (
-    MOST_BEHIND,
-    bounds_of_receptor,
-    excess_of,
-    rise_behind_second_pole_of_receptor,
-    rise_of_receptor,
-)
+from emulator.sensor.pixels import curve, receptor
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, StepConstants
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL = (int(f) * BLOCK for f in Field)
-_U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW = BEFORE_ROWS
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, *_CERTIFICATE, _Y = (int(f) * BLOCK for f in Field)
+_ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL = _CERTIFICATE
+_U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW, _Y0 = BEFORE_ROWS
 
 
 _COLLECT = np.uint64(0x0102040810204080)
@@ -76,6 +63,8 @@ _ENDLESS = np.float32(np.inf)
 _MARGIN = np.float32(5e-6)  # rounding of the quiet test, ln units
 _WIDER = np.float32(1.08)  # covers the error of S for the largest smooth change, bounds of the rate included
 _MORE = np.float32(1.5)  # the same for the integral of light
+_SHORT_LIVED = np.float32(3)  # length of a step, in time constants, from which the exponential counts as a part of it
+_LEFT_OUT = np.float32(0.004)  # of a threshold: exponential that a high-pass may see without being solved with it
 _FASTER = np.float32(1.65)  # slopes behind a filter whose rate changes, over those of its light
 _BULGE = np.float32(1.2)  # ... and for light that is higher inside the step than at its ends: e^x < 1 + 1.2 x
 
@@ -126,16 +115,16 @@ def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     for i in range(BLOCK):
         l0, l1 = before[_L0 + i], s[_L + i]
         a0, a1 = c.h * l0 * before[_G0 + i], c.h * l1 * s[_G + i]
-        warped = warped_time(c.h, l0, l1, a0, a1, c)
+        warped = curve.warped_time(c.h, l0, l1, a0, a1, c)
         before[_A0 + i], before[_A1 + i] = a0, a1
         before[_S + i], before[_Q + i] = warped, decay(warped)
 
 
 @lane
-def _course_at(i: int, s: _Float32s, before: _Float32s) -> Course:
+def _course_at(i: int, s: _Float32s, before: _Float32s) -> curve.Course:
     """Return the course of a pixel's light over the step; the slopes are stored by warped time."""
     warped = before[_S + i]
-    return Course(warped, s[_U + i] - before[_U0 + i], warped * before[_G0 + i], warped * s[_G + i])
+    return curve.Course(warped, s[_U + i] - before[_U0 + i], warped * before[_G0 + i], warped * s[_G + i])
 
 
 @vector_kernel
@@ -145,7 +134,7 @@ def _filter(s: _Float32s, before: _Float32s) -> None:
     for i in range(BLOCK):
         v0 = s[_V + i]
         before[_V0 + i] = v0
-        s[_V + i] = v0 + rise_of_filter(before[_Q + i], before[_U0 + i] - v0, _course_at(i, s, before))
+        s[_V + i] = v0 + curve.rise_of_filter(before[_Q + i], before[_U0 + i] - v0, _course_at(i, s, before))
 
 
 @lane
@@ -168,11 +157,11 @@ def _receive(s: _Float32s, before: _Float32s) -> None:
         v0, q = s[_V + i], before[_Q + i]
         course = _course_at(i, s, before)
         behind = before[_U0 + i] - v0
-        excess = excess_of(behind)
+        excess = receptor.excess_of(behind)
         before[_V0 + i] = v0
-        s[_V + i] = v0 + rise_of_receptor(q, excess, course)
-        rise, fall = bounds_of_receptor(q, behind, excess, course.d, before[_A0 + i], before[_A1 + i])
-        before[_HIGH + i], before[_LOW + i] = (v0 + rise if behind < MOST_BEHIND else _ENDLESS), v0 + fall
+        s[_V + i] = v0 + receptor.rise_of_receptor(q, excess, course)
+        rise, fall = receptor.bounds_of_receptor(q, behind, excess, course.d, before[_A0 + i], before[_A1 + i])
+        before[_HIGH + i], before[_LOW + i] = (v0 + rise if behind < receptor.MOST_BEHIND else _ENDLESS), v0 + fall
 
 
 @vector_kernel
@@ -186,10 +175,10 @@ def _bound(s: _Float32s, before: _Float32s) -> None:
 
 
 @lane
-def _filtered_at(i: int, s: _Float32s, before: _Float32s, c: StepConstants) -> Filtered:
+def _filtered_at(i: int, s: _Float32s, before: _Float32s, c: StepConstants) -> curve.Filtered:
     """Return the filter's course over the step, which the second pole follows."""
     v0, v1 = before[_V0 + i], s[_V + i]
-    return Filtered(before[_U0 + i] - v0, s[_U + i] - v1, v1 - v0, c.h * before[_L0 + i], c.h * s[_L + i])
+    return curve.Filtered(before[_U0 + i] - v0, s[_U + i] - v1, v1 - v0, c.h * before[_L0 + i], c.h * s[_L + i])
 
 
 @vector_kernel
@@ -201,7 +190,7 @@ def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         v0, w0 = before[_V0 + i], s[_W + i]
         filtered = _filtered_at(i, s, before, c)
         before[_W0 + i] = w0
-        s[_W + i] = w0 + rise_behind_second_pole(q, v0 - w0, c.second, _course_at(i, s, before), filtered)
+        s[_W + i] = w0 + curve.rise_behind_second_pole(q, v0 - w0, c.second, _course_at(i, s, before), filtered)
         # A low-pass stays between where it is and q of the way to the bounds of what it follows.
         before[_HIGH + i] = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
         before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
@@ -215,11 +204,50 @@ def _add_second_pole_of_receptor(s: _Float32s, before: _Float32s, c: StepConstan
     for i in range(BLOCK):
         v0, w0 = before[_V0 + i], s[_W + i]
         filtered = _filtered_at(i, s, before, c)
-        rise, inaccurate = rise_behind_second_pole_of_receptor(v0 - w0, c.second, _course_at(i, s, before), filtered)
+        rise, inaccurate = receptor.rise_behind_second_pole_of_receptor(
+            v0 - w0, c.second, _course_at(i, s, before), filtered
+        )
         high = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
         before[_W0 + i], s[_W + i] = w0, w0 + rise
         before[_HIGH + i] = high if inaccurate == _ZERO else _ENDLESS
         before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
+
+
+@lane
+def _slopes_of_output(r0: Real, r1: Real, pull0: Real, pull1: Real, a0: Real, a1: Real) -> tuple[Real, Real, Real]:
+    """Return the slopes of a filter at both ends of the step, and the weight of an exponential that these leave out.
+
+    `pull` is the slope in time constants. A fast filter has the slopes of its input, a0 and a1, but for an exponential.
+    """
+    fast = min(r0, r1) > _SHORT_LIVED
+    return (a0 if fast else r0 * pull0), (a1 if fast else r1 * pull1), (abs(pull0 - a0 / r0) if fast else _ZERO)
+
+
+@vector_kernel
+def _add_high_pass(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Write a block's output of the high-pass to the state; its bounds replace those of its input.
+
+    Where an exponential counts, the pixel has no upper bound: it becomes a candidate, which is solved with that.
+    """
+    use_widest_vectors()
+    q = decay(c.high)
+    for i in range(BLOCK):
+        v0, v1 = before[_V0 + i], s[_V + i]
+        y0 = s[_Y + i]
+        behind0, behind1 = before[_U0 + i] - v0, s[_U + i] - v1
+        pull0, pull1 = (-receptor.excess_of(behind0), -receptor.excess_of(behind1)) if c.large else (behind0, behind1)
+        r0, r1 = c.h * before[_L0 + i], c.h * s[_L + i]
+        m0, m1, left_out = _slopes_of_output(r0, r1, pull0, pull1, before[_A0 + i], before[_A1 + i])
+        w0, w1 = v0, v1
+        if c.second > _ZERO:
+            w0, w1 = before[_W0 + i], s[_W + i]
+            m0, m1, of_second = _slopes_of_output(c.second, c.second, v0 - w0, v1 - w1, m0, m1)
+            left_out += of_second
+        top, bottom = (before[_HIGH + i] - w0) + y0, (before[_LOW + i] - w0) + y0
+        clear = q * left_out <= _LEFT_OUT * min(s[_ON + i], s[_OFF + i])
+        before[_Y0 + i], s[_Y + i] = y0, curve.behind_high_pass(q, y0, curve.Course(c.high, w1 - w0, m0, m1))
+        before[_HIGH + i] = top - q * min(bottom, _ZERO) if clear else _ENDLESS
+        before[_LOW + i] = bottom - q * max(top, _ZERO)
 
 
 @vector_kernel
@@ -231,7 +259,7 @@ def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     use_widest_vectors()
     for i in range(BLOCK):
         u0, u1 = before[_U0 + i], s[_U + i]
-        i0, i1 = photocurrent(u0), photocurrent(u1)
+        i0, i1 = curve.photocurrent(u0), curve.photocurrent(u1)
         stored = s[_P + i]
         # The mean light of the step: the trapezium rule with end correction, at least the lower one of both ends.
         mean = max(_HALF * (i0 + i1) + _TWELFTH * (i0 * before[_A0 + i] - i1 * before[_A1 + i]), min(i0, i1))
@@ -255,7 +283,7 @@ def _test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -
         low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
         d = s[_U + i] - before[_U0 + i]
-        smooth = is_smooth(d, before[_A0 + i], before[_A1 + i], min(on, off), c.unseen_share)
+        smooth = curve.is_smooth(d, before[_A0 + i], before[_A1 + i], min(on, off), c.unseen_share)
         may_fire[i] = 0 if quiet & smooth else 1
 
 
@@ -278,8 +306,10 @@ def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: Ste
         lag = behind * (_ONE + behind) if behind < _HALF else _ENDLESS  # farther behind it may be any steeper
         steepest = max(max(max(abs(a0), abs(a1)), abs(_THREE * d - a0 - a1)), c.h * before[_L0 + i] * lag)
         if_second = c.second * abs(before[_V0 + i] - before[_W0 + i]) if c.second > _ZERO else _ZERO
-        slow = _FASTER * max(steepest, if_second) <= s[_SPEED + i] * c.h
-        smooth = is_smooth(d, a0, a1, min(s[_ON + i], s[_OFF + i]), c.unseen_share)
+        if_high = c.high * max(abs(before[_HIGH + i]), abs(before[_LOW + i])) if c.high > _ZERO else _ZERO
+        still = (c.high > _ZERO) & (s[_SPEED + i] == _ZERO) & (max(abs(d), max(abs(a0), abs(a1))) == _ZERO)
+        slow = still | (_FASTER * max(steepest, if_second) + if_high <= s[_SPEED + i] * c.h)
+        smooth = curve.is_smooth(d, a0, a1, min(s[_ON + i], s[_OFF + i]), c.unseen_share)
         holds = inside & slow & (c.since_epoch_1 < s[_UNTIL + i])
         may_fire[i] = 0 if holds & smooth else 1
 
@@ -321,6 +351,8 @@ def move_quietly(
         _bound(s, before)
         if c.second > _ZERO:
             _add_second_pole(s, before, c)
+    if c.high > _ZERO:
+        _add_high_pass(s, before, c)
     if c.parasitic > _ZERO:
         _add_parasitic(s, before, c)
     if c.noisy:
@@ -340,9 +372,10 @@ def _keep_state(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         u0, u1 = before[_U0 + i], s[_U + i]
         readable = (u0 == u0) & (u1 == u1)
         s[_V + i], s[_W + i] = s[_V + i] if readable else u1, s[_W + i] if readable else u1
+        s[_Y + i] = s[_Y + i] if readable else u1 - u1
     if c.parasitic > _ZERO:
         for i in range(BLOCK):
-            brighter = photocurrent(s[_U + i]) - photocurrent(before[_U0 + i])
+            brighter = curve.photocurrent(s[_U + i]) - curve.photocurrent(before[_U0 + i])
             s[_P + i] -= c.parasitic * s[_ON + i] * brighter * c.since_epoch_0
 
 

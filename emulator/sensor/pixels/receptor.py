@@ -36,14 +36,7 @@ import numpy as np
 
 from emulator.sensor.numerics.compiled import Real, lane
 from emulator.sensor.numerics.elementary import decay, exponential_less_one, log_of_one_more
-from emulator.sensor.pixels.curve import (
-    Course,
-    Filtered,
-    missed_by_cubic,
-    passed_by_second_pole,
-    rise_of_filter,
-    transient,
-)
+from emulator.sensor.pixels import curve
 
 _ZERO, _ONE, _TWO, _SIX = (np.float32(x) for x in (0, 1, 2, 6))
 _THIRD, _A_64TH = np.float32(1 / 3), np.float32(1 / 64)
@@ -67,17 +60,17 @@ def excess_of(behind: Real) -> Real:
 
 
 @lane
-def _reciprocal(excess: Real, u: Course) -> Course:
+def _reciprocal(excess: Real, u: curve.Course) -> curve.Course:
     """Return the course of P = e^(V0 - u), with excess = P - 1 at the start."""
     p0 = _ONE + excess
     rise = p0 * exponential_less_one(-u.d)
-    return Course(u.s, rise, -p0 * u.w0, -(p0 + rise) * u.w1)
+    return curve.Course(u.s, rise, -p0 * u.w0, -(p0 + rise) * u.w1)
 
 
 @lane
-def rise_of_receptor(q: Real, excess: Real, u: Course) -> Real:
+def rise_of_receptor(q: Real, excess: Real, u: curve.Course) -> Real:
     """Return V1 - V0 over an interval, with the excess at its start and q = 1 - e^-s."""
-    return -log_of_one_more(max(rise_of_filter(q, excess, _reciprocal(excess, u)), _LEAST_W))
+    return -log_of_one_more(max(curve.rise_of_filter(q, excess, _reciprocal(excess, u)), _LEAST_W))
 
 
 @lane
@@ -97,14 +90,14 @@ def bounds_of_receptor(q: Real, behind: Real, excess: Real, d: Real, a0: Real, a
 
 
 @lane
-def fourth_derivative(excess: Real, u: Course, allowed: Real) -> Real:
+def fourth_derivative(excess: Real, u: curve.Course, allowed: Real) -> Real:
     """Return a bound of the fourth derivative of V by warped time over an interval; 0 if its exponential is faint.
 
     With the weight b of the exponential in w it is x (6 x + 1) with x = -b (1 - b), and below b for V below the light:
     exactly so in constant light, where V's whole distance from the light is that exponential. In light that moves the
     steady part of the distance is as smooth as the light.
     """
-    t = transient(excess, _reciprocal(excess, u), allowed)
+    t = curve.transient(excess, _reciprocal(excess, u), allowed)
     above = max(-t.b, _ZERO)
     x = (_ONE + above) * above
     return _ZERO if t.faint else max(abs(t.b), x * (_SIX * x + _ONE))
@@ -125,14 +118,14 @@ class Response(NamedTuple):
 
 
 @lane
-def response(v: Filtered, u: Course, allowed: Real) -> Response:
+def response(v: curve.Filtered, u: curve.Course, allowed: Real) -> Response:
     """Return the response over an interval from the output's distances below the light at both ends, and its rise.
 
     A faint exponential is ignored, see `transient`.
     """
     excess0, excess1 = excess_of(v.behind0), excess_of(v.behind1)
     p = _reciprocal(excess0, u)
-    t = transient(excess0, p, allowed)
+    t = curve.transient(excess0, p, allowed)
     to_end = (_ONE + excess1) / (_ONE + excess0 + p.d)  # w at the start over that at the end
     b = _ZERO if t.faint else t.b
     lag0, lag1 = -t.lag0, -t.lag1 * to_end
@@ -140,11 +133,13 @@ def response(v: Filtered, u: Course, allowed: Real) -> Response:
     m1 = v.r1 * (lag1 if t.faint else -excess1)
     steepest = max(max(abs(m0), abs(m1)), abs(v.rise))
     square = steepest * steepest
-    return Response(m0, m1, b, lag0, lag1, missed_by_cubic(b, u.s) + _A_64TH * square * square)
+    return Response(m0, m1, b, lag0, lag1, curve.missed_by_cubic(b, u.s) + _A_64TH * square * square)
 
 
 @lane
-def rise_behind_second_pole_of_receptor(behind: Real, second: Real, u: Course, v: Filtered) -> tuple[Real, Real]:
+def rise_behind_second_pole_of_receptor(
+    behind: Real, second: Real, u: curve.Course, v: curve.Filtered
+) -> tuple[Real, Real]:
     """Return the rise of a second pole behind the receptor, with behind = V0 - w0, and 1 where it is not accurate.
 
     `second` is the pole's rate times the length of the interval. A faint exponential is the same in V and in w; a
@@ -155,6 +150,6 @@ def rise_behind_second_pole_of_receptor(behind: Real, second: Real, u: Course, v
     b = _ZERO if cubic else -r.b
     m0, m1 = (r.m0 if cubic else v.r0 * r.lag0), (r.m1 if cubic else v.r1 * r.lag1)
     q = decay(second)
-    followed = rise_of_filter(q, behind - b, Course(second, v.rise + b * decay(u.s), m0, m1))
+    followed = curve.rise_of_filter(q, behind - b, curve.Course(second, v.rise + b * decay(u.s), m0, m1))
     inaccurate = _ONE if (not cubic) & (abs(b) > _SMALL) else _ZERO
-    return followed + b * passed_by_second_pole(u.s, v.r0, second), inaccurate
+    return followed + b * curve.passed_by_second_pole(u.s, v.r0, second), inaccurate

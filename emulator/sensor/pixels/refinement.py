@@ -39,14 +39,13 @@ _ONE = np.uint64(1)
 _EVERYWHERE = Touched(0, 1, 0, 1, 1 << 40, np.empty(0, np.uint8))
 
 
-_V, _REF, _W, _P, *_CERTIFICATE = (
+_ROWS = tuple(
     int(f) * BLOCK
     for f in (
         Field.FILTERED, Field.REFERENCE, Field.SECOND, Field.LEAKED,
-        Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL,
+        Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL, Field.HIGH_PASSED,
     )
 )  # fmt: skip
-_ROWS = (_V, _REF, _W, _P, *_CERTIFICATE)
 
 
 @cached_entry

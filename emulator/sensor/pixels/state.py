@@ -74,13 +74,15 @@ class Field(IntEnum):
     OFF_LIMIT = 11
     SPEED_LIMIT = 12
     UNTIL = 13
+    HIGH_PASSED = 14  # y, behind the high-pass; unused without one
 
 
 FIELDS = len(Field)
 
-BEFORE_ROWS = tuple(k * BLOCK for k in range(12))
+BEFORE_ROWS = tuple(k * BLOCK for k in range(13))
 """Rows of a block's scratch. Before the step: u, v, lambda, slope by warped time; then the slopes per step at both
-ends, S and q = 1 - e^-S; second pole and parasitic leak before the step; high and low bound of the compared value."""
+ends, S and q = 1 - e^-S; second pole and parasitic leak before the step; high and low bound of the compared value;
+output of the high-pass before the step."""
 
 
 @dataclass(slots=True)
@@ -178,6 +180,9 @@ class StepConstants(NamedTuple):
     noise_pole: float = 0.0  # rate of the fixed pole behind it, 1/s; 0: none
     noise_root: np.uint64 = np.uint64(0)  # of the pixels' streams
     since_s: float = 0.0  # time since the epoch at the step's start, in float64
+    high: np.float32 = np.float32(0)  # length of the step in time constants of the high-pass; 0: none
+    high_rate: float = 0.0  # of the high-pass, 1/s
+    compared: int = 0  # row of the comparators' input, without leak, within a block
 
 
 @kernel
@@ -340,18 +345,23 @@ def field_index(pixel: _Int64s, field: Field) -> _Int64s:
     return np.asarray((pixel // BLOCK) * (FIELDS * BLOCK) + int(field) * BLOCK + pixel % BLOCK)
 
 
+def compared_field(p: SensorParameters) -> Field:
+    """Return the field of the comparators' input, without leak."""
+    return Field.HIGH_PASSED if p.highpass_hz else Field.SECOND if p.source_follower_hz else Field.FILTERED
+
+
 _Float32s = npt.NDArray[np.float32]
 
-_U, _V, _, _, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_U, _, _, _, _REF, _ON, _OFF, _LEAK, _, _P, _, _, _, _, _ = (int(f) * BLOCK for f in Field)
 _NOW = np.int64(0)
 
 
 @cached_entry
-def _levels(pixels: Pixels, selected: _Int64s, since_epoch_s: float, parasitic: float, second: bool) -> _Float32s:
+def _levels(pixels: Pixels, selected: _Int64s, since_epoch_s: float, parasitic: float, row: int) -> _Float32s:
     out = np.empty(selected.size, np.float32)
     for k in range(selected.size):
         at = slot(selected[k])
-        compared = pixels.fields[at + (_W if second else _V)] + pixels.fields[at + _LEAK] * since_epoch_s
+        compared = pixels.fields[at + row] + pixels.fields[at + _LEAK] * since_epoch_s
         if parasitic > 0:
             light = np.exp(pixels.fields[at + _U])
             compared += pixels.fields[at + _P] + parasitic * pixels.fields[at + _ON] * light * since_epoch_s
@@ -402,8 +412,8 @@ class Levels:
         """Return the levels of pixels (n,); NaN in the refractory period."""
         state, p = self._array.state, self._array.parameters
         since_epoch_s = (state.t_ns - state.epoch_ns) * 1e-9
-        second = p.source_follower_hz > 0
-        levels: _Float32s = _levels(self._pixels, pixel, since_epoch_s, float(p.parasitic_hz_at_reference), second)
+        row = int(compared_field(p)) * BLOCK
+        levels: _Float32s = _levels(self._pixels, pixel, since_epoch_s, float(p.parasitic_hz_at_reference), row)
         return levels
 
     def thresholds(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:

@@ -30,50 +30,23 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel, kernel
 from emulator.sensor.numerics.elementary import aligned_zeros
+from emulator.sensor.pixels import idle as rest
+from emulator.sensor.pixels import state
 from emulator.sensor.pixels.candidates import BATCH, Table, entry_at, gather, gather_rare, new_table, select, solve
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import completed, is_undersampled
-from emulator.sensor.pixels.idle import (
-    MOST_PACKED,
-    Idle,
-    Touched,
-    block_is_touched,
-    gather_parts,
-    is_same,
-    list_active,
-    list_all,
-    mark,
-    may_rest,
-    new_idle,
-    pixel_at,
-    scatter_parts,
-)
+from emulator.sensor.pixels.idle import Idle, Touched
 from emulator.sensor.pixels.noisy import solve_noisy
-from emulator.sensor.pixels.quiet_pass import (
-    list_flags,
-    move_quietly,
-    replace_light_of_block,
-)
-from emulator.sensor.pixels.state import (
-    BEFORE_ROWS,
-    BLOCK,
-    FIELDS,
-    PART,
-    PARTS,
-    Field,
-    FlatLight,
-    Pixels,
-    StepConstants,
-    slot,
-)
+from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, PART, Field, FlatLight, Pixels, StepConstants
 from emulator.threads import available_threads
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _UNTIL = (int(f) * BLOCK for f in Field)
-_U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _ = BEFORE_ROWS
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _UNTIL, _Y = (int(f) * BLOCK for f in Field)
+_U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _, _Y0 = BEFORE_ROWS
 _ZERO, _PAST, _NO_FLAGS = np.float32(0), np.float32(-np.inf), np.uint64(0)
 
 RUN = 8 * BLOCK
@@ -82,7 +55,7 @@ RUN = 8 * BLOCK
 _RUN_BLOCKS = RUN // BLOCK
 _END = -1
 _PACK = len(BEFORE_ROWS) * BLOCK  # the places in `before` and `indices` of what lies behind
-_FIRSTS, _PACKED = BLOCK, BLOCK + PARTS
+_FIRSTS, _PACKED = BLOCK, BLOCK + state.PARTS
 
 
 class Tally(NamedTuple):
@@ -135,7 +108,7 @@ class Subset(NamedTuple):
 
 def new_subset(blocks: int) -> Subset:
     """Return a subset with room for `blocks` blocks; the system provides its memory where it is written."""
-    return Subset(np.zeros(blocks * FIELDS * BLOCK, np.float32), np.zeros(blocks * BLOCK, np.int64))
+    return Subset(np.zeros(blocks * state.FIELDS * BLOCK, np.float32), np.zeros(blocks * BLOCK, np.int64))
 
 
 @kernel
@@ -167,8 +140,8 @@ def _gather_undersampled(  # noqa: PLR0913, PLR0917
             remaining += 1
             continue
         # The state before the step, because the quiet pass has moved the pixel already.
-        subset.pixels[n] = pixel_at(firsts, place)
-        to = slot(n)
+        subset.pixels[n] = rest.pixel_at(firsts, place)
+        to = state.slot(n)
         n += 1
         subset.fields[to + _U] = u0
         subset.fields[to + _V] = v0
@@ -177,6 +150,7 @@ def _gather_undersampled(  # noqa: PLR0913, PLR0917
         for row in (_REF, _ON, _OFF, _LEAK):
             subset.fields[to + row] = s[entry_at(row, i)]
         subset.fields[to + _W] = before[entry_at(_W0, i)] if c.second > _ZERO else s[entry_at(_W, i)]
+        subset.fields[to + _Y] = before[entry_at(_Y0, i)] if c.high > _ZERO else s[entry_at(_Y, i)]
         subset.fields[to + _P] = before[entry_at(_P0, i)] if c.parasitic > _ZERO else s[entry_at(_P, i)]
         subset.fields[to + _UNTIL] = _PAST  # it has left its certificate
     return remaining, n
@@ -192,9 +166,9 @@ class Buffers(NamedTuple):
 
 def new_scratch() -> Scratch:
     """Return buffers with zeros where a padded block needs them."""
-    before = aligned_zeros(_PACK + FIELDS * BLOCK)
+    before = aligned_zeros(_PACK + state.FIELDS * BLOCK)
     light, rate = aligned_zeros(BLOCK), aligned_zeros(BLOCK)
-    return Scratch(before, light, rate, aligned_zeros(BLOCK, np.uint8), np.zeros(_PACKED + PARTS, np.int64))
+    return Scratch(before, light, rate, aligned_zeros(BLOCK, np.uint8), np.zeros(_PACKED + state.PARTS, np.int64))
 
 
 class Share(NamedTuple):
@@ -239,10 +213,10 @@ def _list_and_mark(  # noqa: PLR0913, PLR0917
     """
     scratch, n = buffers.scratch, firsts.size
     flags = scratch.may_fire.view(np.uint64)
-    for k in range(n * (PART // 8), PARTS * (PART // 8)):
+    for k in range(n * (PART // 8), state.PARTS * (PART // 8)):
         flags[k] = _NO_FLAGS  # of the empty places of a pack
     listed = list_flags(flags, scratch.indices)
-    mark(light, s, scratch.before, flags, firsts, idle, c)
+    rest.mark(light, s, scratch.before, flags, firsts, idle, c)
     selected = unreadable = NONE
     refined = at.refined
     if listed > 0 and c.refine:
@@ -253,7 +227,7 @@ def _list_and_mark(  # noqa: PLR0913, PLR0917
         selected, unreadable = select(flagged, s, scratch.before, firsts, pixels.refractory_until_ns, c)
         chosen = scratch.indices[:selected]
         gather(chosen, s, scratch.before, firsts, buffers.table, at.n)
-        if (c.second > _ZERO) | (c.parasitic > _ZERO):
+        if (c.second > _ZERO) | (c.parasitic > _ZERO) | (c.high > _ZERO):
             gather_rare(chosen, s, scratch.before, at.n, buffers.table, c)
     candidates, bad = at.candidates + selected, at.unreadable + unreadable
     return _Progress(at.block, at.packed, at.n + selected, candidates, bad, refined, at.moved + n)
@@ -267,10 +241,10 @@ def _move_pack(
     scratch = buffers.scratch
     s = scratch.before[_PACK:]
     firsts = scratch.indices[_PACKED : _PACKED + at.packed]
-    gather_parts(frame, pixels.fields, firsts, s, FlatLight(scratch.light, scratch.rate), c.chord)
+    rest.gather_parts(frame, pixels.fields, firsts, s, FlatLight(scratch.light, scratch.rate), c.chord)
     move_quietly(scratch.light, scratch.rate, s, scratch.before, scratch.may_fire, c)
     at = _list_and_mark(s, scratch.light, firsts, pixels, buffers, idle, at, c)
-    scatter_parts(s, pixels.fields, firsts, c.parasitic > _ZERO)
+    rest.scatter_parts(s, pixels.fields, firsts, (c.parasitic > _ZERO) | (c.high > _ZERO))
     return _Progress(at.block, NONE, at.n, at.candidates, at.unreadable, at.refined, at.moved)
 
 
@@ -281,8 +255,8 @@ def _move_block(  # noqa: PLR0913, PLR0917
     """Move the block that begins at pixel `first` in place."""
     scratch = buffers.scratch
     firsts = scratch.indices[_FIRSTS:_PACKED]
-    list_all(first, firsts)
-    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    rest.list_all(first, firsts)
+    s = pixels.fields[first * state.FIELDS : (first + BLOCK) * state.FIELDS]
     block = _of_block(frame, first, scratch, c)
     move_quietly(block.light, block.rate, s, scratch.before, scratch.may_fire, c)
     moved: _Progress = _list_and_mark(s, block.light, firsts, pixels, buffers, idle, at, c)
@@ -292,12 +266,12 @@ def _move_block(  # noqa: PLR0913, PLR0917
 @kernel
 def _is_skipped(frame: FlatLight, scratch: Scratch, share: Share, first: int, c: StepConstants) -> bool:
     """Return whether a whole block is idle and its light has not changed."""
-    if not may_rest(share.idle, first // BLOCK, c):
+    if not rest.may_rest(share.idle, first // BLOCK, c):
         return False
-    if not block_is_touched(first, share.touched):
+    if not rest.block_is_touched(first, share.touched):
         return True
     block = _of_block(frame, first, scratch, c)
-    return bool(is_same(block.light, block.rate, share.idle, first, c))
+    return bool(rest.is_same(block.light, block.rate, share.idle, first, c))
 
 
 @kernel
@@ -314,7 +288,11 @@ def _past_resting(block: int, size: int, share: Share, c: StepConstants) -> int:
     """
     while True:
         first = _first_of(block, share)
-        if first >= size or block_is_touched(first, share.touched) or not may_rest(share.idle, first // BLOCK, c):
+        if (
+            first >= size
+            or rest.block_is_touched(first, share.touched)
+            or not rest.may_rest(share.idle, first // BLOCK, c)
+        ):
             return block
         block += 1
 
@@ -338,10 +316,10 @@ def _fill(
         if _is_skipped(frame, scratch, share, first, c):
             block += 1
             continue
-        active = list_active(frame, first, idle, share.touched, scratch.indices[_FIRSTS:_PACKED], c)
-        if active > MOST_PACKED:
+        active = rest.list_active(frame, first, idle, share.touched, scratch.indices[_FIRSTS:_PACKED], c)
+        if active > rest.MOST_PACKED:
             at = _move_block(frame, pixels, buffers, idle, first, at, c)
-        elif packed + active > PARTS:
+        elif packed + active > state.PARTS:
             at = _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
             at, packed = _move_pack(frame, pixels, buffers, idle, at, c), NONE
             continue  # now there is room for this block's parts
@@ -410,7 +388,7 @@ def _replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepCo
     unreadable = NONE
     for first in range(0, frame.light.size, BLOCK):
         block = _of_block(frame, first, scratch, c)
-        s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+        s = pixels.fields[first * state.FIELDS : (first + BLOCK) * state.FIELDS]
         unreadable += replace_light_of_block(block.light, block.rate, s, scratch.before, c)
     return int(unreadable)
 
@@ -450,7 +428,7 @@ class Workers:
     """
 
     def __init__(self, blocks: int, threads: int = 0) -> None:
-        self.idle = new_idle(blocks)
+        self.idle = rest.new_idle(blocks)
         self._fixed, self._most = threads, threads or available_threads()
         self._buffers: list[Buffers] = []
         self._keys: list[Keys] = []

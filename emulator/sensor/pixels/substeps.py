@@ -25,27 +25,8 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, decay, exponential
-from emulator.sensor.pixels.curve import (
-    LARGEST_CHANGE,
-    Course,
-    Filtered,
-    bend_width,
-    capped,
-    completed,
-    is_jump,
-    is_undersampled,
-    limit,
-    rise_of_filter,
-    transient,
-    warped_time,
-)
-from emulator.sensor.pixels.receptor import (
-    excess_of,
-    fourth_derivative,
-    response,
-    rise_of_receptor,
-)
-from emulator.sensor.pixels.state import BLOCK, StepConstants
+from emulator.sensor.pixels import curve, receptor
+from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, slot
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -53,20 +34,20 @@ _Int64s = npt.NDArray[np.int64]
 CAPACITY = 2 * BLOCK + 16
 """Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
 
-STEP_ROWS = 19
+STEP_ROWS = 20
 # Light: value at the start, change, both slopes, its form and where that changes, width of a substep. State: filter,
-# second pole, parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds, leak,
-# number of events, offset of the reference after the last reset.
+# second pole, high-pass, parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds,
+# leak, number of events, offset of the reference after the last reset.
 (
-    U, D, A0, A1, FORM, KNOT, WIDTH, V, W, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT, RESET,
+    U, D, A0, A1, FORM, KNOT, WIDTH, V, W, Y, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT, RESET,
 ) = (k * CAPACITY for k in range(STEP_ROWS))  # fmt: skip
 # The curve of a substep g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its width and end; the position x,
 # whether it fires and where, bounds and level of that crossing, the last Newton correction; light at both ends.
 (
-    D0, C1, C2, C3, TURN, TURN2, SPAN, V1, W1, P1, Z1,
+    D0, C1, C2, C3, TURN, TURN2, SPAN, V1, W1, Y1, P1, Z1,
     X, FIRES, HIT, LOW, HIGH, TO, MISS, UNDERSAMPLED, U0, U1, SLOPE0, SLOPE1, D1, M1,
-) = (k * CAPACITY for k in range(STEP_ROWS, STEP_ROWS + 25))  # fmt: skip
-_ROWS = STEP_ROWS + 25
+) = (k * CAPACITY for k in range(STEP_ROWS, STEP_ROWS + 26))  # fmt: skip
+_ROWS = STEP_ROWS + 26
 
 
 class SubstepTable(NamedTuple):
@@ -83,6 +64,7 @@ def new_substep_table() -> SubstepTable:
     return SubstepTable(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64))
 
 
+_V, _W, _Y = (int(f) * BLOCK for f in (Field.FILTERED, Field.SECOND, Field.HIGH_PASSED))
 _NAN = np.float32(np.nan)
 _THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
 _ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
@@ -104,26 +86,26 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
     for j in range(n):
         d = rows[D + j]
         threshold = min(rows[ON + j], rows[OFF + j])
-        a0, a1 = completed(d, rows[A0 + j], rows[A1 + j])
+        a0, a1 = curve.completed(d, rows[A0 + j], rows[A1 + j])
         # One of three forms: a jump at mid-step, a line with a bend, or the cubic, its slopes limited where need be.
-        undersampled = is_undersampled(d, a0, a1, c.unseen_share * threshold)
-        jump = undersampled & is_jump(d, a0, a1)
-        cap = capped(a0, a1)
-        width = bend_width(d, cap * a0, cap * a1, threshold)
+        undersampled = curve.is_undersampled(d, a0, a1, c.unseen_share * threshold)
+        jump = undersampled & curve.is_jump(d, a0, a1)
+        cap = curve.capped(a0, a1)
+        width = curve.bend_width(d, cap * a0, cap * a1, threshold)
         bent = width < _ONE
-        factor = _ZERO if jump else (cap if bent else limit(d, a0, a1))
+        factor = _ZERO if jump else (cap if bent else curve.limit(d, a0, a1))
         a0, a1 = factor * a0, factor * a1
         late = abs(d - a0) < abs(d - a1)
-        # Substeps in which the light changes by LARGEST_CHANGE at most.
+        # Substeps in which the light changes by LARGEST_CHANGE at most; no longer in time constants of the high-pass.
         steepest = max(abs(a0), abs(a1))
-        steepness = max(abs(d), steepest if bent else _HALF * steepest)
+        steepness = _ZERO if jump else max(abs(d), steepest if bent else _HALF * steepest)
         rows[UNDERSAMPLED + j] = _ONE if undersampled else _ZERO
         rows[FORM + j] = _JUMP if jump else ((_LATE if late else _EARLY) if bent else _CUBIC)
         rows[KNOT + j] = _HALF if jump else (_ONE - width if bent & late else width)
         rows[A0 + j], rows[A1 + j] = a0, a1
-        rows[WIDTH + j] = _HALF if jump else _ONE / max(np.ceil(steepness / LARGEST_CHANGE), _ONE)
+        rows[WIDTH + j] = _ONE / max(np.ceil(max(steepness, c.high) / curve.LARGEST_CHANGE), _TWO if jump else _ONE)
         # The state at the start of the step.
-        reference, w = rows[BASE + j], rows[W + j]
+        reference, w = rows[BASE + j], rows[(Y if c.high > _ZERO else W) + j]
         refractory = reference != reference
         rows[BASE + j] = w + (rows[LEAK + j] * c.since_epoch_0 + rows[P + j]) if refractory else reference
         rows[LEVEL + j] = _NAN if refractory else _ZERO
@@ -150,7 +132,7 @@ class _Substep(NamedTuple):
     r1: Real
     a0: Real  # slopes per substep
     a1: Real
-    course: Course
+    course: curve.Course
 
 
 @lane
@@ -186,8 +168,8 @@ def _substep(light: _Light, z: Real, width: Real, c: StepConstants) -> _Substep:
     l0 = min(max(c.rate_at_reference * exponential(u0), c.rate_min), c.rate_max)
     l1 = min(max(c.rate_at_reference * exponential(u1), c.rate_min), c.rate_max)
     a0, a1 = width * slope0, width * slope1
-    s = warped_time(c.h * width, l0, l1, a0, a1, c)
-    course = Course(s, u1 - u0, s * slope0 / (c.h * l0), s * slope1 / (c.h * l1))
+    s = curve.warped_time(c.h * width, l0, l1, a0, a1, c)
+    course = curve.Course(s, u1 - u0, s * slope0 / (c.h * l0), s * slope1 / (c.h * l1))
     return _Substep(u0, u1, c.h * l0, c.h * l1, a0, a1, course)
 
 
@@ -240,7 +222,7 @@ def _choose_width(rows: _Float32s, n: int, c: StepConstants) -> None:
     for j in range(n):
         width, stop, last = _widest(rows, j)
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
-        t = transient(q.u0 - rows[V + j], q.course, _allowed(rows, j))
+        t = curve.transient(q.u0 - rows[V + j], q.course, _allowed(rows, j))
         share = _share_within(_ZERO if t.faint else t.b, q.course.s, _allowed(rows, j))
         _set_width(rows, j, width, share, stop, last)
 
@@ -251,7 +233,7 @@ def _choose_width_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None
     for j in range(n):
         width, stop, last = _widest(rows, j)
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
-        bending = fourth_derivative(excess_of(q.u0 - rows[V + j]), q.course, _allowed(rows, j))
+        bending = receptor.fourth_derivative(receptor.excess_of(q.u0 - rows[V + j]), q.course, _allowed(rows, j))
         share = _share_within(bending, q.course.s, _allowed(rows, j))
         # Within a small part of a time constant a cubic misses less than this part of the change of its slope.
         turn = _TURN * q.course.s * abs(exponential(rows[V + j] - q.u1) - exponential(rows[V + j] - q.u0))
@@ -267,7 +249,9 @@ def _shorten_for_second_pole(rows: _Float32s, n: int, c: StepConstants) -> None:
         span = rows[SPAN + j]
         behind = rows[V + j] - rows[W + j]
         s = c.second * span
-        t = transient(behind, Course(s, rows[D1 + j] - rows[D0 + j], rows[C1 + j], rows[M1 + j]), _allowed(rows, j))
+        t = curve.transient(
+            behind, curve.Course(s, rows[D1 + j] - rows[D0 + j], rows[C1 + j], rows[M1 + j]), _allowed(rows, j)
+        )
         share = _share_within(_ZERO if t.faint else t.b, s, _allowed(rows, j))
         rows[SPAN + j] = share * span
         rows[Z1 + j] = rows[Z1 + j] if share == _ONE else rows[Z + j] + share * span
@@ -298,9 +282,9 @@ def _follow_light(rows: _Float32s, n: int, c: StepConstants) -> None:
         v0, width = rows[V + j], rows[SPAN + j]
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
         behind = q.u0 - v0
-        v1 = v0 + rise_of_filter(decay(q.course.s), behind, q.course)
+        v1 = v0 + curve.rise_of_filter(decay(q.course.s), behind, q.course)
         # The slope is the rate times the lag; without a faint exponential, which is rounding noise.
-        t = transient(behind, q.course, _allowed(rows, j))
+        t = curve.transient(behind, q.course, _allowed(rows, j))
         m0 = width * q.r0 * (t.lag0 if t.faint else behind)
         m1 = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
         _set_light(rows, j, q)
@@ -314,8 +298,10 @@ def _follow_light_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None
     for j in range(n):
         v0, width = rows[V + j], rows[SPAN + j]
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
-        v1 = v0 + rise_of_receptor(decay(q.course.s), excess_of(q.u0 - v0), q.course)
-        r = response(Filtered(q.u0 - v0, q.u1 - v1, v1 - v0, width * q.r0, width * q.r1), q.course, _allowed(rows, j))
+        v1 = v0 + receptor.rise_of_receptor(decay(q.course.s), receptor.excess_of(q.u0 - v0), q.course)
+        r = receptor.response(
+            curve.Filtered(q.u0 - v0, q.u1 - v1, v1 - v0, width * q.r0, width * q.r1), q.course, _allowed(rows, j)
+        )
         _set_light(rows, j, q)
         _set_ends(rows, j, v0, v1, r.m0, r.m1)
         rows[V1 + j] = rows[W1 + j] = v1
@@ -327,13 +313,24 @@ def _follow_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
     for j in range(n):
         w0, s = rows[W + j], c.second * rows[SPAN + j]
         v0, v1 = rows[D0 + j], rows[D1 + j]
-        course = Course(s, v1 - v0, rows[C1 + j], rows[M1 + j])
-        w1 = w0 + rise_of_filter(decay(s), v0 - w0, course)
-        t = transient(v0 - w0, course, _allowed(rows, j))
+        course = curve.Course(s, v1 - v0, rows[C1 + j], rows[M1 + j])
+        w1 = w0 + curve.rise_of_filter(decay(s), v0 - w0, course)
+        t = curve.transient(v0 - w0, course, _allowed(rows, j))
         m0 = s * (t.lag0 if t.faint else v0 - w0)
         m1 = s * (t.lag1 if t.faint else v1 - w1)
         _set_ends(rows, j, w0, w1, m0, m1)
         rows[W1 + j] = w1
+
+
+@vector_kernel
+def _follow_high_pass(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Solve the high-pass over each column's substep; its values and slopes replace those of its input."""
+    for j in range(n):
+        y0, s = rows[Y + j], c.high * rows[SPAN + j]
+        w = curve.Course(s, rows[D1 + j] - rows[D0 + j], rows[C1 + j], rows[M1 + j])
+        y1 = curve.behind_high_pass(decay(s), y0, w)
+        _set_ends(rows, j, y0, y1, w.w0 - s * y0, w.w1 - s * y1)
+        rows[Y1 + j] = y1
 
 
 @vector_kernel
@@ -387,38 +384,43 @@ def _find_turns(rows: _Float32s, n: int) -> None:
 
 
 @kernel
-def _begin_with_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Write the comparator's input over each column's next substep, with the large-signal law."""
-    _choose_width_of_receptor(rows, n, c)
-    _follow_light_of_receptor(rows, n, c)
-    if c.second > _ZERO:
-        _shorten_for_second_pole(rows, n, c)
+def _follow(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Solve the photoreceptor over each column's substep."""
+    if c.large:
         _follow_light_of_receptor(rows, n, c)
-        _follow_filter(rows, n, c)
-
-
-@kernel
-def _begin_with_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Write the comparator's input over each column's next substep, with the low-pass."""
-    _choose_width(rows, n, c)
-    _follow_light(rows, n, c)
-    if c.second > _ZERO:
-        _shorten_for_second_pole(rows, n, c)
+    else:
         _follow_light(rows, n, c)
-        _follow_filter(rows, n, c)
 
 
 @kernel
 def begin_substep(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Compute each column's curve over its next substep."""
     if c.large:
-        _begin_with_receptor(rows, n, c)
+        _choose_width_of_receptor(rows, n, c)
     else:
-        _begin_with_filter(rows, n, c)
+        _choose_width(rows, n, c)
+    _follow(rows, n, c)
+    if c.second > _ZERO:
+        _shorten_for_second_pole(rows, n, c)
+        _follow(rows, n, c)
+        _follow_filter(rows, n, c)
+    if c.high > _ZERO:
+        _follow_high_pass(rows, n, c)
     _make_cubic(rows, n, c)
     if c.parasitic > _ZERO:
         _add_parasitic(rows, n, c)
     _find_turns(rows, n)
+
+
+@kernel
+def store_filters(pixels: Pixels, pixel: int, rows: _Float32s, j: int, c: StepConstants) -> None:
+    """Write the filters of column j, which has reached the end of the step, to the state of its pixel."""
+    at = slot(pixel)
+    pixels.fields[at + _V] = rows[V1 + j]
+    if c.second > _ZERO:
+        pixels.fields[at + _W] = rows[W1 + j]
+    if c.high > _ZERO:
+        pixels.fields[at + _Y] = rows[Y1 + j]
 
 
 @kernel
@@ -427,6 +429,7 @@ def go_on(table: SubstepTable, j: int, place: int) -> None:
     rows = table.rows
     rows[V + j] = rows[V1 + j]
     rows[W + j] = rows[W1 + j]
+    rows[Y + j] = rows[Y1 + j]
     rows[P + j] = rows[P1 + j]
     rows[Z + j] = rows[Z1 + j]
     if place < j:

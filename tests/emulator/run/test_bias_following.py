@@ -15,6 +15,7 @@ from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
 from firmware_protocol.dvxplorer import Dvxplorer
 from firmware_protocol.genx320.device import Genx320
+from firmware_protocol.imx636.evk4 import Evk4
 from firmware_protocol.packets.telecommands import SetBias
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.usb.device import SetupPacket
@@ -192,6 +193,35 @@ def test_the_low_pass_of_an_imx636_follows_its_bias(steps):
     assert len(events) == 32
     expected_s = math.log(rise / (rise - 0.2)) / (2 * math.pi * corner_hz * (1 + 0.012 * steps))
     assert first_s == pytest.approx(expected_s, rel=0.03)
+
+
+def test_the_high_pass_of_an_evk4_follows_its_bias():
+    """After a jump by 1 of log light the pixel falls by an OFF threshold, 0.223, when e^-2 pi f t has."""
+    camera, sensor = Evk4(), Sensor(dataclasses.replace(IDEAL, threshold_on=0.223, threshold_off=0.223), 1)
+    camera.write_register(0x100C, 0x11A1_0000 | 40)
+    sensor.reset(LightFrame(0, np.full((4, 8), 1.0, np.float32)))
+    sensor.expose(LightFrame(10_000_000, np.full((4, 8), 1.0, np.float32)))  # at rest, and skipped
+    BiasFollowing(sensor).follow("usbip", report(**camera.sensor_factors))
+    bright = np.full((4, 8), math.e, np.float32)
+    sensor.expose(LightFrame(10_000_001, bright))
+    events = sensor.expose(LightFrame(20_000_000, bright))
+    off_us = events["t"][~events["on"]][:32] - 10_000
+    jump = math.log((math.e + IDEAL.dark_current_relative) / (1 + IDEAL.dark_current_relative))
+    first_us = 1e6 * math.log(jump / (3 * 0.223)) / (2 * math.pi * 40.0)  # the references are 4 thresholds up
+    assert off_us == pytest.approx(first_us, abs=2)
+
+
+def test_the_cut_offs_of_links_add_and_go_back_to_none():
+    sensor = Adjusted()
+    sensor.adjustable["highpass_hz"] = 0.0
+    following = BiasFollowing(sensor)
+    following.follow("usbip", report(highpass_hz=0.3))
+    following.follow("serial", report(highpass_hz=0.7))
+    assert sensor.adjustable["highpass_hz"] == 1.0
+    following.follow("usbip", report())
+    assert sensor.adjustable["highpass_hz"] == 0.7
+    following.follow("serial", report())
+    assert sensor.adjustable["highpass_hz"] == 0.0
 
 
 @pytest.mark.parametrize(("steps", "refractory_us"), [(-10, 20_000.0), (20, 5000.0)])

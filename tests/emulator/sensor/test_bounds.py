@@ -51,7 +51,7 @@ def test_a_value_beyond_its_bounds_is_refused_while_the_sensor_runs():
     before = sensor.adjustable
     assert set(before) == {
         "threshold_on", "threshold_off", "leak_hz", "refractory_us", "corner_max_hz", "source_follower_hz", "scan_us",
-        "off_latency_us",
+        "off_latency_us", "highpass_hz",
     }  # fmt: skip
     tables = {"scan_us": ReadoutParameters, "off_latency_us": JitterParameters}
     for name in before:

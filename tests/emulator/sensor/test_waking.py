@@ -73,7 +73,9 @@ def test_changes_that_follow_each_other_act_on_pixels_that_rest(begin_ms):
         40: [("threshold_on", 0.15)],
         50: [("threshold_off", 0.1), ("refractory_us", 900.0)],
         60: [("leak_hz", 50.0)],
+        70: [("highpass_hz", 8.0)],
         90: [("threshold_on", 0.5), ("source_follower_hz", 20.0)],
+        95: [("highpass_hz", 0.0)],
         100: [("corner_max_hz", 50.0), ("leak_hz", 0.0)],
     }
     found = assert_nothing_is_missed(lambda: sensor("davis346"), changes, begin_ms)

@@ -15,7 +15,7 @@ from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.imx636.triton2_registers import BIASES as OFFSETS
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 
-SLOPES = BiasSlopes(diff_on=0.01, diff_off=0.02, diff_off_above=0.015, fo=0.025, refr=0.04)
+SLOPES = BiasSlopes(diff_on=0.01, diff_off=0.02, diff_off_above=0.015, fo=0.025, refr=0.04, hpf=1.5)
 
 
 def test_the_factory_biases_change_nothing():
@@ -38,6 +38,8 @@ def test_the_factory_biases_change_nothing():
         ("refr", -24, "refractory_us", 25.0),
         ("refr", -25, "refractory_us", 25.0),  # register 0 acts as 1
         ("diff_on", -250, "threshold_on", LEAST_FACTOR),
+        ("hpf", 1, "highpass_hz", 1.5),  # a sum, not a factor
+        ("hpf", 120, "highpass_hz", 180.0),
     ],
 )
 def test_a_bias_moves_its_figure_alone(bias, steps, figure, factor):
@@ -75,15 +77,18 @@ def test_the_default_slopes_are_those_whose_source_is_named():
 
 
 def test_biases_without_effect_are_told_with_the_reason():
-    told = BiasModel().without_effect({"hpf": 3, "diff": -1, "pr": 7, "diff_on": 5, "inv": 0})
+    told = BiasModel().without_effect({"hpf": -3, "diff": -1, "pr": 7, "diff_on": 5, "inv": 0})
     assert list(told) == ["diff", "hpf", "pr"]
-    assert "high-pass" in told["hpf"]
+    assert "factory" in told["hpf"]
+    assert BiasModel().without_effect({"hpf": 3}) == {}
 
 
 @given(st.dictionaries(st.sampled_from(sorted(BIASES)), st.integers(-255, 255)), st.floats(0, 1))
 def test_any_registers_and_slopes_give_factors_within_the_range(steps, slope):
     model = BiasModel(BiasSlopes(*[slope] * 7), has_delay=True)
-    assert all(LEAST_FACTOR <= factor <= MOST_FACTOR for factor in model.factors(steps).values())
+    factors = model.factors(steps)
+    assert 0 < factors.pop("highpass_hz", 1.0) <= MOST_FACTOR
+    assert all(LEAST_FACTOR <= factor <= MOST_FACTOR for factor in factors.values())
 
 
 @pytest.mark.parametrize(

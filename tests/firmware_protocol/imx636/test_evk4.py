@@ -205,8 +205,9 @@ def test_biases_act_until_power_on_and_those_that_do_not_are_told():
     camera, host = running()
     assert (camera.sensor_factors, camera.without_effect) == ({}, {})
     host.write((0x1018, 0x11A1_0049 + 50), (0x100C, 0x11A1_0020))
-    assert camera.sensor_factors == {"threshold_off": pytest.approx(math.exp(50 * 0.0136))}
-    assert camera.without_effect == {"hpf": "the simulated pixel has no high-pass filter"}
+    assert camera.sensor_factors == {"threshold_off": pytest.approx(math.exp(50 * 0.0136)), "highpass_hz": 32.0}
+    host.write((0x1014, 0x11A1_004E))
+    assert list(camera.without_effect) == ["diff"]
     camera.attached()
     assert (camera.sensor_factors, camera.without_effect) == ({}, {})
 

@@ -23,8 +23,9 @@ def test_an_imx636_follows_by_its_slopes_and_tells_what_has_no_effect():
     assert (biases.factors, biases.without_effect) == ({}, {})
     biases.set(4, 0x66 + 50)
     biases.set(3, 1)
-    assert biases.factors == {"threshold_on": pytest.approx(math.exp(50 * 0.0143))}
-    assert list(biases.without_effect) == ["hpf"]
+    assert biases.factors == {"threshold_on": pytest.approx(math.exp(50 * 0.0143)), "highpass_hz": 1.0}
+    biases.set(5, 0)
+    assert list(biases.without_effect) == ["diff"]
 
 
 @pytest.mark.parametrize(("number", "value"), [(2, 10), (9, 10), (35, 10), (4, 256), (4, 65535)])

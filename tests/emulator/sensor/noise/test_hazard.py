@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
+from scipy.linalg import solve_continuous_lyapunov
 
 from emulator.sensor.noise.hazard import (
     FARTHEST,
@@ -91,6 +92,25 @@ def test_the_noise_of_a_light():
     assert noise_of(1e12, 100.0, 0.2)[:4] == (0.2, 100.0, 100.0, 100.0)  # no receptor
     assert noise_of(300.0, 100.0, 0.2).rate == pytest.approx(math.sqrt(3e4))
     assert noise_of(1e5, 100.0, 0.2).rate == pytest.approx(1 / (1e-5 + 1e-2))
+
+
+@pytest.mark.parametrize(
+    ("a1", "a2", "high"), [(2e3, 25e3, 200.0), (2e2, 25e3, 200.0), (14e3, 25e3, 3e3), (1e3, 0, 80)]
+)
+def test_the_noise_behind_a_high_pass_has_the_variances_of_three_poles(a1, a2, high):
+    """Of the value and of its slope, by Lyapunov's equation of white noise behind the filters."""
+    noise, two = noise_of(a1, a2, 0.2, high), a2 > 0
+    poles = np.array([[-a1, 0, 0], [a2, -a2, 0], [0, high, -high]]) if two else np.array([[-a1, 0], [high, -high]])
+    white = np.zeros_like(poles)
+    white[0, 0] = 2 * a1 * 0.2**2
+    covariance = solve_continuous_lyapunov(poles, -white)
+    output = np.array([0, 1, -1]) if two else np.array([1, -1])
+    assert noise.sigma == pytest.approx(math.sqrt(output @ covariance @ output))
+    if two:  # the slope of one pole is infinite
+        slope = output @ poles
+        assert noise.sigma**2 * noise.a1 * noise.a2 == pytest.approx(slope @ covariance @ slope)
+    if not math.isclose(noise.a1, noise.a2, rel_tol=1e-6):  # else both would be complex: three near poles
+        assert 2 * noise.sigma**2 * noise.a1 * noise.a2 * (noise.a1 + noise.a2) == pytest.approx(white[0, 0] * a2**2)
 
 
 def matrices(s, noise):

@@ -85,6 +85,8 @@ EFFECTS = {
     "parasitic leak": {"parasitic_hz_at_reference": 5.0},
     "all": {"source_follower_hz": 800.0, "parasitic_hz_at_reference": 2.0, "leak_hz": 2.0, "refractory_us": 900.0},
     "no low-pass": {"corner_hz_at_reference": float("inf")},
+    "high-pass": {"highpass_hz": 60.0, "source_follower_hz": 500.0},
+    "noise behind a high-pass": {"highpass_hz": 60.0, "noise": LOUD},
 }
 
 

@@ -26,6 +26,7 @@ EFFECTS = {
     "long refractory": {"refractory_us": 5200.0},
     "second pole": {"source_follower_hz": 800.0},
     "parasitic leak": {"parasitic_hz_at_reference": 20.0},
+    "high-pass": {"highpass_hz": 30.0, "source_follower_hz": 800.0},
 }
 
 
