@@ -114,12 +114,7 @@ class _Interval(NamedTuple):
 
 @cached_entry
 def _step(
-    crossings: Arrivals,
-    interval: _Interval,
-    rate_hz: Floats,
-    share: Floats,
-    half: Floats,
-    leaks: npt.NDArray[np.bool_],
+    crossings: Arrivals, interval: _Interval, rate_hz: Floats, share: Floats, half: Floats, leaks: npt.NDArray[np.bool_]
 ) -> None:
     """Write which crossings are the leak's, and move `share` to the end; `half` is half of the next event's way."""
     t0_ns = interval.t0_ns
@@ -140,10 +135,7 @@ _Codes = npt.NDArray[np.uint8]
 _Float32s = npt.NDArray[np.float32]
 
 
-_OF_SOURCES: dict[type[Any], Origin] = {
-    BackgroundEvents: Origin.BACKGROUND,
-    Particles: Origin.PARTICLE,
-}
+_OF_SOURCES: dict[type[Any], Origin] = {BackgroundEvents: Origin.BACKGROUND, Particles: Origin.PARTICLE}
 
 
 class TracedSensor(Sensor):

@@ -315,9 +315,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
         ),
         "imx636": _IMX636,
         "imx636_quiet": dataclasses.replace(
-            _IMX636,
-            leak_hz=0.0,
-            noise=dataclasses.replace(_IMX636.noise, rms=0.032, history_s=10_000.0),
+            _IMX636, leak_hz=0.0, noise=dataclasses.replace(_IMX636.noise, rms=0.032, history_s=10_000.0)
         ),
         "imx636_noisy": dataclasses.replace(
             _IMX636,

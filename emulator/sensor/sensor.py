@@ -220,21 +220,15 @@ class Sensor:
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor and its effects.
-    seed : int
-        Keys all random numbers.
-    make_pixels : MakePixels
-        The method of the pixels.
+    parameters : the sensor and its effects.
+    seed : keys all random numbers.
+    make_pixels : the method of the pixels.
 
     Attributes
     ----------
-    parameters : SensorParameters
-        As given.
-    pixels : PixelMethod
-        The pixels.
-    longest_step_ns : int
-        Longest step whose work and memory are bounded; `expose` takes longer ones too.
+    parameters : as given.
+    pixels : the pixels.
+    longest_step_ns : longest step whose work and memory are bounded; `expose` takes longer ones too.
 
     Raises
     ------

@@ -94,19 +94,14 @@ class Leaks:
 
     Parameters
     ----------
-    pixels : PixelMethod
-        Pixels that have faults; their present leak is the usual one.
-    seed : int
-        Keys the jitter.
-    share : float
-        Relative standard deviation of a pixel's leak between stretches.
-    defects : Defects
-        Pixels that are or turn hot.
+    pixels : pixels that have faults; their present leak is the usual one.
+    seed : keys the jitter.
+    share : relative standard deviation of a pixel's leak between stretches.
+    defects : pixels that are or turn hot.
 
     Attributes
     ----------
-    next_ns : int
-        Time of the next change; NEVER_NS if there is none.
+    next_ns : time of the next change; NEVER_NS if there is none.
     """
 
     def __init__(self, pixels: PixelMethod, seed: int, share: float, defects: Defects) -> None:

@@ -135,19 +135,14 @@ class Imager:
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor.
-    seed : int
-        Keys gains, dark currents and counts.
+    parameters : the sensor.
+    seed : keys gains, dark currents and counts.
 
     Attributes
     ----------
-    works : bool
-        False if the imager does not change the light.
-    dark_current_relative : float
-        Dark current that the array must add to E' to get i'.
-    grid_ns : int
-        Length G of the grid; 0 without shot noise.
+    works : false if the imager does not change the light.
+    dark_current_relative : dark current that the array must add to E' to get i'.
+    grid_ns : length G of the grid; 0 without shot noise.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:

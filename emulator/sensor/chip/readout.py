@@ -274,13 +274,7 @@ def _run(
 
 @cached_entry
 def _serve(
-    arrivals: Arrivals,
-    until_ns: int,
-    maps: _Maps,
-    queue: _Queue,
-    a: _Arbiter,
-    timing: _Timing,
-    out: Events,
+    arrivals: Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
 ) -> tuple[int, _Queue, _Arbiter]:
     """Run the arbiter as `_run` does; this entry is cached on disk."""
     n, queue, a = _run(arrivals, until_ns, maps, queue, a, timing, out)
@@ -301,13 +295,12 @@ class ReadOut(ABC):
 
     Attributes
     ----------
-    raised : int
-        Crossings pushed; always lost_at_readout + read_out + pending.
-    read_out : int
-        Events returned.
+    raised : crossings pushed; always lost_at_readout + read_out + pending.
+    read_out : events returned.
     """
 
     _timing: Any
+    _queue: Any  # with the numbers of waiting requests and of those lost
 
     def __init__(self) -> None:
         self._until_ns = -_FOREVER_NS
@@ -316,19 +309,19 @@ class ReadOut(ABC):
         self.read_out = 0
 
     @property
-    @abstractmethod
     def lost_at_readout(self) -> int:
         """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
+        return int(self._queue.lost + self._queue.busy)
 
     @property
-    @abstractmethod
     def lost_busy(self) -> int:
         """Of these, crossings of pixels in the refractory period after the acknowledge."""
+        return int(self._queue.busy)
 
     @property
-    @abstractmethod
     def pending(self) -> int:
         """Requests that wait, and events that have not left."""
+        return int(self._queue.waiting)
 
     def set_refractory(self, refractory_us: float) -> None:
         """Set the refractory period after an acknowledge from now on; those that have begun end at their time."""
@@ -341,8 +334,7 @@ class ReadOut(ABC):
         ----------
         crossings : Crossings
             Sorted by time, none before the last `until_ns` and none after this one.
-        until_ns : int
-            Stream time up to which all crossings are known.
+        until_ns : stream time up to which all crossings are known.
 
         Returns
         -------
@@ -382,8 +374,7 @@ class ArbiterReadOut(ReadOut):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor: its size and its `readout` times.
+    parameters : the sensor: its size and its `readout` times.
     """
 
     def __init__(self, parameters: SensorParameters) -> None:
@@ -409,20 +400,10 @@ class ArbiterReadOut(ReadOut):
         self._arbiter = _Arbiter(_IDLE, -_FOREVER_NS, height - 1, 0, 0, 0, 0)
 
     @property
-    def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
-        return self._queue.lost + self._queue.busy
-
-    @property
-    def lost_busy(self) -> int:
-        """Of these, crossings of pixels in the refractory period after the acknowledge."""
-        return self._queue.busy
-
-    @property
     def pending(self) -> int:
         """Waiting requests, and latched events that have not left."""
         a = self._arbiter
-        return self._queue.waiting + (a.latched - a.sent if a.phase == _SENDING else 0)
+        return super().pending + (a.latched - a.sent if a.phase == _SENDING else 0)
 
     def _serve(self, arrivals: Arrivals, until_ns: int) -> int:
         n, queue, arbiter = _serve(arrivals, until_ns, self._maps, self._queue, self._arbiter, self._timing, self._out)
@@ -452,11 +433,7 @@ _Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bo
 
 @cached_entry
 def _delay(
-    crossings: _Arrays,
-    window: Window,
-    d: _Delays,
-    pending: Pending,
-    n: int,
+    crossings: _Arrays, window: Window, d: _Delays, pending: Pending, n: int
 ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
     """Add crossings to the pending events; return those that stay pending, and the packed events of the window."""
     t_ns, pixels, on = crossings
@@ -488,17 +465,13 @@ class Jitter:
     ----------
     parameters : JitterParameters
         With `latency_us` > 0.
-    seed : int
-        Keys the delays.
-    pixels : int
-        Number of pixels.
+    seed : keys the delays.
+    pixels : number of pixels.
 
     Attributes
     ----------
-    waiting : int
-        Events that have not left.
-    off_latency_us : float
-        Mean delay of OFF events.
+    waiting : events that have not left.
+    off_latency_us : mean delay of OFF events.
     """
 
     def __init__(self, parameters: JitterParameters, seed: int, pixels: int) -> None:

@@ -139,8 +139,7 @@ class ScanReadOut(ReadOut):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor: its size and its `readout` times.
+    parameters : the sensor: its size and its `readout` times.
     """
 
     def __init__(self, parameters: SensorParameters) -> None:
@@ -152,7 +151,7 @@ class ScanReadOut(ReadOut):
         self._timing = _Timing(width, height, 1, event_ps, refractory_ns)
         self.set_scan_us(times.scan_us)
         self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64), new_busy(parameters)
-        self._scan = _Scan(0, 0, 0, 0, 0, 0)
+        self._queue = _Scan(0, 0, 0, 0, 0, 0)
 
     @property
     def scan_us(self) -> float:
@@ -164,22 +163,7 @@ class ScanReadOut(ReadOut):
         self._scan_us = scan_us
         self._timing = self._timing._replace(column_ps=max(1, round(scan_us * 1e6 / self._timing.width)))
 
-    @property
-    def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
-        return self._scan.lost + self._scan.busy
-
-    @property
-    def lost_busy(self) -> int:
-        """Of these, crossings of pixels in the refractory period after the acknowledge."""
-        return self._scan.busy
-
-    @property
-    def pending(self) -> int:
-        """Waiting requests."""
-        return self._scan.waiting
-
     def _serve(self, arrivals: Arrivals, until_ns: int) -> int:
-        n, scan = _run(arrivals, until_ns, self._maps, self._scan, self._timing, self._out)
-        self._scan = _Scan(*scan)
+        n, scan = _run(arrivals, until_ns, self._maps, self._queue, self._timing, self._out)
+        self._queue = _Scan(*scan)
         return int(n)

@@ -217,10 +217,8 @@ class BackgroundEvents(SlottedEvents):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor, with a `background` rate.
-    seed : int
-        Keys all random numbers.
+    parameters : the sensor, with a `background` rate.
+    seed : keys all random numbers.
     dead : (n,) int64
         Pixels that raise no events.
     """
@@ -370,11 +368,7 @@ def _draw_particles(
 
 @cached_entry
 def _advance_particles(
-    window: Window,
-    chip: _Chip,
-    dead: npt.NDArray[np.bool_],
-    pending: Pending,
-    n: int,
+    window: Window, chip: _Chip, dead: npt.NDArray[np.bool_], pending: Pending, n: int
 ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     pixel = np.empty(chip.width + chip.height + 2, np.int64)
@@ -390,10 +384,8 @@ class Particles(SlottedEvents):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor, with `radiation.hits_per_cm2_s` > 0.
-    seed : int
-        Keys the particles.
+    parameters : the sensor, with `radiation.hits_per_cm2_s` > 0.
+    seed : keys the particles.
     dead : (n,) int64
         Pixels that raise no events.
     """

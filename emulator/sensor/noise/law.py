@@ -20,17 +20,23 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.noise.hazard import Distance, Hazard, Noise, hazard, hazard_tables, noise_of, transition
-from emulator.sensor.numerics.compiled import cached_entry, kernel
-from emulator.sensor.numerics.keyed import high, low, normal_from, unit, word
+from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 from emulator.sensor.presets import SensorParameters
 
 _Floats = npt.NDArray[np.float64]
 _Float32s = npt.NDArray[np.float32]
 
-_LEVELS, _BLUR = 96, 0.35  # of a grid of references: places; steps
+_LEVELS, _BLUR = 72, 0.5  # of a grid of references: places; steps
+_FINE = 9.0  # deviations from each end in which the grid is fine
+_STAGES, _SINGLE = np.int64(16), np.int64(1)  # of the time before the start, and of an endless one
+_AT_ONCE = 1e-6  # thresholds of references at one phase
+SHARES_A_LOGIT, LAST_LOGIT = 4, 14
+SHARES = 1 / (1 + np.exp(-np.arange(-LAST_LOGIT, LAST_LOGIT + 0.1, 1 / SHARES_A_LOGIT)))
+"""Shares of the quantiles of references at the start, uniform in their logits."""
+
 _NODES = 5, 8  # of the sums and differences of a pixel's two thresholds; with an even number none are equal
 _LONG_S, _FASTEST_HZ = 1e6, 1e12
-_NO_HZ = 1e-30
+_ENDLESS_HZ = 1e-25
 
 
 class Rates(NamedTuple):
@@ -67,32 +73,83 @@ def still_hazard(on: float, off: float, noise: Noise, tables: _Float32s) -> Haza
     return h
 
 
-class Stay(NamedTuple):
-    """Stay at a reference: its length, s; polarity of the event at its end; and the next reference less the signal."""
+class _Chain(NamedTuple):
+    """Chain of a pixel's references, less the signal, on a grid: rates of its events and of its changes, Hz."""
 
-    length_s: float
-    on: bool
-    level: float
+    edges: _Floats  # of the cells, (levels + 1,), ln units
+    on: _Floats  # (levels,)
+    off: _Floats
+    rates: _Floats  # from the first to the second, (levels, levels)
 
 
-@kernel
-def stay_at(  # noqa: PLR0913, PLR0917
-    level: float, on: float, off: float, noise: Noise, dead_s: float, number: np.uint64, k: int, tables: _Float32s
-) -> Stay:  # fmt: skip
-    """Draw stay k of a chain of references in still light; `number` is the chain's stream of random numbers."""
-    h = still_hazard(on + level, off - level, noise, tables)
-    bits = word(number, 2 * k)
-    total = max(h.on + h.off, _NO_HZ)
-    is_on = unit(low(bits)) * total < h.on
-    level += on if is_on else -off
-    normal = noise.sigma * normal_from(word(number, 2 * k + 1))
-    if noise.ratio == 0.0:
-        decay = math.exp(-noise.rate * dead_s)
-        level = level * decay + normal * math.sqrt(1 - decay * decay)
-    elif dead_s > 0:
+@kernel_that_allocates
+def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tables: _Float32s) -> _Chain:
+    """Return the chain of a pixel with thresholds on and off, and a leak in ln units a second.
+
+    The grid reaches a deviation beyond the thresholds, as a reset may. It is fine where noise reaches a threshold.
+    """
+    beyond, span = on + noise.sigma, on + off + 2 * noise.sigma
+    fine = min(span / 2, _FINE * noise.sigma)
+    share = fine / (2 * fine + min(span - 2 * fine, fine))  # of the cells, at each end
+    x = np.linspace(-0.5, 0.5, _LEVELS + 1)
+    slope = (span / 2 - fine) / max(0.5 - share, 1e-9)
+    half = np.where(np.abs(x) < 0.5 - share, np.abs(x) * slope, span / 2 - (0.5 - np.abs(x)) * fine / share)
+    edges = np.copysign(half, x) + span / 2 - beyond
+    steps, grid = edges[1:] - edges[:-1], (edges[1:] + edges[:-1]) / 2
+    begins = grid + (steps - steps[0]) / 2  # of a stay in a coarse cell, which leak crosses as a whole
+    kept, pushed = math.exp(-noise.rate * dead_s), 0.0
+    lost = 1 - kept * kept
+    if noise.ratio > 0.0 and dead_s > 0:
         m = transition(dead_s, noise)
-        level = level * m.p11 + normal * math.sqrt(m.v)
-    return Stay(-math.log(unit(high(bits))) / total, is_on, level)
+        slope = m.p12 * noise.rate  # at a passage it is distributed as Rayleigh's
+        kept, pushed = m.p11, math.sqrt(math.pi / 2) * noise.sigma * slope
+        lost = m.v + (2 - math.pi / 2) * slope**2
+    width = np.maximum(math.sqrt(lost) * noise.sigma, _BLUR * steps)
+    rates, on_hz = np.zeros((_LEVELS, _LEVELS)), np.empty(_LEVELS)
+    off_hz = on_hz.copy()
+    for i, level in enumerate(grid):
+        h = still_hazard(on + level, off - level, noise, tables)
+        # The noise is at the reference at first, and comes near a threshold when it has decayed.
+        decays = math.log(1 + max(min(h.c_on, h.c_off), 0.0) * abs(level) / noise.sigma)
+        staying = 1 / (1 + (h.on + h.off) * (dead_s + decays / min(noise.a1, noise.a2)))
+        h_on, h_off = h.on * staying, h.off * staying
+        is_last = grid[max(i - 1, 0)] <= -on < level  # from there leak comes to the threshold
+        leaving = leak / (on + level if is_last else steps[i])
+        ended = leaving if is_last else 0.0
+        up, down = (level + on) * kept + pushed, (level - off) * kept - pushed
+        for hz, reset in ((h_on, up), (h_off, down), (ended, 0.0)):
+            if hz > 0:
+                weights = np.exp(-0.5 * ((begins - min(max(reset, grid[0]), grid[-1])) / width) ** 2) * steps / width
+                rates[i] += hz / weights.sum() * weights
+        on_hz[i], off_hz[i] = h_on + ended, h_off
+        rates[i, max(i - 1, 0)] += leaving - ended
+    return _Chain(edges, on_hz, off_hz, rates)
+
+
+@kernel_that_allocates
+def _pass(rates: _Floats, stages: int, stage_hz: float, shares: _Floats) -> None:
+    """Change the shares of a chain's references, (levels,), to those after some stages, each exponential in time.
+
+    References are eliminated one by one, without a subtraction (Grassmann, Taksar and Heyman 1985), because the rates
+    at which they are left differ by many orders of magnitude. `rates` is used up.
+    """
+    left, ends = np.zeros(_LEVELS), np.full(_LEVELS, stage_hz)
+    for i in range(_LEVELS - 1, -1, -1):
+        left[i] = rates[i, :i].sum() + ends[i]
+        for j in range(i):
+            rates[j, i] /= left[i]
+            ends[j] += rates[j, i] * ends[i]
+            for k in range(i):
+                rates[j, k] += rates[j, i] * rates[i, k]
+    for _ in range(stages):
+        for i in range(_LEVELS - 1, -1, -1):
+            shares[i] /= left[i]
+            for k in range(i):
+                shares[k] += shares[i] * rates[i, k]
+        for i in range(_LEVELS):
+            for k in range(i + 1, _LEVELS):
+                shares[k] += shares[i] * rates[i, k]
+            shares[i] *= stage_hz
 
 
 @cached_entry
@@ -100,43 +157,46 @@ def _rates(  # noqa: PLR0913, PLR0917
     on: float, off: float, leak_hz: float, rate: float, pole: float, rms: float, high: float, dead_s: float,
     tables: _Float32s,
 ) -> Rates:  # fmt: skip
-    """Return the rates of a pixel with thresholds on and off, from the shares of time that its references have.
+    """Return the rates of a pixel with thresholds on and off, from the shares of time that its references have."""
+    chain = _chain(on, off, leak_hz * on, noise_of(rate, pole, rms, high), dead_s, tables)
+    shares = np.full(_LEVELS, 1 / _LEVELS)
+    _pass(chain.rates, _SINGLE, _ENDLESS_HZ, shares)
+    return Rates(np.dot(shares, chain.on), np.dot(shares, chain.off))
 
-    The shares on a grid of references are solved without a subtraction (Grassmann, Taksar and Heyman 1985), because the
-    rates at which they are left differ by many orders of magnitude.
+
+class Before(NamedTuple):
+    """Time before the start of a stream, in which noise has moved the references."""
+
+    history_s: float
+    phases: float  # share of the ON threshold below the signal in which they lay at first
+    dead_s: float
+    pole: float  # rate of the fixed pole, 1/s; 0: none
+    high: float  # of the high-pass, 1/s; 0: none
+
+
+@cached_entry
+def solve_start(  # noqa: PLR0913, PLR0917
+    on: float, off: float, rate: float, turns: float, before: Before, tables: _Float32s, quantiles: _Float32s
+) -> None:  # fmt: skip
+    """Write the quantiles, (SHARES.size,), of a pixel's reference less its signal at the start, in units of the rms.
+
+    `on` and `off` are thresholds in these units, `turns` the thresholds that leak passes before the start. The time is
+    one of _STAGES exponential ones, for which one elimination serves; the mean of 1 / time, which the rates of a chain
+    that has not settled follow, is that of `history_s`.
     """
-    noise = noise_of(rate, pole, rms, high)
-    grid = np.linspace(-on - noise.sigma, off + noise.sigma, _LEVELS)  # a reset may lead beyond a threshold
-    kept, beyond = math.exp(-noise.rate * dead_s), 0.0
-    step, lost = grid[1] - grid[0], 1 - kept * kept
-    if noise.ratio > 0.0 and dead_s > 0:
-        m = transition(dead_s, noise)
-        slope = m.p12 * noise.rate  # at a passage it is distributed as Rayleigh's
-        kept, beyond = m.p11, math.sqrt(math.pi / 2) * noise.sigma * slope
-        lost = m.v + (2 - math.pi / 2) * slope**2
-    width = math.sqrt(lost * noise.sigma**2 + (_BLUR * step) ** 2)
-    rates, fires = np.zeros((_LEVELS, _LEVELS)), np.zeros((2, _LEVELS))
-    for i, level in enumerate(grid):
-        h = still_hazard(on + level, off - level, noise, tables)
-        is_last = -on < level <= step - on  # from there leak comes to the threshold
-        leaving = leak_hz * on / (on + level if is_last else step)
-        ended = leaving if is_last else 0.0
-        up, down = (level + on) * kept + beyond, (level - off) * kept - beyond
-        for hz, after in ((h.on + _NO_HZ, up), (h.off + _NO_HZ, down), (ended, 0.0)):
-            weights = np.exp(-0.5 * ((grid - min(max(after, grid[0]), grid[-1])) / width) ** 2)
-            rates[i] += hz / weights.sum() * weights
-        fires[0, i], fires[1, i] = h.on + ended + _NO_HZ, h.off + _NO_HZ
-        rates[i, max(i - 1, 0)] += _NO_HZ + leaving - ended
-    for i in range(_LEVELS - 1, 0, -1):
-        rates[:i, i] /= rates[i, :i].sum()
-        for j in range(i):
-            rates[j, :i] += rates[j, i] * rates[i, :i]
-    shares = np.ones(_LEVELS)
-    for i in range(1, _LEVELS):
-        shares[i] = (shares[:i] * rates[:i, i]).sum()
-        shares[: i + 1] /= max(shares[i], 1.0)
-    shares /= np.dot(shares, 1 + dead_s * (fires[0] + fires[1]))
-    return Rates(np.dot(shares, fires[0]), np.dot(shares, fires[1]))
+    chain = _chain(
+        on, off, turns * on / before.history_s, noise_of(rate, before.pole, 1.0, before.high), before.dead_s, tables
+    )
+    passed = np.minimum(np.maximum(chain.edges, -on * max(before.phases, _AT_ONCE)), 0.0)
+    shares = (passed[1:] - passed[:-1]) / -passed[0]
+    _pass(chain.rates, _STAGES, (_STAGES - 1) / before.history_s, shares)
+    below, i = 0.0, 0
+    for k, share in enumerate(SHARES):
+        while i < _LEVELS - 1 and below + shares[i] < share:
+            below += shares[i]
+            i += 1
+        inside = min((share - below) / max(shares[i], 1e-300), 1.0)
+        quantiles[k] = chain.edges[i] + (chain.edges[i + 1] - chain.edges[i]) * inside
 
 
 def still_hz(p: SensorParameters, f_hz: float) -> Rates:

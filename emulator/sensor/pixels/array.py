@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.noise.hazard import hazard_tables
+from emulator.sensor.noise.law import SHARES, Before, solve_start
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
@@ -39,6 +40,8 @@ _EPOCH_NS = 1 << layout.EPOCH_BITS
 _LONG_AGO_NS = 1 << 40
 _CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made
 _PART = 1 << 14  # pixels that a thread settles at once
+_NODES_APART = np.array([0.1, 0.1, 0.7, 1.0], np.float32)  # of laws: logs of ON, OFF, receptor's rate, leak
+_LEAST_TURNS, _NO_NOISE = 1e-4, 2e3  # turns by leak before the start; thresholds over the rms
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
@@ -50,26 +53,21 @@ class PixelArray(PixelMethod):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor.
-    seed : int
-        Keys the mismatch, the phases and the spread of the leak. Two arrays with one seed are equal.
-    threads : int
-        Threads of a step; 0: as many as its work is worth. The events do not depend on it.
+    parameters : the sensor.
+    seed : keys the mismatch, the phases and the spread of the leak. Two arrays with one seed are equal.
+    threads : threads of a step; 0: as many as its work is worth. The events do not depend on it.
 
     Attributes
     ----------
     state : PixelState
-    lost_in_pixel : int
-        Crossings since `reset` beyond 64 of a pixel and step.
+    lost_in_pixel : crossings since `reset` beyond 64 of a pixel and step.
     quiet_nan : int
         Pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and its filter starts again
         from the next finite light.
     candidates, undersampled : int
         Pixel-steps since `reset` that had to be solved for crossings, and those whose light changed between the frames
         in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
-    refined : int
-        Undersampled pixel-steps that were refined instead; each needed the light of a pixel once.
+    refined : undersampled pixel-steps that were refined instead; each needed the light of a pixel once.
     of_noise : Crossings
         Those of the last step for which the signal had gone less than half of the way to its threshold.
     """
@@ -306,19 +304,47 @@ class PixelArray(PixelMethod):
         self.wake()
 
     def _settle(self, pixels: int) -> None:
-        """Let noise act on the references before the start, by all cores, and certify the pixels."""
-        state = self.state
+        """Draw the references of the start from laws at nodes around the pixels' parameters, and certify the pixels."""
+        state, p = self.state, self.parameters
         layout.put_field(state.fields, layout.Field.UNTIL, np.full(self._pixels, -np.inf))
-        state.memory.reshape(-1, layout.MEMORY)[:, :2] = 0
+        memory = state.memory.reshape(-1, layout.MEMORY)
+        memory[:, :2] = 0
         state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
-        root, history_s = root_of(self.seed, Purpose.NOISE_BURST), self.parameters.noise.history_s
-        c, flat = self._constants(state.t_ns - _CERTIFIED_NS, state.t_ns), self._flat_state()
+        if not p.noise.history_s:
+            return
+        values = {field: layout.take_field(state.fields, field, self._pixels) for field in layout.Field}
+        on, rms = values[layout.Field.ON], memory[: self._pixels, 2] * np.float32(p.noise.rms)
+        lit = np.exp(values[layout.Field.LOG_LIGHT]) * p.parasitic_hz_at_reference
+        turns = p.noise.history_s * (values[layout.Field.LEAK] / on + lit)
+        of_law = np.stack(
+            [on / rms, values[layout.Field.OFF] / rms, values[layout.Field.RATE], turns + _LEAST_TURNS], axis=-1
+        )
+        places = np.log(of_law, dtype=np.float32) / _NODES_APART
+        places[~np.isfinite(places).all(axis=-1) | (of_law[:, 0] > _NO_NOISE)] = np.nan
+        if np.isnan(places).all():
+            return
+        lowest = np.floor(np.nanmin(places, axis=0))
+        places -= lowest
+        used = np.zeros(np.nanmax(places, axis=0).astype(int) + 2, np.bool_)
+        used[tuple(places[~np.isnan(places[:, 0])].astype(int).T)] = True
+        for axis in range(used.ndim):
+            used |= np.roll(used, 1, axis)  # the other corners of the cells
+        nodes, of_node = np.flatnonzero(used), np.exp((np.argwhere(used) + lowest) * _NODES_APART)
+        laws = np.empty((used.size, SHARES.size), np.float32)
+        root, flat = root_of(self.seed, Purpose.NOISE_BURST), self._flat_state()
+        c = self._constants(state.t_ns - _CERTIFIED_NS, state.t_ns)
+        dead_s, poles = self._refractory_ns * 1e-9, (c.noise_pole, c.high_rate)
+        before = Before(p.noise.history_s, float(p.random_start), dead_s, *poles)
+        strides = np.cumprod((SHARES.size, *used.shape[:0:-1]))[::-1].copy()
 
         def settle_part(part: int, _: int) -> None:
-            settle(part * _PART, min((part + 1) * _PART, self._pixels), history_s, root, flat, c)
+            settle(
+                part * _PART, min((part + 1) * _PART, self._pixels), places, strides, laws.reshape(-1), root, flat, c
+            )
 
         pool = ThreadPool(available_threads())
         try:
+            pool.each(lambda k, _: solve_start(*of_node[k], before, self._tables, laws[nodes[k]]), len(nodes))
             pool.each(settle_part, -(-self._pixels // _PART))
         finally:
             pool.close()
@@ -372,12 +398,7 @@ class PixelArray(PixelMethod):
         return np.asarray(np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark, np.float32)
 
     def _advance(
-        self,
-        frame: layout.FlatLight,
-        t_ns: int,
-        n: int,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
+        self, frame: layout.FlatLight, t_ns: int, n: int, at: PixelLight | None = None, changed: Region | None = None
     ) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
         state, buffers = self.state, self._buffers

@@ -110,8 +110,7 @@ class Crossings:
         row * width + column.
     on : (n,) bool
         True where the light increased.
-    lost_in_pixel : int
-        Crossings of this step that are not listed, because their pixel had more than 64.
+    lost_in_pixel : crossings of this step that are not listed, because their pixel had more than 64.
     """
 
     t_ns: npt.NDArray[np.int64]

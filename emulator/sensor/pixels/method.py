@@ -31,18 +31,12 @@ class Capabilities:
 
     Attributes
     ----------
-    uses_rate : bool
-        The time derivative of the light is used.
-    refines_pixels : bool
-        Undersampled pixel-steps are refined by the light of single pixels between frames.
-    skips_unchanged : bool
-        Resting pixels outside the changed region of a frame are skipped.
-    is_adjustable : bool
-        Parameters can change between two steps: `adjust`, `thresholds_of`.
-    takes_row_reads : bool
-        Reads of active pixels can disturb the pixels: `levels`.
-    has_faults : bool
-        Pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
+    uses_rate : the time derivative of the light is used.
+    refines_pixels : undersampled pixel-steps are refined by the light of single pixels between frames.
+    skips_unchanged : resting pixels outside the changed region of a frame are skipped.
+    is_adjustable : parameters can change between two steps: `adjust`, `thresholds_of`.
+    takes_row_reads : reads of active pixels can disturb the pixels: `levels`.
+    has_faults : pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
     has_comparator : bool
         The comparator's delay, its noise as first passages, the high-pass, and the offset and the noise of resets.
     has_grid_noise, has_large_signal, has_circuit : bool
@@ -83,19 +77,15 @@ class PixelMethod(ABC):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor.
-    seed : int
-        Keys the pixels: all methods have the same thresholds, leak rates and leak phases for one seed.
+    parameters : the sensor.
+    seed : keys the pixels: all methods have the same thresholds, leak rates and leak phases for one seed.
 
     Attributes
     ----------
     capabilities : Capabilities
         Of the class. A method that lacks one raises NotImplementedError from the functions that it names.
-    lost_in_pixel : int
-        Crossings since `reset` beyond the most that a pixel can have in a step.
-    quiet_nan : int
-        Pixel-steps since `reset` whose light was NaN or infinite.
+    lost_in_pixel : crossings since `reset` beyond the most that a pixel can have in a step.
+    quiet_nan : pixel-steps since `reset` whose light was NaN or infinite.
     """
 
     capabilities: ClassVar[Capabilities] = Capabilities()

@@ -10,16 +10,17 @@ registers.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 import emulator.sensor.pixels.candidates as row
 import emulator.sensor.pixels.substeps as sub
-from emulator.sensor.noise.hazard import noise_of
-from emulator.sensor.noise.law import stay_at, still_hazard
+from emulator.sensor.noise.law import LAST_LOGIT, SHARES, SHARES_A_LOGIT
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
-from emulator.sensor.numerics.keyed import stream
+from emulator.sensor.numerics.keyed import high, stream, unit, word
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import photocurrent
@@ -28,6 +29,7 @@ from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Pixels, StepConst
 from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on, store_filters
 
 _Float32s = npt.NDArray[np.float32]
+_Int64s = npt.NDArray[np.int64]
 
 _U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _, _, _, _, _ = (int(f) * BLOCK for f in Field)
 _ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
@@ -166,46 +168,37 @@ def solve_noisy(
     return keys, n_keys, lost, undersampled
 
 
-_STAYS = 3.0  # longest mean stays of a reference that are run
-_MOST_STAYS, _MOST_HELD = 256, 128  # the second: intervals by leak alone
-_HELD = 0.2  # of a deviation
-
-
 @cached_entry
-def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pixels, c: StepConstants) -> None:
-    """Let noise act on the references of pixels first to last - 1 before the start of a stream, and certify them.
+def settle(  # noqa: PLR0913, PLR0917
+    first: int, last: int, places: _Float32s, strides: _Int64s, laws: _Float32s, root: np.uint64, pixels: Pixels,
+    c: StepConstants,
+) -> None:  # fmt: skip
+    """Set the references of pixels first to last - 1 to those at the start of a stream, and certify the pixels.
 
-    A sensor that has run for a while has references at which events are rare: those near a threshold have been left.
-    The chain of references (`law`) runs for `history_s`, but no longer than some mean stays at the rarest reference, in
-    which it settles, and than leak needs for half a threshold; leak moves the references on the way, in intervals so
-    short that rates hold. The step of `c` ends at the start; nothing moves in it.
+    `places`, (pixels, 4), are those among `laws`, a lattice with `strides`, (nodes, SHARES.size), of quantiles
+    (`law.solve_start`), which are interpolated; NaN: a pixel that stays as it is. The step of `c` ends at the start;
+    nothing moves in it.
     """
     fields = pixels.fields
     for pixel in range(first, last):
-        at = slot(pixel)
-        if not abs(fields[at + _V]) < np.inf:
+        if places[pixel, 0] != places[pixel, 0]:
             continue
-        on, off = np.float64(fields[at + _ON]), np.float64(fields[at + _OFF])
-        leak, rate = np.float64(fields[at + _LEAK]), np.float64(fields[at + _L])
-        value = np.float64(fields[at + c.compared]) + leak * c.since_epoch_1
-        if c.parasitic > _ZERO:
-            leak += np.float64(c.parasitic * fields[at + _ON] * photocurrent(fields[at + _U]))
-        noise = noise_of(rate, c.noise_pole, c.noise_rms * pixels.memory[pixel * MEMORY + 2], c.high_rate)
-        rarest = still_hazard((on + off) / 2, (on + off) / 2, noise, pixels.tables)
-        left_s = min(history_s, 0.5 * on / leak, _STAYS / (rarest.on + rarest.off))
-        level = np.float64(fields[at + _REF]) - value + leak * left_s
-        held_s = max(_HELD * noise.sigma / leak, left_s / _MOST_HELD)
-        number = stream(root, np.int64(pixels.memory[pixel * MEMORY + 3]))
-        for k in range(_MOST_STAYS):
-            stays_s = min(left_s, held_s)
-            middle = level - leak * stays_s / 2
-            stay = stay_at(middle, on, off, noise, c.refractory_ns * 1e-9, number, k, pixels.tables)
-            if stay.length_s < stays_s:
-                stays_s = stay.length_s
-                level = stay.level
-            level -= leak * stays_s
-            left_s -= stays_s
-            if left_s <= 0:
-                break
-        fields[at + _REF] = np.float32(value + level)
-        certify(pixels, pixel, value, rate, on != on, c)  # no literal, which would be a type of its own
+        share = unit(high(word(stream(root, np.int64(pixels.memory[pixel * MEMORY + 3])), NONE)))
+        logit = (math.log(share / (1 - share)) + LAST_LOGIT) * SHARES_A_LOGIT
+        k = min(max(int(logit), 0), SHARES.size - 2)
+        fraction = min(max((share - SHARES[k]) / (SHARES[k + 1] - SHARES[k]), 0.0), 1.0)
+        level = 0.0
+        for corner in range(1 << strides.size):
+            at, weight = k, 1.0
+            for d in range(strides.size):
+                place = int(places[pixel, d])
+                after = corner >> d & 1
+                at += (place + after) * strides[d]
+                weight *= places[pixel, d] - place if after else 1 - (places[pixel, d] - place)
+            if weight > 0:
+                level += weight * (laws[at] + (laws[at + 1] - laws[at]) * fraction)
+        at = slot(pixel)
+        value = np.float64(fields[at + c.compared]) + np.float64(fields[at + _LEAK]) * c.since_epoch_1
+        fields[at + _REF] = np.float32(value + level * c.noise_rms * pixels.memory[pixel * MEMORY + 2])
+        rate = np.float64(fields[at + _L])
+        certify(pixels, pixel, value, rate, rate != rate, c)  # no literal, which would be a type of its own

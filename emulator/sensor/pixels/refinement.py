@@ -101,8 +101,7 @@ class Refinement:
 
     Parameters
     ----------
-    blocks : int
-        Blocks of the array.
+    blocks : blocks of the array.
     resting : (FIELDS,) float32
         State of a pixel to which nothing happens while it sees no light.
     table : Table

@@ -96,12 +96,9 @@ class PixelState:
     refractory_until_ns : (blocks * BLOCK,) int64
         End of the refractory period, valid where the reference is NaN. With noise of resets as many entries follow: the
         position in each pixel's stream of random numbers.
-    t_ns : int
-        Stream time.
-    epoch_ns : int
-        Time from which leak is counted.
-    slopes_known : bool
-        Whether the last frame came with its time derivative.
+    t_ns : stream time.
+    epoch_ns : time from which leak is counted.
+    slopes_known : whether the last frame came with its time derivative.
     memory : (blocks * BLOCK * MEMORY,) float32
         Noise of the pixels, see `MEMORY`; empty without noise.
     late : (n,) uint64

@@ -416,10 +416,8 @@ class Workers:
 
     Parameters
     ----------
-    blocks : int
-        Blocks of the array.
-    threads : int
-        Always that many; 0: as the work of the last step suggests, at most those available.
+    blocks : blocks of the array.
+    threads : always that many; 0: as the work of the last step suggests, at most those available.
 
     Attributes
     ----------

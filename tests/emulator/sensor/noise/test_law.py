@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from emulator.sensor.noise.hazard import noise_of
-from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, rms, still_hz
+from emulator.sensor.noise.hazard import hazard_tables, noise_of
+from emulator.sensor.noise.law import SHARES, Before, corner_hz, fixed_corner_hz, rms, solve_start, still_hz
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from tests.emulator.sensor.noise.noisy_arrays import ends, events_of, one_pole, statistics_of, still, two_poles
@@ -88,6 +88,17 @@ def test_leak_carries_references_to_where_noise_is_frequent(deviations):
     assert found.on.mean() == pytest.approx(rates.on / sum(rates), abs=0.03)
     apart = sum(still_hz(dataclasses.replace(p, leak_hz=0.0), p.corner_hz_at_reference)) + p.leak_hz
     assert apart < true.rate_hz / 2
+
+
+@pytest.mark.parametrize("on", [94.0, 99.0, 300.0])
+@pytest.mark.parametrize("turns", [0.3, 3.0, 30.0])
+def test_references_that_leak_moves_are_uniform_at_the_start(on, turns):
+    """Between two events the reference of a quiet pixel falls by a threshold at one speed, in cells of any size."""
+    quantiles = np.empty(SHARES.size, np.float32)
+    solve_start(on, 0.9 * on, 12_600.0, turns, Before(100.0, 1.0, 3.4e-6, 1800.0, 0.0), hazard_tables(), quantiles)
+    to_threshold = np.array([3.0, 5.0, 10.0, 0.2 * on, 0.5 * on, 0.8 * on])
+    shares = np.interp(to_threshold - on, quantiles, SHARES)
+    assert np.diff(shares) * on == pytest.approx(np.diff(to_threshold), rel=0.02)
 
 
 @pytest.mark.parametrize("name", PRESETS)
