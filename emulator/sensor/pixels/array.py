@@ -41,7 +41,7 @@ _LONG_AGO_NS = 1 << 40
 _CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made
 _PART = 1 << 14  # pixels that a thread settles at once
 _NODES_APART = np.array([0.1, 0.1, 0.7, 1.0], np.float32)  # of laws: logs of ON, OFF, receptor's rate, leak
-_LEAST_TURNS, _NO_NOISE = 1e-4, 2e3  # turns by leak before the start; thresholds over the rms
+_LEAST_TURNS, _NO_NOISE = np.float32(1e-4), np.float32(2e3)  # turns by leak before the start; thresholds over the rms
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
@@ -310,23 +310,17 @@ class PixelArray(PixelMethod):
         memory = state.memory.reshape(-1, layout.MEMORY)
         memory[:, :2] = 0
         state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
-        if not p.noise.history_s:
-            return
-        values = {field: layout.take_field(state.fields, field, self._pixels) for field in layout.Field}
-        on, rms = values[layout.Field.ON], memory[: self._pixels, 2] * np.float32(p.noise.rms)
-        lit = np.exp(values[layout.Field.LOG_LIGHT]) * p.parasitic_hz_at_reference
-        turns = p.noise.history_s * (values[layout.Field.LEAK] / on + lit)
-        of_law = np.stack(
-            [on / rms, values[layout.Field.OFF] / rms, values[layout.Field.RATE], turns + _LEAST_TURNS], axis=-1
-        )
-        places = np.log(of_law, dtype=np.float32) / _NODES_APART
-        places[~np.isfinite(places).all(axis=-1) | (of_law[:, 0] > _NO_NOISE)] = np.nan
-        if np.isnan(places).all():
-            return
-        lowest = np.floor(np.nanmin(places, axis=0))
-        places -= lowest
-        used = np.zeros(np.nanmax(places, axis=0).astype(int) + 2, np.bool_)
-        used[tuple(places[~np.isnan(places[:, 0])].astype(int).T)] = True
+        fields = layout.Field.ON, layout.Field.OFF, layout.Field.RATE, layout.Field.LEAK, layout.Field.LOG_LIGHT
+        on, off, rate, leak, log_light = (layout.take_field(state.fields, field, self._pixels) for field in fields)
+        rms = memory[: self._pixels, 2] * np.float32(p.noise.rms)
+        lit = np.exp(log_light) * np.float32(p.parasitic_hz_at_reference)
+        turns = np.float32(p.noise.history_s) * (leak / on + lit) + _LEAST_TURNS
+        places = np.log(np.stack([on / rms, off / rms, rate, turns])) / _NODES_APART[:, None]
+        settled = np.isfinite(places.sum(axis=0)) & (on < _NO_NOISE * rms) & (p.noise.history_s > 0)
+        lowest = np.floor(places.min(axis=1, where=settled, initial=_NO_NOISE))
+        places = np.where(settled, places - lowest[:, None], np.float32(np.nan))
+        used = np.zeros(places.max(axis=1, where=settled, initial=0).astype(int) + 2, np.bool_)
+        used[tuple(places[:, settled].astype(int))] = True
         for axis in range(used.ndim):
             used |= np.roll(used, 1, axis)  # the other corners of the cells
         nodes, of_node = np.flatnonzero(used), np.exp((np.argwhere(used) + lowest) * _NODES_APART)

@@ -175,30 +175,31 @@ def settle(  # noqa: PLR0913, PLR0917
 ) -> None:  # fmt: skip
     """Set the references of pixels first to last - 1 to those at the start of a stream, and certify the pixels.
 
-    `places`, (pixels, 4), are those among `laws`, a lattice with `strides`, (nodes, SHARES.size), of quantiles
-    (`law.solve_start`), which are interpolated; NaN: a pixel that stays as it is. The step of `c` ends at the start;
+    `places`, (4, pixels), are those among `laws`, a lattice with `strides`, (nodes, SHARES.size), of quantiles
+    (`law.solve_start`), which are interpolated; NaN: one that stays. The step of `c` ends at the start;
     nothing moves in it.
     """
     fields = pixels.fields
     for pixel in range(first, last):
-        if places[pixel, 0] != places[pixel, 0]:
+        field = slot(pixel)
+        if not abs(fields[field + _V]) < np.inf:
             continue
-        share = unit(high(word(stream(root, np.int64(pixels.memory[pixel * MEMORY + 3])), NONE)))
-        logit = (math.log(share / (1 - share)) + LAST_LOGIT) * SHARES_A_LOGIT
-        k = min(max(int(logit), 0), SHARES.size - 2)
-        fraction = min(max((share - SHARES[k]) / (SHARES[k + 1] - SHARES[k]), 0.0), 1.0)
-        level = 0.0
-        for corner in range(1 << strides.size):
-            at, weight = k, 1.0
-            for d in range(strides.size):
-                place = int(places[pixel, d])
-                after = corner >> d & 1
-                at += (place + after) * strides[d]
-                weight *= places[pixel, d] - place if after else 1 - (places[pixel, d] - place)
-            if weight > 0:
-                level += weight * (laws[at] + (laws[at + 1] - laws[at]) * fraction)
-        at = slot(pixel)
-        value = np.float64(fields[at + c.compared]) + np.float64(fields[at + _LEAK]) * c.since_epoch_1
-        fields[at + _REF] = np.float32(value + level * c.noise_rms * pixels.memory[pixel * MEMORY + 2])
-        rate = np.float64(fields[at + _L])
+        value = np.float64(fields[field + c.compared]) + np.float64(fields[field + _LEAK]) * c.since_epoch_1
+        if places[0, pixel] == places[0, pixel]:
+            share = unit(high(word(stream(root, np.int64(pixels.memory[pixel * MEMORY + 3])), NONE)))
+            logit = (math.log(share / (1 - share)) + LAST_LOGIT) * SHARES_A_LOGIT
+            k = min(max(int(logit), 0), SHARES.size - 2)
+            fraction = min(max((share - SHARES[k]) / (SHARES[k + 1] - SHARES[k]), 0.0), 1.0)
+            level = 0.0
+            for corner in range(1 << strides.size):
+                at, weight = k, 1.0
+                for d in range(strides.size):
+                    place = int(places[d, pixel])
+                    after = corner >> d & 1
+                    at += (place + after) * strides[d]
+                    weight *= places[d, pixel] - place if after else 1 - (places[d, pixel] - place)
+                if weight > 0:
+                    level += weight * (laws[at] + (laws[at + 1] - laws[at]) * fraction)
+            fields[field + _REF] = np.float32(value + level * c.noise_rms * pixels.memory[pixel * MEMORY + 2])
+        rate = np.float64(fields[field + _L])
         certify(pixels, pixel, value, rate, rate != rate, c)  # no literal, which would be a type of its own
