@@ -282,6 +282,7 @@ class PixelArray(PixelMethod):
         light = self._light_constants
         with np.errstate(over="ignore"):
             filter_rate = np.clip(light.rate_at_reference * current, light.rate_min, light.rate_max)
+            lit_slope = np.where(flat > 0, slope, 0) / (current * filter_rate) if slope.size else np.nan * current
         phase = layout.leak_phase(p, self.seed)
         on, leak = (
             layout.take_field(state.fields, field, self._pixels) for field in (layout.Field.ON, layout.Field.LEAK)
@@ -293,8 +294,7 @@ class PixelArray(PixelMethod):
         for field in (layout.Field.LOG_LIGHT, layout.Field.FILTERED, layout.Field.SECOND):
             layout.put_field(state.fields, field, log_light)
         layout.put_field(state.fields, layout.Field.RATE, filter_rate)
-        lit_slope = np.where(flat > 0, slope, 0) if slope.size else np.full(flat.size, np.nan, np.float32)
-        layout.put_field(state.fields, layout.Field.SLOPE, lit_slope / (current * filter_rate))
+        layout.put_field(state.fields, layout.Field.SLOPE, lit_slope)
         settled = log_light - log_light if p.highpass_hz else log_light
         layout.put_field(state.fields, layout.Field.REFERENCE, settled + leak * since_epoch - on * phase)
         if p.noise.rms:
