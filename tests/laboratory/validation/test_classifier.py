@@ -124,11 +124,11 @@ def test_the_table_has_the_quiet_tiles_of_the_recording():
 
 
 @pytest.mark.system
-def test_simulated_sensors_are_alike_and_one_with_four_times_the_leak_is_not():
+def test_simulated_sensors_are_alike_and_one_with_eight_times_the_leak_is_not():
     with np.load(recordings.DATA / "davis346_street.npz") as table:
         seen, _ = recordings._street(dict(table))
     preset = PRESETS["davis346"]
-    changed = dataclasses.replace(preset, leak_hz=4 * preset.leak_hz)
+    changed = dataclasses.replace(preset, leak_hz=8 * preset.leak_hz)
     found = []
     for p, seed in ((preset, 4), (preset, 5), (changed, 5)):
         events = still_events(p, seen, 2.36, seed)
