@@ -18,9 +18,8 @@ Both are one cosine transform of means over cells: of 4 x 4 pixels with a halo, 
 cells of a source, else over the image. It follows the light exactly at each frame, with its time derivative. Between
 two frames it is the cubic through both values and derivatives, so the light of a single pixel there is off by at most
 (g + s) D h^4 / 384 for a step h, D the greatest fourth derivative of any pixel's light. Unknown derivatives count as 0.
-
-Any change of light changes all pixels, so the sensor cannot skip still pixels. That, and passes over each frame (4 ns a
-pixel for light and derivative, 12 to 18 with a halo), are its cost.
+Any change of light changes all pixels, so the sensor cannot skip still pixels. That, and passes over each frame (1 ns a
+pixel for light and derivative, 10 to 18 with a halo), are its cost.
 """
 
 from __future__ import annotations
@@ -94,10 +93,12 @@ def _cell_means(values: Light, least: np.float32, sums: Floats, means: Floats) -
 
 
 @_entry
-def _add_scattered(values: Light, share: np.float32, scattered: Floats, between: Light, out: Light) -> None:
+def _add_scattered(
+    values: Light, share: np.float32, scattered: Floats, places: Light, between: Light, out: Light
+) -> None:
     """Write share * values + the scattered light to `out`; `between`, (columns of cells,), is overwritten.
 
-    It is linear from middle to middle of cells: a loop over pixels with one slope, which becomes vectors.
+    It is linear from middle to middle of cells: loops that become vectors, as `places`, 0 to width - 1, are float32.
     """
     (height, width), (rows, columns) = values.shape, scattered.shape
     for y in range(height):
@@ -106,15 +107,16 @@ def _add_scattered(values: Light, share: np.float32, scattered: Floats, between:
         lower, part = min(upper + 1, rows - 1), down - upper
         for j in range(columns):
             between[j] = scattered[upper, j] + part * (scattered[lower, j] - scattered[upper, j])
-        row, to = values[y], out[y]
         begin = 0
         for j in range(-1, columns):
             left, right = between[max(j, 0)], between[min(j + 1, columns - 1)]
             middle = np.float32((j + 0.5) * width / columns - 0.5)
             end = width if j == columns - 1 else int(np.ceil((j + 1.5) * width / columns - 0.5))
             slope = (right - left) * np.float32(columns / width)
-            for x in range(begin, end):
-                to[x] = row[x] * share + (left + slope * (np.float32(x) - middle))
+            source, target = values[y, begin:end], out[y, begin:end]
+            place = places[begin:end]
+            for x in range(target.size):
+                target[x] = source[x] * share + (left + slope * (place[x] - middle))
             begin = end
 
 
@@ -140,11 +142,12 @@ def _between(first: _Scattered, last: _Scattered, t_ns: int) -> tuple[Floats, Fl
 def _transfer(lens: LensParameters, size: tuple[int, int], cells: tuple[int, int]) -> Floats:
     """Return the share of each wave of the image that is scattered, (rows, columns) of a cosine transform."""
     squares_px2 = []
-    for pixels, n in zip(size[::-1], cells, strict=True):  # of places in the image and its mirror image, from a cell
-        turns = ((np.arange(2 * n)[:, None] + (np.arange(_WITHIN) + 0.5) / _WITHIN - 0.5) / (2 * n)).ravel()
-        squares_px2.append(((turns - np.round(turns)) * 2 * pixels) ** 2)
+    for pixels, n in zip(size[::-1], cells, strict=True):  # of distances from a cell, at most half of the way around
+        apart = np.add.outer(np.arange(n + 1), (np.arange(_WITHIN) + 0.5) / _WITHIN - 0.5).ravel()
+        squares_px2.append((np.minimum(apart, 2 * n - apart) * pixels / n) ** 2)
     law = (1 + np.add.outer(*squares_px2) / lens.halo_px**2) ** (-lens.halo_power / 2)
-    halo = law.reshape(2 * cells[0], _WITHIN, 2 * cells[1], _WITHIN).mean(axis=(1, 3))
+    halo = law.reshape(cells[0] + 1, _WITHIN, cells[1] + 1, _WITHIN).mean(axis=(1, 3))
+    halo = np.pad(halo, [(0, n - 1) for n in cells], mode="reflect")  # of the image and its mirror image
     scattered = lens.halo * np.fft.rfft2(halo / halo.sum()).real[: cells[0], : cells[1]]
     scattered[0, 0] += lens.veiling_glare
     return np.asarray(scattered)
@@ -155,10 +158,8 @@ class Veiled(OtherLight):
 
     Parameters
     ----------
-    scene : Scene
-        The scene, in light on the pixels; closed with this one.
-    lens : LensParameters
-        The lens, of which only the shares and the shape of scattered light count.
+    scene : the scene, in light on the pixels; closed with this one.
+    lens : the lens, of which only the shares and the shape of scattered light count.
     """
 
     def __init__(self, scene: Scene, lens: LensParameters) -> None:
@@ -171,6 +172,7 @@ class Veiled(OtherLight):
         cells = (next_fast_len(-(-height // _CELL_PX)), next_fast_len(-(-width // _CELL_PX))) if lens.halo else (1, 1)
         self._transfer = _transfer(lens, scene.size, cells)
         self._sums, self._row = np.zeros(width), np.zeros(cells[1], np.float32)
+        self._places = np.arange(width, dtype=np.float32)
         self._before = self._last = _Scattered(0, np.zeros(cells), np.zeros(cells))
         self._arrays = LastArrays()
         self._changed: Region | None = None
@@ -208,7 +210,7 @@ class Veiled(OtherLight):
         rate = self._spread(self._inner[1], -_LARGEST) if len(outs) == 2 else np.zeros_like(light)
         self._before, self._last = self._last, _Scattered(t_ns, light, rate)
         for values, scattered, out in zip(self._inner, self._last[1:], outs, strict=False):
-            _add_scattered(values, self._share, scattered, self._row, out)
+            _add_scattered(values, self._share, scattered, self._places, self._row, out)
 
     def _spread(self, values: Light, least: np.float32) -> Floats:
         """Return the scattered part of an image at the middles of cells."""
@@ -231,6 +233,6 @@ class Veiled(OtherLight):
         """Return the scattered light of pixels, of that at the middles of cells."""
         from scipy.ndimage import map_coordinates
 
-        places = np.stack(np.divmod(pixels, self.size[0]), axis=1) + 0.5
-        places = places * cells.shape / self._inner[0].shape - 0.5
+        middles = np.stack(np.divmod(pixels, self.size[0]), axis=1) + 0.5
+        places = middles * cells.shape / self._inner[0].shape - 0.5
         return np.asarray(map_coordinates(cells, places.T, np.float32, order=1, mode="nearest"))

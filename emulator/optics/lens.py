@@ -119,7 +119,7 @@ class LensParameters:
     p2: _Coefficient = 0.0
     veiling_glare: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
     halo: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
-    halo_px: Annotated[float, Meta(ge=0.01, le=10_000)] = 2.0
+    halo_px: Annotated[float, Meta(ge=0.5, le=10_000)] = 2.0
     halo_power: Annotated[float, Meta(ge=0.1, le=10)] = 1.5
 
     def __post_init__(self) -> None:

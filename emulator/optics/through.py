@@ -160,9 +160,7 @@ _WORTH_A_THREAD = 200_000
 class BlurWorkers:
     """Blur by `taps`, then scale by `factor`, (height, width), of light frames of that size.
 
-    Parameters
-    ----------
-    threads : number of threads for a large part; 0: those available.
+    Large parts are shared by `threads`; 0: those available.
     """
 
     def __init__(self, taps: _Float32s, factor: _Float32s, threads: int = 0) -> None:

@@ -218,7 +218,7 @@ def true_events(
     if math.isinf(parameters.corner_hz_at_reference):
         raise ValueError("corner_hz_at_reference = inf: the truth needs a low-pass; take a corner of 100 kHz")
     if parameters.photoreceptor == "circuit" or parameters.highpass_hz:
-        raise ValueError('the truth has no "circuit" and no highpass_hz: take "one_pole" or "large_signal", and 0')
+        raise ValueError('the truth has no photoreceptor = "circuit", no highpass_hz: take "one_pole", highpass_hz = 0')
     drawn, c = draw(parameters, seed), _constants(parameters, fine_s)
     by_light = parameters.parasitic_hz_at_reference * drawn.on
     static = _Pixels(drawn.on, drawn.off, drawn.leak, by_light, scene.jumps_s())

@@ -295,7 +295,7 @@ class PixelArray(PixelMethod):
             layout.put_field(state.fields, field, log_light)
         layout.put_field(state.fields, layout.Field.RATE, filter_rate)
         layout.put_field(state.fields, layout.Field.SLOPE, lit_slope)
-        settled = log_light - log_light if p.highpass_hz else log_light
+        settled = log_light - log_light if p.highpass_hz else log_light  # 0, NaN in light that is none
         layout.put_field(state.fields, layout.Field.REFERENCE, settled + leak * since_epoch - on * phase)
         if p.noise.rms:
             self._settle(pixels)

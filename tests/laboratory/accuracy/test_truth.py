@@ -102,7 +102,7 @@ def test_a_flash_is_met_at_its_own_instant():
 
 
 def test_the_circuit_has_no_truth():
-    with pytest.raises(ValueError, match='no "circuit" and no highpass_hz'):
+    with pytest.raises(ValueError, match='photoreceptor = "circuit"'):
         true_events(Dark(pixels=1), row(1, photoreceptor="circuit"), SEED, 0.1)
 
 
