@@ -51,10 +51,8 @@ class Converter:
 
     Parameters
     ----------
-    size
-        (width, height) of the array.
-    by_column
-        True: a line is a column of the user's image; all arrays of lines are (lines, samples).
+    size : (width, height) of the array.
+    by_column : true: a line is a column of the user's image; all arrays of lines are (lines, samples).
     """
 
     def __init__(self, parameters: FrameParameters, seed: int, size: tuple[int, int], by_column: bool) -> None:
@@ -132,15 +130,12 @@ class Exposure:
 
     Parameters
     ----------
-    open_ns, shut_ns
-        (lines,) of each line.
-    samples
-        Of a line.
+    open_ns, shut_ns : of each line, (lines,).
+    samples : of a line.
 
     Attributes
     ----------
-    light_ms
-        (lines, samples) float32, light times milliseconds so far.
+    light_ms : light times milliseconds so far, (lines, samples) float32.
     """
 
     def __init__(self, open_ns: Times, shut_ns: Times, samples: int) -> None:
@@ -177,10 +172,8 @@ class FrameTimes:
 
     Attributes
     ----------
-    reset_ns, signal_ns
-        Start of the reads of each line; each takes `line_ns`.
-    open_ns, shut_ns
-        Exposure of each line.
+    reset_ns, signal_ns : start of the reads of each line; each takes `line_ns`.
+    open_ns, shut_ns : exposure of each line.
     """
 
     start_ns: int
@@ -319,8 +312,7 @@ class FrameSource:
 
     Parameters
     ----------
-    disturb
-        Receiver of the reads that disturb each step, before the events of that step are made; None: none.
+    disturb : receiver of the reads that disturb each step, before the events of that step are made; None: none.
     """
 
     kind = ReadingKind.FRAMES

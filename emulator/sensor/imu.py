@@ -31,8 +31,7 @@ The converter makes counts, with the settings of the host's registers:
 The low-pass is Butterworth's with two poles; the data sheet gives only bandwidths and delays. With the drivers' default
 white noise gets a correlation from sample to sample of 0.72 for the gyroscope and 0.65 for the accelerometer; a real
 DAVIS346 had 0.72 and 0.52. Its delay at low frequencies is 1.2 ms at 184 Hz; the data sheet gives 2.9 ms, so a part of
-the real delay is left out. Settings apply from the next sample on; a filter that is changed or switched on starts
-settled.
+the real delay is left out. Settings apply from the next sample on; a filter changed or switched on starts settled.
 """
 
 from __future__ import annotations
@@ -143,10 +142,8 @@ class Gravity:
 
     def at(self, place_m: Vector) -> Vector:
         """Return the acceleration of free fall at a place, (3,) m/s2."""
-        if not self.gm_m3_s2:
-            return self.uniform_m_s2
         distance_m = float(np.linalg.norm(place_m))
-        if not distance_m:
+        if not self.gm_m3_s2 or not distance_m:
             return self.uniform_m_s2
         return np.asarray(self.uniform_m_s2 - self.gm_m3_s2 / distance_m**3 * place_m)
 
@@ -269,20 +266,13 @@ def _counts(felt: Floats, temperature_c: float, settings: ImuSettings) -> npt.ND
     """Return the seven counts: accelerometer, temperature, gyroscope; 0 for elements that are off."""
     scale, (per_degree, offset_c) = ImuScale.parse(settings.scale, settings.unit), THERMOMETERS[settings.unit]
     is_on = [scale.accelerometer] * 3 + [scale.temperature] + [scale.gyroscope] * 3
-    counts = np.concatenate(
-        [
-            felt[:3] / STANDARD_GRAVITY_M_S2 / scale.acceleration_g,
-            [(temperature_c - offset_c) * per_degree],
-            np.degrees(felt[3:]) / scale.rate_deg_s,
-        ]
-    )
+    force, rate = felt[:3] / STANDARD_GRAVITY_M_S2 / scale.acceleration_g, np.degrees(felt[3:]) / scale.rate_deg_s
+    counts = np.concatenate([force, [(temperature_c - offset_c) * per_degree], rate])
     return np.where(is_on, np.clip(np.rint(counts), -32768, 32767), 0).astype(np.int16)
 
 
 class _LowPass:
-    """A Butterworth low-pass of two poles for six signals at 1 kHz, settled at `start`.
-
-    From half the rate on it has no effect.
+    """Butterworth low-pass of two poles for six signals at 1 kHz, settled at `start`; no effect from half the rate on.
 
     Source: the bilinear transform with the corner kept (Oppenheim and Schafer, Discrete-Time Signal Processing, 7.1).
     """

@@ -98,8 +98,7 @@ class LeakShare:
             self._light[:] = flat
         leaks = np.empty(len(crossings), np.bool_)
         arrivals = Arrivals(crossings.t_ns, crossings.pixel, crossings.on)
-        interval = _Interval(self._t_ns, t_ns, self._refractory_ns)
-        _step(arrivals, interval, self._rate_hz, self._share, self._half, leaks)
+        _step(arrivals, _Interval(self._t_ns, t_ns, self._refractory_ns), self._rate_hz, self._share, self._half, leaks)
         self._t_ns = t_ns
         return leaks
 
@@ -150,7 +149,6 @@ class TracedSensor(Sensor):
         super().__init__(parameters, seed, make_pixels)
         self.origins: _Codes = np.empty(0, np.uint8)
         p = at_temperature(parameters)
-        self._seed = seed
         self._bits: list[list[Crossings]] = []
         start = np.asarray(draw(p, seed).phase, np.float64)
         self._leak = LeakShare(start, round(p.refractory_us * 1000), p.parasitic_hz_at_reference)

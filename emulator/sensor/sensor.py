@@ -56,12 +56,11 @@ class Source(Protocol):
 
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
     """Return evstim's own pixels with the effects of the sensor; `threads` as in `PixelArray`."""
-    reference = ""
     if p.photoreceptor == "circuit":
         reference = "laboratory.methods.circuit:CircuitPixels"
     elif p.noise.rms and p.noise.grade == "grid":
         reference = "laboratory.methods.grid:NoisyPixels"
-    if not reference:
+    else:
         return PixelArray(p, seed, threads)
     pixels: PixelMethod = imported(reference)(p, seed)
     return pixels
@@ -337,8 +336,7 @@ class Sensor:
         self._t_ns = frame.t_ns
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
-        seen = self._imager.see(LightFrame(frame.t_ns, frame.light))  # at rest: no derivative
-        self.pixels.reset(seen)
+        self.pixels.reset(self._imager.see(LightFrame(frame.t_ns, frame.light)))  # at rest: no derivative
         if self._kicks is not None:
             self._kicks.reset()
         for source in self._sources:
@@ -399,7 +397,10 @@ class Sensor:
             dataclasses.replace(self.parameters.jitter, off_latency_us=value)
             self._jitter.set_off_latency(value)
         else:
-            self._adjust_pixels(name, value)
+            self.pixels.adjust(name, value)
+            self.longest_step_ns = longest_step_ns(self.pixels.parameters)
+            if name == "refractory_us":
+                self._set_refractory(value)
 
     def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of a pixel, ln units; infinite for a dead pixel.
@@ -415,12 +416,6 @@ class Sensor:
         if not self.pixels.capabilities.is_adjustable:
             raise ValueError("the thresholds of this sensor's pixels cannot be read")
         return self.pixels.thresholds_of(y * width + x)
-
-    def _adjust_pixels(self, name: str, value: float) -> None:
-        self.pixels.adjust(name, value)
-        self.longest_step_ns = longest_step_ns(self.pixels.parameters)
-        if name == "refractory_us":
-            self._set_refractory(value)
 
     def _set_refractory(self, refractory_us: float) -> None:
         self._readout.set_refractory(refractory_us)
@@ -472,9 +467,7 @@ class Sensor:
         if self._dead is None:
             return crossings
         live = ~self._dead[crossings.pixel]
-        return dataclasses.replace(
-            crossings, t_ns=crossings.t_ns[live], pixel=crossings.pixel[live], on=crossings.on[live]
-        )
+        return Crossings(crossings.t_ns[live], crossings.pixel[live], crossings.on[live], crossings.lost_in_pixel)
 
     def _between(self, light: _Float32s, share: float) -> _Float32s:
         """Return the light at a share of the way from the last frame, linear in the log of the photocurrent."""

@@ -37,14 +37,10 @@ class Defects:
 
     Attributes
     ----------
-    dead : (n,) int64
-        Dead pixels.
-    hot : (m,) int64
-        Pixels that are hot at some time, none of them dead; in the order in which they turn hot.
-    hot_hz : (m,) float64
-        Rates of the hot pixels.
-    hot_from_ns : (m,) int64
-        Stream time from which each is hot; below 0 for those that always are.
+    dead : dead pixels, (n,) int64.
+    hot : pixels that are hot at some time, (m,) int64, none of them dead; in the order in which they turn hot.
+    hot_hz : rates of the hot pixels, (m,) float64.
+    hot_from_ns : stream time from which each is hot, (m,) int64; below 0 for those that always are.
     """
 
     dead: _Int64s

@@ -155,11 +155,8 @@ class Imager:
         self.dark_current_relative = float(dark.min()) * (_ARRAY_SHARE if counts else 1.0)
         self.grid_ns = p.shot_grid_us * 1000 if counts else 0
         self._parameters = p
-        self._pattern = _Pattern(
-            (gain * p.system_efficiency * p.quantum_efficiency).astype(np.float32),
-            dark.astype(np.float32),
-            np.float32(self.dark_current_relative),
-        )
+        efficient = (gain * p.system_efficiency * p.quantum_efficiency).astype(np.float32)
+        self._pattern = _Pattern(efficient, dark.astype(np.float32), np.float32(self.dark_current_relative))
         self._out = np.empty((parameters.height, parameters.width), np.float32)
         if counts:
             self._streams = streams(root_of(seed, Purpose.SHOT_NOISE), pixel.size)

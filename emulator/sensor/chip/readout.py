@@ -86,8 +86,7 @@ class _Timing(NamedTuple):
 class _Queue(NamedTuple):
     """Number of waiting requests, time of the first of them, row of the latest one, and numbers of lost ones.
 
-    `busy` are those of pixels in the refractory period after the acknowledge, the other lost ones those of pixels whose
-    request waits.
+    `busy` are those of pixels in the refractory period after the acknowledge, `lost` of pixels whose request waits.
     """
 
     waiting: int
@@ -332,8 +331,7 @@ class ReadOut(ABC):
 
         Parameters
         ----------
-        crossings : Crossings
-            Sorted by time, none before the last `until_ns` and none after this one.
+        crossings : sorted by time, none before the last `until_ns` and none after this one.
         until_ns : stream time up to which all crossings are known.
 
         Returns
@@ -463,8 +461,7 @@ class Jitter:
 
     Parameters
     ----------
-    parameters : JitterParameters
-        With `latency_us` > 0.
+    parameters : those of the jitter, with `latency_us` > 0.
     seed : keys the delays.
     pixels : number of pixels.
 
@@ -478,18 +475,10 @@ class Jitter:
         deviation = math.sqrt(math.log1p((parameters.deviation_us / parameters.latency_us) ** 2))
         self.off_latency_us = off_us = parameters.off_latency_us or parameters.latency_us
         on, off = (math.log(us * 1000) - deviation**2 / 2 for us in (parameters.latency_us, off_us))
+        roots = root_of(seed, Purpose.LATENCY), root_of(seed, Purpose.LATE)
+        late = parameters.late_share, parameters.late_us * 1000
         nothing = np.zeros(pixels, np.int64)
-        self._delays = _Delays(
-            root_of(seed, Purpose.LATENCY),
-            root_of(seed, Purpose.LATE),
-            on,
-            off,
-            deviation,
-            parameters.late_share,
-            parameters.late_us * 1000,
-            nothing,
-            nothing.copy(),
-        )
+        self._delays = _Delays(*roots, on, off, deviation, *late, events=nothing, last_ns=nothing.copy())
         self._pixel_bits = max(1, (pixels - 1).bit_length())
         self.reset(0)
 

@@ -11,8 +11,7 @@ to and including T only, so the result does not depend on how crossings are divi
 With `reset.at_acknowledge` the read of its column is a pixel's acknowledge: its crossings before the end of a
 refractory period after it are lost too, see `readout`.
 
-Not modelled: a real comparator is sampled only at the read, and an excursion that is over by then is lost. Here it is
-sent.
+Not modelled: a real comparator is sampled at the read only; an excursion that is over by then is lost. Here it is sent.
 """
 
 from __future__ import annotations

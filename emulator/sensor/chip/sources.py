@@ -54,6 +54,10 @@ class Window(NamedTuple):
     pixel_bits: int
 
 
+_Advanced = tuple[Pending, int, npt.NDArray[np.uint64]]
+"""Events that stay pending, their number, and the packed events of the window."""
+
+
 def new_pending() -> Pending:
     """Return an empty list of pending events."""
     return Pending(np.empty(256, np.int64), np.empty(256, np.uint64))
@@ -115,17 +119,13 @@ class SlottedEvents(ABC):
         return unpacked(keys, window.t0_ns, self._pixel_bits)
 
     @abstractmethod
-    def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int
-    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+    def _advance(self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int) -> _Advanced:
         """Draw the slots that begin before the window's end; return the pending and the packed events."""
 
 
-_ONE = np.uint64(1)
-
 _Floats = npt.NDArray[np.float64]
 
-
+_ONE = np.uint64(1)
 _FOLLOWERS = np.uint64(1 << 32)  # of a primary: first index of the numbers that they draw
 _MOST_FOLLOWERS = 1024
 _BEFORE_WAITS = 16.0  # time before the start, in mean lengths of a chain of followers: e^-16 of the chains are longer
@@ -219,8 +219,7 @@ class BackgroundEvents(SlottedEvents):
     ----------
     parameters : the sensor, with a `background` rate.
     seed : keys all random numbers.
-    dead : (n,) int64
-        Pixels that raise no events.
+    dead : pixels that raise no events, (n,) int64.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
@@ -247,10 +246,8 @@ class BackgroundEvents(SlottedEvents):
         self._slot = (t_ns - self._before_ns) // SLOT_NS
         self._events_until(np.empty(0, np.float32), t_ns)
 
-    def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int
-    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
-        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance(window, self._constants, self._rates, pending, n)
+    def _advance(self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int) -> _Advanced:
+        result: _Advanced = _advance(window, self._constants, self._rates, pending, n)
         return result
 
 
@@ -386,8 +383,7 @@ class Particles(SlottedEvents):
     ----------
     parameters : the sensor, with `radiation.hits_per_cm2_s` > 0.
     seed : keys the particles.
-    dead : (n,) int64
-        Pixels that raise no events.
+    dead : pixels that raise no events, (n,) int64.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
@@ -405,10 +401,6 @@ class Particles(SlottedEvents):
             recovery_ns=r.recovery_us * 1000,
         )
 
-    def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int
-    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
-        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance_particles(
-            window, self._chip, self._dead, pending, n
-        )
+    def _advance(self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int) -> _Advanced:
+        result: _Advanced = _advance_particles(window, self._chip, self._dead, pending, n)
         return result

@@ -23,8 +23,7 @@ approach in units of s:
 
 The product before D is Rice's rate of crossings, which is exact. D, the share of crossings that are first ones, comes
 from a Fokker-Planck equation (`tables`); the poles enter by b alone, here a1 a2 (a1 + a2) / (V s^3), which is (a1 + a2)
-/ sqrt(a1 a2) long after the reset. Near both thresholds a further factor F of two distances
-takes the passages to the other one into account.
+/ sqrt(a1 a2) long after the reset. Near both thresholds a factor F of two distances includes passages to the other.
 
 Poles that differ by more than b = 8 act as one, of the time 1 / a1 + 1 / a2, whose thresholds lie farther by
 
@@ -360,8 +359,7 @@ def hazard(s: float, d: Distance, n_r: float, v_r: float, noise: Noise, tables: 
 def exit_speed(nu: float, c: float, share: float, ratio: float, tables: _Float32s) -> float:
     """Return the speed at which the noise leaves through a threshold, less the threshold's own, in units of s.
 
-    Its density is u phi(u - nu), that of crossings, here stretched to the mean of first ones. `share` is a random
-    number in (0, 1).
+    Its density is u phi(u - nu), that of crossings, stretched to the mean of first ones. `share` is random, in (0, 1).
     """
     if nu > 7.9:
         return nu + 1 / nu

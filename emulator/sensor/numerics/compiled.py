@@ -61,10 +61,8 @@ cached_entry: _Decorator[Any] = entry_of(*SOURCES)
 """Compile a function as an entry."""
 
 cached_kernel: _Decorator[Any] = entry_of(*SOURCES, **_UNCOUNTED)
-"""Compile a function for compiled callers, as `kernel` does, and caches it on disk for them.
-
-This is for the large parts of an entry: they can be compiled at the same time, in several processes, before it.
-"""
+"""Compile a function for compiled callers, as `kernel` does, and cache it on disk for them. This is for the large parts
+of an entry: they can be compiled at the same time, in several processes, before it."""
 
 
 def log_compilation(function: Callable[..., Any], name: str) -> None:

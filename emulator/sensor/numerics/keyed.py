@@ -233,10 +233,7 @@ class Point(NamedTuple):
 
 @kernel
 def next_point(base: np.uint64, from_ns: int, to_ns: int, below_hz: float) -> Point:
-    """Return the first point of a pixel's field after `from_ns`, up to `to_ns`, and below a hazard.
-
-    `base` is the pixel's stream.
-    """
+    """Return the first point of a pixel's field (stream `base`) after `from_ns`, up to `to_ns`, and below a hazard."""
     found_hz = 0.0
     found_ns: Any = NEVER_NS
     top_hz = _LEAST_HZ

@@ -30,6 +30,7 @@ from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
 from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
+from emulator.sensor.pixels.state import Field
 from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
@@ -61,15 +62,12 @@ class PixelArray(PixelMethod):
     ----------
     state : PixelState
     lost_in_pixel : crossings since `reset` beyond 64 of a pixel and step.
-    quiet_nan : int
-        Pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and its filter starts again
-        from the next finite light.
-    candidates, undersampled : int
-        Pixel-steps since `reset` that had to be solved for crossings, and those whose light changed between the frames
-        in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
+    quiet_nan : pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and its filter starts
+        again from the next finite light.
+    candidates, undersampled : pixel-steps since `reset` that had to be solved for crossings, and those whose light
+        changed in a way that the frames do not show (see `curve`; known only where the time derivative is given).
     refined : undersampled pixel-steps that were refined instead; each needed the light of a pixel once.
-    of_noise : Crossings
-        Those of the last step for which the signal had gone less than half of the way to its threshold.
+    of_noise : crossings of the last step for which the signal had gone less than half of the way to its threshold.
     """
 
     capabilities: ClassVar = Capabilities(
@@ -107,14 +105,12 @@ class PixelArray(PixelMethod):
         """Return the state before the first light, with thresholds and leak of each pixel."""
         blocks = -(-self._pixels // layout.BLOCK)
         fields, p = aligned_zeros((blocks, layout.FIELDS, layout.BLOCK)), self.parameters
-        fields[:, layout.Field.ON] = fields[:, layout.Field.OFF] = np.inf
+        fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
         pixels = layout.draw(p, self.seed)
-        layout.put_field(fields, layout.Field.ON, pixels.on)
-        layout.put_field(fields, layout.Field.OFF, pixels.off)
-        layout.put_field(
-            fields, layout.Field.LEAK, pixels.leak_hz * layout.take_field(fields, layout.Field.ON, self._pixels)
-        )
-        for field in (layout.Field.ON_LIMIT, layout.Field.OFF_LIMIT, layout.Field.SPEED_LIMIT, layout.Field.UNTIL):
+        layout.put_field(fields, Field.ON, pixels.on)
+        layout.put_field(fields, Field.OFF, pixels.off)
+        layout.put_field(fields, Field.LEAK, pixels.leak_hz * layout.take_field(fields, Field.ON, self._pixels))
+        for field in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL):
             fields[:, field] = np.inf  # of the pixels beyond the sensor's end
         memory = layout.noise_memory(p, self.seed, blocks * layout.BLOCK) if p.noise.rms else np.empty(0, np.float32)
         positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * layout.BLOCK, np.int64)
@@ -152,10 +148,10 @@ class PixelArray(PixelMethod):
             corner_hz = min(before.noise.corner_hz * value / before.source_follower_hz, 1e6)
             after = dataclasses.replace(after, noise=dataclasses.replace(before.noise, corner_hz=corner_hz))
         if name == "threshold_on":
-            self._scale_threshold(layout.Field.ON, after.threshold_on / before.threshold_on)
+            self._scale_threshold(Field.ON, after.threshold_on / before.threshold_on)
             self._scale_leak(after.threshold_on / before.threshold_on)  # events a second stay as they were
         elif name == "threshold_off":
-            self._scale_threshold(layout.Field.OFF, after.threshold_off / before.threshold_off)
+            self._scale_threshold(Field.OFF, after.threshold_off / before.threshold_off)
         elif name == "leak_hz" and before.leak_hz:
             self._scale_leak(after.leak_hz / before.leak_hz)
         elif name == "leak_hz":
@@ -168,12 +164,10 @@ class PixelArray(PixelMethod):
         self.parameters, self._light_constants = after, layout.light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinement = None
-        layout.put_field(
-            self.state.fields, layout.Field.UNTIL, np.full(self._pixels, -np.inf)
-        )  # their certificates do not hold now
+        layout.put_field(self.state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))  # no certificate holds now
         self.wake()
 
-    def _scale_threshold(self, field: layout.Field, ratio: float) -> None:
+    def _scale_threshold(self, field: Field, ratio: float) -> None:
         """Multiply a threshold of all pixels that are not dead."""
         values = self.state.fields[:, field]
         values *= np.where(values < layout.DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
@@ -182,32 +176,30 @@ class PixelArray(PixelMethod):
         """Begin the high-pass, at rest on the present signal, or end it; the comparators' levels stay."""
         fields = self.state.fields
         if after.highpass_hz:
-            fields[:, layout.Field.HIGH_PASSED] = 0
-        fields[:, layout.Field.REFERENCE] += (
-            fields[:, layout.compared_field(after)] - fields[:, layout.compared_field(before)]
-        )
+            fields[:, Field.HIGH_PASSED] = 0
+        fields[:, Field.REFERENCE] += fields[:, layout.compared_field(after)] - fields[:, layout.compared_field(before)]
 
     def _limit_rates(self, c: layout.LightConstants) -> None:
         """Give the photoreceptors the rates of new constants at once, and the slopes by warped time with them."""
         fields, highest = self.state.fields, self._light_constants.rate_max
-        rate, slope = fields[:, layout.Field.RATE].copy(), fields[:, layout.Field.SLOPE]
+        rate, slope = fields[:, Field.RATE].copy(), fields[:, Field.SLOPE]
         with np.errstate(over="ignore"):
-            unlimited = np.where(rate >= highest, c.rate_at_reference * np.exp(fields[:, layout.Field.LOG_LIGHT]), rate)
-        fields[:, layout.Field.RATE] = np.clip(unlimited, c.rate_min, c.rate_max)
-        slope *= rate / fields[:, layout.Field.RATE]
+            unlimited = np.where(rate >= highest, c.rate_at_reference * np.exp(fields[:, Field.LOG_LIGHT]), rate)
+        fields[:, Field.RATE] = np.clip(unlimited, c.rate_min, c.rate_max)
+        slope *= rate / fields[:, Field.RATE]
 
     def _scale_leak(self, ratio: float) -> None:
         """Multiply the leak of all pixels; the reference moves, so that the comparators' levels stay."""
         state = self.state
-        leak, since_epoch_s = state.fields[:, layout.Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
+        leak, since_epoch_s = state.fields[:, Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
         change = leak * np.float32(ratio) - leak
-        state.fields[:, layout.Field.REFERENCE] += change * since_epoch_s
+        state.fields[:, Field.REFERENCE] += change * since_epoch_s
         leak += change
 
     def thresholds_of(self, pixel: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
         flat, pixels = self.state.fields.reshape(-1), np.array([pixel])
-        on, off = (float(flat[layout.field_index(pixels, field)][0]) for field in (layout.Field.ON, layout.Field.OFF))
+        on, off = (float(flat[layout.field_index(pixels, field)][0]) for field in (Field.ON, Field.OFF))
         return (on, off) if on < layout.DEAD_THRESHOLD else (math.inf, math.inf)
 
     def levels(self) -> layout.Levels:
@@ -220,36 +212,31 @@ class PixelArray(PixelMethod):
         A dead pixel leaks in units of its threshold, so the parasitic leak still fires it.
         """
         flat = self.state.fields.reshape(-1)
-        flat[layout.field_index(pixel, layout.Field.ON)] = flat[layout.field_index(pixel, layout.Field.OFF)] = (
-            layout.DEAD_THRESHOLD
-        )
-        flat[layout.field_index(pixel, layout.Field.LEAK)] = 0
+        flat[layout.field_index(pixel, Field.ON)] = layout.DEAD_THRESHOLD
+        flat[layout.field_index(pixel, Field.OFF)] = layout.DEAD_THRESHOLD
+        flat[layout.field_index(pixel, Field.LEAK)] = 0
         self.wake()
 
     def leak_hz(self) -> npt.NDArray[np.float64]:
         """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
-        leak, on = (
-            layout.take_field(self.state.fields, field, self._pixels) for field in (layout.Field.LEAK, layout.Field.ON)
-        )
+        leak, on = (layout.take_field(self.state.fields, field, self._pixels) for field in (Field.LEAK, Field.ON))
         return np.asarray(leak / on.astype(np.float64))
 
     def set_leak(self, leak_hz: npt.NDArray[np.float64]) -> None:
         """Set the leak rate of all pixels, (pixels,); the reference moves, so that the comparators' levels stay."""
         state, pixel = self.state, np.arange(self._pixels)
         flat = state.fields.reshape(-1)
-        leak = (leak_hz * flat[layout.field_index(pixel, layout.Field.ON)]).astype(np.float32)
+        leak = (leak_hz * flat[layout.field_index(pixel, Field.ON)]).astype(np.float32)
         since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
-        flat[layout.field_index(pixel, layout.Field.REFERENCE)] += (
-            leak - flat[layout.field_index(pixel, layout.Field.LEAK)]
-        ) * since_epoch_s
-        flat[layout.field_index(pixel, layout.Field.LEAK)] = leak
+        change = leak - flat[layout.field_index(pixel, Field.LEAK)]
+        flat[layout.field_index(pixel, Field.REFERENCE)] += change * since_epoch_s
+        flat[layout.field_index(pixel, Field.LEAK)] = leak
         self.wake()
 
     def compile_part(self, part: str) -> None:
         """Compile "blocks", "candidates" or "noise", large parts of the step that `step` then finds on disk."""
-        pixels = self._flat_state()
         share = Share(0, 1, self._workers.idle, self._touched(None))
-        compile_parts(part, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
+        compile_parts(part, self._flat_state(), self._workers.buffers(), share, self._constants(0, 1_000_000))
 
     def _flat_state(self) -> layout.Pixels:
         state = self.state
@@ -259,11 +246,9 @@ class PixelArray(PixelMethod):
         """Compute all blocks in the next step; for callers that change the state of pixels."""
         wake(self._workers.idle)
 
-    def field(self, field: layout.Field) -> _Float32s:
+    def field(self, field: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
-        return layout.take_field(self.state.fields, field, self._pixels).reshape(
-            self.parameters.height, self.parameters.width
-        )
+        return layout.take_field(self.state.fields, field, self._pixels).reshape(self.parameters.height, -1)
 
     def reset(self, frame: LightFrame) -> None:
         """Start at the time of `frame` with the filter at rest on its light, and counters at zero."""
@@ -284,19 +269,17 @@ class PixelArray(PixelMethod):
             filter_rate = np.clip(light.rate_at_reference * current, light.rate_min, light.rate_max)
             lit_slope = np.where(flat > 0, slope, 0) / (current * filter_rate) if slope.size else np.nan * current
         phase = layout.leak_phase(p, self.seed)
-        on, leak = (
-            layout.take_field(state.fields, field, self._pixels) for field in (layout.Field.ON, layout.Field.LEAK)
-        )
+        on, leak = (layout.take_field(state.fields, field, self._pixels) for field in (Field.ON, Field.LEAK))
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
-        state.fields[:, [layout.Field.LEAKED, layout.Field.HIGH_PASSED]] = 0
+        state.fields[:, [Field.LEAKED, Field.HIGH_PASSED]] = 0
         self._move_parasitic(-since_epoch, log_light)
         state.slopes_known = frame.rate is not None
-        for field in (layout.Field.LOG_LIGHT, layout.Field.FILTERED, layout.Field.SECOND):
+        for field in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
             layout.put_field(state.fields, field, log_light)
-        layout.put_field(state.fields, layout.Field.RATE, filter_rate)
-        layout.put_field(state.fields, layout.Field.SLOPE, lit_slope)
+        layout.put_field(state.fields, Field.RATE, filter_rate)
+        layout.put_field(state.fields, Field.SLOPE, lit_slope)
         settled = log_light - log_light if p.highpass_hz else log_light  # 0, NaN in light that is none
-        layout.put_field(state.fields, layout.Field.REFERENCE, settled + leak * since_epoch - on * phase)
+        layout.put_field(state.fields, Field.REFERENCE, settled + leak * since_epoch - on * phase)
         if p.noise.rms:
             self._settle(pixels)
         self._clear_counters()
@@ -306,11 +289,11 @@ class PixelArray(PixelMethod):
     def _settle(self, pixels: int) -> None:
         """Draw the references of the start from laws at nodes around the pixels' parameters, and certify the pixels."""
         state, p = self.state, self.parameters
-        layout.put_field(state.fields, layout.Field.UNTIL, np.full(self._pixels, -np.inf))
+        layout.put_field(state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))
         memory = state.memory.reshape(-1, layout.MEMORY)
         memory[:, :2] = 0
         state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
-        fields = layout.Field.ON, layout.Field.OFF, layout.Field.RATE, layout.Field.LEAK, layout.Field.LOG_LIGHT
+        fields = Field.ON, Field.OFF, Field.RATE, Field.LEAK, Field.LOG_LIGHT
         on, off, rate, leak, log_light = (layout.take_field(state.fields, field, self._pixels) for field in fields)
         rms = memory[: self._pixels, 2] * np.float32(p.noise.rms)
         lit = np.exp(log_light) * np.float32(p.parasitic_hz_at_reference)
@@ -332,9 +315,8 @@ class PixelArray(PixelMethod):
         strides = np.cumprod((SHARES.size, *used.shape[:0:-1]))[::-1].copy()
 
         def settle_part(part: int, _: int) -> None:
-            settle(
-                part * _PART, min((part + 1) * _PART, self._pixels), places, strides, laws.reshape(-1), root, flat, c
-            )
+            first, last = part * _PART, min((part + 1) * _PART, self._pixels)
+            settle(first, last, places, strides, laws.reshape(-1), root, flat, c)
 
         pool = ThreadPool(available_threads())
         try:
@@ -378,7 +360,7 @@ class PixelArray(PixelMethod):
         """Advance by whole epochs, on a straight line in log light, until at most one is left; return the number."""
         state, n = self.state, 0
         self._replace_light()
-        before, t0_ns = layout.take_field(state.fields, layout.Field.LOG_LIGHT, self._pixels), state.t_ns
+        before, t0_ns = layout.take_field(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
         while t_ns - state.t_ns > _EPOCH_NS:
             share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
             light = layout.FlatLight(self._between(before, flat, share), _NO_RATE)
@@ -403,7 +385,7 @@ class PixelArray(PixelMethod):
             self._moved_fields = state.fields
             self.wake()
         if with_slopes and not state.slopes_known:
-            state.fields[:, layout.Field.SLOPE] = np.nan
+            state.fields[:, Field.SLOPE] = np.nan
             self.wake()
         state.slopes_known = with_slopes
         t0_ns = state.t_ns
@@ -443,8 +425,7 @@ class PixelArray(PixelMethod):
         frame, self._replacing = self._replacing, None
         state = self.state
         c = self._constants(state.t_ns, state.t_ns + 1, chord=not frame.rate.size)
-        pixels = self._flat_state()
-        self.quiet_nan += replace_light(frame, pixels, self._workers.buffers().scratch, c)
+        self.quiet_nan += replace_light(frame, self._flat_state(), self._workers.buffers().scratch, c)
         state.slopes_known = bool(frame.rate.size)
         self.wake()
 
@@ -462,9 +443,9 @@ class PixelArray(PixelMethod):
         epoch_ns = (state.t_ns >> layout.EPOCH_BITS) << layout.EPOCH_BITS
         if epoch_ns != state.epoch_ns:
             moved_s = np.float32((epoch_ns - state.epoch_ns) * 1e-9)
-            state.fields[:, layout.Field.REFERENCE] -= state.fields[:, layout.Field.LEAK] * moved_s
-            state.fields[:, layout.Field.UNTIL] -= moved_s + np.float32(1e-5)  # never later by its rounding
-            self._move_parasitic(moved_s, layout.take_field(state.fields, layout.Field.LOG_LIGHT, self._pixels))
+            state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
+            state.fields[:, Field.UNTIL] -= moved_s + np.float32(1e-5)  # never later by its rounding
+            self._move_parasitic(moved_s, layout.take_field(state.fields, Field.LOG_LIGHT, self._pixels))
             state.epoch_ns = epoch_ns
 
     def _move_parasitic(self, by_s: float | np.float32, log_light: _Float32s) -> None:
@@ -472,18 +453,16 @@ class PixelArray(PixelMethod):
         hz = self.parameters.parasitic_hz_at_reference
         if hz:
             fields, lit = self.state.fields, np.where(np.isfinite(log_light), np.exp(np.minimum(log_light, 80)), 0)
-            leaked, on = (layout.take_field(fields, of, self._pixels) for of in (layout.Field.LEAKED, layout.Field.ON))
-            layout.put_field(fields, layout.Field.LEAKED, leaked + hz * on * lit * by_s)
+            leaked, on = (layout.take_field(fields, of, self._pixels) for of in (Field.LEAKED, Field.ON))
+            layout.put_field(fields, Field.LEAKED, leaked + hz * on * lit * by_s)
 
     def _make_refinement(self) -> Refinement:
         """Make the refinement of undersampled steps, which few arrays need."""
         light = self._light_constants
         resting = np.zeros(layout.FIELDS, np.float32)
-        resting[[layout.Field.LOG_LIGHT, layout.Field.FILTERED, layout.Field.REFERENCE, layout.Field.SECOND]] = np.log(
-            light.dark
-        )
-        resting[layout.Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
-        resting[[layout.Field.ON, layout.Field.OFF]] = np.inf
+        resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(light.dark)
+        resting[Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
+        resting[[Field.ON, Field.OFF]] = np.inf
         table = self._workers.buffers().table
         self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement

@@ -104,12 +104,9 @@ class Crossings:
 
     Attributes
     ----------
-    t_ns : (n,) int64
-        Stream time.
-    pixel : (n,) uint32
-        row * width + column.
-    on : (n,) bool
-        True where the light increased.
+    t_ns : stream time, (n,) int64.
+    pixel : row * width + column, (n,) uint32.
+    on : true where the light increased, (n,) bool.
     lost_in_pixel : crossings of this step that are not listed, because their pixel had more than 64.
     """
 

@@ -232,9 +232,8 @@ def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         # The filter rests where its motion is lost in rounding, even in a step 1.1 times as long.
         rests = v + _MORE * (before[_Q + i] * pulled) == v
         limit = s[_ON_LIMIT + i] if c.noisy else on
-        room = (limit - _MARGIN - by_light * c.h) - (
-            compared - s[_REF + i]
-        )  # the quiet test allows 1.5 times that leak
+        # The quiet test allows 1.5 times that leak.
+        room = (limit - _MARGIN - by_light * c.h) - (compared - s[_REF + i])
         # The leak fires when it has filled the room between the comparator and its threshold.
         wait = room / leak if leak > _ZERO else (_LARGE if leak == _ZERO else -_LARGE)
         wait = min(wait, s[_UNTIL + i]) if c.noisy else wait

@@ -37,10 +37,8 @@ class Capabilities:
     is_adjustable : parameters can change between two steps: `adjust`, `thresholds_of`.
     takes_row_reads : reads of active pixels can disturb the pixels: `levels`.
     has_faults : pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
-    has_comparator : bool
-        The comparator's delay, its noise as first passages, the high-pass, and the offset and the noise of resets.
-    has_grid_noise, has_large_signal, has_circuit : bool
-        The method contains noise of the grade "grid", the large-signal photoreceptor, or its circuit.
+    has_comparator : the comparator's delay, its noise as first passages, the high-pass, and offset and noise of resets.
+    has_grid_noise, has_large_signal, has_circuit : noise of grade "grid", the large-signal photoreceptor, its circuit.
     """
 
     uses_rate: bool = False
@@ -82,8 +80,7 @@ class PixelMethod(ABC):
 
     Attributes
     ----------
-    capabilities : Capabilities
-        Of the class. A method that lacks one raises NotImplementedError from the functions that it names.
+    capabilities : of the class. A method that lacks one raises NotImplementedError from the functions that it names.
     lost_in_pixel : crossings since `reset` beyond the most that a pixel can have in a step.
     quiet_nan : pixel-steps since `reset` whose light was NaN or infinite.
     """

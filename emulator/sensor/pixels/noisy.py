@@ -176,8 +176,7 @@ def settle(  # noqa: PLR0913, PLR0917
     """Set the references of pixels first to last - 1 to those at the start of a stream, and certify the pixels.
 
     `places`, (4, pixels), are those among `laws`, a lattice with `strides`, (nodes, SHARES.size), of quantiles
-    (`law.solve_start`), which are interpolated; NaN: one that stays. The step of `c` ends at the start;
-    nothing moves in it.
+    (`law.solve_start`), which are interpolated; NaN: one that stays. The step of `c` ends at the start, without motion.
     """
     fields = pixels.fields
     for pixel in range(first, last):

@@ -53,7 +53,6 @@ _U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, *_CERTIFICATE, _Y = (int(f) * BL
 _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL = _CERTIFICATE
 _U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW, _Y0 = BEFORE_ROWS
 
-
 _COLLECT = np.uint64(0x0102040810204080)
 _NAN = np.float32(np.nan)
 _ZERO, _ONE, _THREE, _HALF = (np.float32(x) for x in (0, 1, 3, 0.5))
@@ -83,9 +82,8 @@ def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float3
         rate_after = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
         s[_U + i] = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
         s[_L + i] = rate_after
-        s[_G + i] = (r if lit else _ZERO * r) / (
-            current * rate_after
-        )  # d ln i / ds; 0 * r keeps an unknown rate unknown
+        # d ln i / ds; 0 * r keeps an unknown rate unknown
+        s[_G + i] = (r if lit else _ZERO * r) / (current * rate_after)
 
 
 @vector_kernel

@@ -34,11 +34,8 @@ SHORTEST_NS = 2_000
 
 _Int64s = npt.NDArray[np.int64]
 
-
 _ONE = np.uint64(1)
 _EVERYWHERE = Touched(0, 1, 0, 1, 1 << 40, np.empty(0, np.uint8))
-
-
 _ROWS = tuple(
     int(f) * BLOCK
     for f in (
@@ -50,10 +47,7 @@ _ROWS = tuple(
 
 @cached_entry
 def _scatter(subset: Pixels, above: Pixels, listed: _Int64s) -> None:
-    """Write the state of the subset, at the end of the step, back to its pixels of `above`.
-
-    The light of these pixels is up to date there.
-    """
+    """Write the state of the subset, at the step's end, back to its pixels of `above`, where light is up to date."""
     for k in range(listed.size):
         at, to = slot(k), slot(listed[k])
         for row in _ROWS:
@@ -102,12 +96,9 @@ class Refinement:
     Parameters
     ----------
     blocks : blocks of the array.
-    resting : (FIELDS,) float32
-        State of a pixel to which nothing happens while it sees no light.
-    table : Table
-        Buffer for the candidates.
-    constants : callable
-        Makes the constants of a step from its ends, ns.
+    resting : state of a pixel to which nothing happens while it sees no light, (FIELDS,) float32.
+    table : buffer for the candidates.
+    constants : makes the constants of a step from its ends, ns.
     """
 
     def __init__(

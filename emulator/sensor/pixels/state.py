@@ -65,9 +65,7 @@ class Field(IntEnum):
     OFF = 6
     LEAK = 7  # ln units a second
     SECOND = 8  # w, behind the second pole; unused without one
-    LEAKED = (
-        9  # parasitic leak since the pixel's last event, less what the present light leaks since the epoch, ln units
-    )
+    LEAKED = 9  # parasitic leak since the pixel's last event, less that of the present light since the epoch, ln units
     # The certificate of a pixel with noise, see `passage`: limits of the compared value from the reference, ln units,
     # its largest speed, ln units a second, and the time since the epoch, s, until which it holds.
     ON_LIMIT = 10
@@ -91,18 +89,14 @@ class PixelState:
 
     Attributes
     ----------
-    fields : (blocks, FIELDS, BLOCK) float32
-        See `Field`; pixels of the last block beyond the sensor's end never fire.
-    refractory_until_ns : (blocks * BLOCK,) int64
-        End of the refractory period, valid where the reference is NaN. With noise of resets as many entries follow: the
-        position in each pixel's stream of random numbers.
+    fields : see `Field`, (blocks, FIELDS, BLOCK) float32; pixels of the last block beyond the sensor's end never fire.
+    refractory_until_ns : end of the refractory period, (blocks * BLOCK,) int64, valid where the reference is NaN. With
+        noise of resets as many entries follow: the position in each pixel's stream of random numbers.
     t_ns : stream time.
     epoch_ns : time from which leak is counted.
     slopes_known : whether the last frame came with its time derivative.
-    memory : (blocks * BLOCK * MEMORY,) float32
-        Noise of the pixels, see `MEMORY`; empty without noise.
-    late : (n,) uint64
-        Events whose comparator switches after `t_ns`, packed as in `pack`, with times counted from `late_from_ns`.
+    memory : noise of the pixels, see `MEMORY`, (blocks * BLOCK * MEMORY,) float32; empty without noise.
+    late : events whose comparator switches after `t_ns`, (n,) uint64, as in `pack`, times counted from `late_from_ns`.
     """
 
     fields: npt.NDArray[np.float32]
@@ -279,16 +273,13 @@ _Float64s = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Figures drawn once for each pixel.
+    """Figures drawn once for each pixel, (pixels,) float64.
 
     Attributes
     ----------
-    on, off : (pixels,) float64
-        Thresholds, ln units.
-    leak_hz : (pixels,) float64
-        Leak, ON events per second.
-    phase : (pixels,) float64
-        Share of the ON threshold by which the first reference lies below the first light; 0 without `random_start`.
+    on, off : thresholds, ln units.
+    leak_hz : leak, ON events per second.
+    phase : share of the ON threshold by which the first reference lies below the first light; 0 without `random_start`.
     """
 
     on: _Float64s

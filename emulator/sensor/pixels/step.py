@@ -88,8 +88,7 @@ class Scratch(NamedTuple):
     """Buffers for one block: BEFORE_ROWS, light and rate of the last block or of a pack, flags and their indices.
 
     They are few arrays, because each costs time in every call. `before` has the state of a pack behind those rows,
-    `indices` the first pixels of the parts of a block and then those of the parts of a pack behind the
-    indices of flagged pixels.
+    `indices` the first pixels of the parts of a block and then those of a pack behind the indices of flagged pixels.
     """
 
     before: _Float32s
@@ -119,10 +118,8 @@ def _gather_undersampled(  # noqa: PLR0913, PLR0917
 
     Parameters
     ----------
-    flagged : (any,) int64
-        Indices of the candidates in the block; those that remain move to the front.
-    firsts : (parts,) int64
-        First pixels of the block's parts.
+    flagged : indices of the candidates in the block, (any,) int64; those that remain move to the front.
+    firsts : first pixels of the block's parts, (parts,) int64.
 
     Returns
     -------
@@ -351,18 +348,12 @@ def advance(
 
     Parameters
     ----------
-    frame : FlatLight
-        Light at the end of the step.
-    pixels : Pixels
-        The state, changed in place.
-    buffers : Buffers
-        For the candidates, and for the undersampled pixels if `c.refine`.
-    keys : (any,) uint64
-        Buffer for the events.
-    share : Share
-        Which pixels; its table of idle blocks is changed in place.
-    c : StepConstants
-        The step.
+    frame : light at the end of the step.
+    pixels : the state, changed in place.
+    buffers : for the candidates, and for the undersampled pixels if `c.refine`.
+    keys : buffer for the events, (any,) uint64.
+    share : the pixels to move; its table of idle blocks is changed in place.
+    c : the step.
 
     Returns
     -------
@@ -395,11 +386,9 @@ def _replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepCo
 
 @cached_entry
 def replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
-    """Let the light jump to that of `frame` at the start of a step; see `advance`. Filters and references stay.
+    """Let the light jump to that of `frame` at the start of a step; return the number of pixels with unreadable light.
 
-    Returns
-    -------
-    The number of pixels whose light is not readable.
+    Filters and references stay.
     """
     return int(_replace_light(frame, pixels, scratch, c))
 
@@ -421,8 +410,7 @@ class Workers:
 
     Attributes
     ----------
-    idle : Idle
-        The blocks that a step can skip.
+    idle : the blocks that a step can skip.
     """
 
     def __init__(self, blocks: int, threads: int = 0) -> None:
