@@ -54,8 +54,9 @@ _BURST = 10.0  # time constants of the slower pole for which a window is no long
 _UNREACHED = 5.0  # deviations of the nearer threshold: no passage before the noise has grown to that
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
 _OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
-_LEAST_CALM, _CALM_POINTS, _WORTH_IT = 1.0, 1.0, 2.0  # deviations; points expected; times of the noise
-_RARE = 0.15  # hazard below which a ramp is passed in one window, over the speed of the exponent
+_LEAST_CALM, _CALM_POINTS = 3.0, 0.5  # points over them where thresholds are 1.5 deviations away; points expected
+_POINTS = 1.0  # expected below the bound of a window of an approach
+_FALSE_POSITIONS, _CLOSE, _WIDEST = 6, 0.1, 4.0  # steps, at most; share of the way; over that at the present speed
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
 _MOST_LOST = 1e9
@@ -130,6 +131,45 @@ def _signal(t_ns: float, p: Piece, leak: float, scale: float, c: StepConstants) 
     return _Signal(value, speed, narrowing, noise)
 
 
+@lane
+def _value(t_ns: float, p: Piece, leak: float, c: StepConstants) -> float:
+    """Return the value of the signal at a time of a piece."""
+    x = (t_ns - p.begin_ns) / p.span_ns
+    return p.base + ((((p.c3 * x + p.c2) * x + p.c1) * x + p.d0) + leak * (c.since_s + t_ns * 1e-9))
+
+
+@kernel
+def _time_at(t: float, limit: float, way: float, speed: float, p: Piece, a: _State, c: StepConstants) -> float:
+    """Return a time until which the signal goes almost `way` from its value at t, or less; `limit` where it never does.
+
+    It has the present `speed`, and must not turn before `limit`. The time is the lower end of an interval that false
+    positions narrow.
+    """
+    start = _value(t, p, a.leak, c)
+    low, high, short = t, min(limit, t + _WIDEST * way / (abs(speed) + 1e-30) * 1e9), -way
+    beyond = abs(_value(high, p, a.leak, c) - start) - way
+    if beyond <= 0:
+        return high
+    for _ in range(_FALSE_POSITIONS):
+        middle = low - short * (high - low) / (beyond - short)
+        gone = abs(_value(middle, p, a.leak, c) - start) - way
+        if gone <= 0:
+            low, short = middle, gone
+            beyond *= 0.5  # Illinois: or else that end would stay
+        else:
+            high, beyond = middle, gone
+            short *= 0.5
+        if -_CLOSE * way < gone <= 0:
+            break
+    return low
+
+
+@kernel
+def _fastest(first: float, last: float, mean: float) -> float:
+    """Return a bound of a speed that is a parabola in time, by its ends and its mean: its Bernstein coefficients."""
+    return max(abs(first), abs(last), abs(3 * mean - first - last))
+
+
 @kernel
 def _first_window_s(now: _Signal, a: _State) -> float:
     """Return a time after a reset within which noise and signal stay far from both thresholds."""
@@ -148,20 +188,20 @@ def _first_window_s(now: _Signal, a: _State) -> float:
 
 
 @kernel
-def _window_s(c_near: float, speed: float, rate: float) -> float:
-    """Return the length of a window in which a threshold, `c_near` deviations away, comes nearer by `speed` a second.
+def _nearer(c_ahead: float, nu: float) -> float:
+    """Return by how many deviations a threshold, `c_ahead` away, may come nearer in a window, at the speed nu.
 
-    The exponent of the hazard may grow by some units. Where the hazard stays rare even much nearer, the window goes on
-    to there: the field has few points below such a bound, so that the far part of a ramp is one window.
+    The hazard is bounded by that at the window's end, e^(-c^2 / 2) times `steep` for each deviation of the way: to the
+    c where the field has some _POINTS below it. Where it is large already, its exponent grows by _EXPONENT.
     """
-    step = max(_EXPONENT, 0.25 * c_near * c_near - 2.0) if c_near > 0 else _EXPONENT
-    nearer = step / (abs(c_near) + 1)
-    if c_near > 3:
-        rare = _RARE * c_near * speed / rate
-        if rare < 0.1:
-            nearer = max(nearer, c_near - math.sqrt(2 * math.log(0.4 / rare)))
-    length_s: float = nearer / speed
-    return length_s
+    least = _EXPONENT / (abs(c_ahead) + 1)
+    if c_ahead < 1:
+        return least
+    steep = (0.4 + nu) / (nu * _POINTS)
+    c = 2.0
+    for _ in range(2):
+        c = math.sqrt(2 * math.log(max(steep * max(c_ahead - c, 0.3), 1.0)))
+    return max(c_ahead - c, least)
 
 
 @kernel
@@ -180,40 +220,45 @@ def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConst
 
 
 @kernel
-def _calm_end(t: float, end: float, now: _Signal, a: _State) -> tuple[float, float]:
-    """Return until when a reset is not likely to fire a pixel, and a bound of its hazard until then; t where it is.
+def _calm_end(t: float, limit: float, now: _Signal, p: Piece, a: _State, c: StepConstants) -> tuple[float, float]:
+    """Return until when a reset is not likely to fire a pixel, and a bound of its hazard until then.
 
-    The mean of the noise stays within its value at the reset and what its slope adds. The thresholds are nearest, in
-    deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate at a speed of 1.
+    The mean of the noise stays between 0 and its value at the reset, and what its slope adds. The thresholds are
+    nearest, in deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate. Until
+    then, or until the signal has come so near a threshold that it no longer is, few points are below the bound.
     """
-    noise = now.noise
-    forgotten_s = min(_FORGOTTEN / min(noise.a1, noise.a2), (end - t) * 1e-9)
-    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + 2 * abs(now.speed) * forgotten_s
-    c = (min(a.on, a.off) - beyond) / noise.sigma
-    if c < _LEAST_CALM:
+    to = min(t + _FORGOTTEN / min(now.noise.a1, now.noise.a2) * 1e9, limit)
+    end = _signal(to, p, a.leak, a.scale, c)
+    sigma, rate = max(now.noise.sigma, end.noise.sigma), max(now.noise.rate, end.noise.rate)
+    calm_s, gone = (to - t) * 1e-9, end.value - now.value
+    nu = _fastest(now.speed, end.speed, gone / calm_s) / (sigma * rate)
+    least_c = math.sqrt(2 * math.log(max(rate * calm_s * (4 + nu) / _CALM_POINTS, _LEAST_CALM)))
+    bound_hz = rate * math.exp(-0.5 * least_c * least_c) * (1 + least_c + nu)
+    more = least_c * sigma + _OVERSHOOT * abs(a.v_r) / now.noise.rate
+    on = a.reference + a.on - now.value - max(a.n_r, 0.0) - more
+    off = now.value - a.reference + a.off + min(a.n_r, 0.0) - more
+    if min(on, off) <= 0:
         return t, 0.0
-    bound_hz = noise.rate * math.exp(-0.5 * c * c) * (0.5 + 0.25 * c if noise.ratio > 0 else 1 + c)
-    calm_s = min(forgotten_s, _CALM_POINTS / bound_hz)
-    return t + calm_s * 1e9 if calm_s * noise.rate > _WORTH_IT else t, bound_hz
+    way = on if gone > 0 else off
+    return to if abs(gone) <= way else _time_at(t, to, way, now.speed, p, a, c), bound_hz
 
 
 @kernel
-def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> float:
-    """Return the end of the window that begins at t, a time of the piece, with hazard h."""
+def _window_end(t: float, limit: float, now: _Signal, h: Hazard, p: Piece, a: _State, c: StepConstants) -> float:
+    """Return the end of the window that begins at t, a time of the piece after the reset, with hazard h."""
     since_s, noise = (t - a.reset) * 1e-9, now.noise
-    window_s: float = (end - t) * 1e-9
-    if since_s <= 0:
-        return float(min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), end))
+    window_s: float = (limit - t) * 1e-9
+    gone = _value(limit, p, a.leak, c) - now.value
+    speed = max(abs(now.speed), abs(gone) / window_s) / noise.sigma
     # Shortly after a reset windows grow with the time since then; later the signal decides.
     if since_s * min(noise.a1, noise.a2) < _BURST:
         window_s = min(window_s, since_s)
-    speed = abs(now.speed) / noise.sigma
-    window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
     total = min(h.on + h.off, keyed.TOP_HZ)
     if total * window_s > _MOST_POINTS:
         window_s = _MOST_POINTS / total
-    to: float = min(t + max(window_s * 1e9, 1.0), end)
-    return to
+    to: float = min(t + max(window_s * 1e9, 1.0), limit)
+    way = _nearer(h.c_on if gone > 0 else h.c_off, speed / noise.rate) * noise.sigma * h.deviation
+    return max(_time_at(t, to, way, now.speed, p, a, c), min(t + 1.0, limit))
 
 
 class _Event(NamedTuple):
@@ -309,6 +354,18 @@ def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
 
 
 @kernel
+def _bound_hz(before: float, length_ns: float, now: _Signal, after: _Signal, at_end: Hazard) -> float:
+    """Return a bound of the hazard in a window, before which it is `before`.
+
+    It is largest where the threshold is nearest, unless the signal is faster elsewhere.
+    """
+    slow = 0.4 * after.noise.sigma * after.noise.rate
+    fastest = _fastest(now.speed, after.speed, (after.value - now.value) / length_ns * 1e9)
+    faster = (slow + fastest) / (slow + abs(after.speed))
+    return min(_MORE * max(before, (at_end.on + at_end.off) * faster), keyed.CERTAIN_HZ)
+
+
+@kernel
 def _turns(p: Piece, leak: float) -> tuple[float, float]:
     """Return the times at which a piece's curve turns, the end where it does not."""
     end = p.begin_ns + p.span_ns
@@ -345,22 +402,26 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         a = _re_armed(pixels, pixel, _signal(t, p, a.leak, a.scale, c), a, c)
     turn, turn2 = _turns(p, a.leak)
     now, h = _hazard_at(t, p, a, tables, c)
+    if now.value != now.value:  # light that has just begun has no finite logarithm
+        return n_keys, fired, 0
     none = _Event(keyed.NEVER_NS, False, now, h, 0.0)
     before = 0.0 if t <= a.reset else h.on + h.off
     while t < end:
-        to, calm_hz = t, 0.0
+        limit = turn if t < turn else turn2 if t < turn2 else end
+        to, calm_hz = limit, 0.0
         if t <= a.reset:
-            to, calm_hz = _calm_end(t, end, now, a)
-        if to <= t:
-            to, calm_hz = _window_end(t, end, now, h, a), 0.0
-        to = turn if t < turn < to else to
-        to = turn2 if t < turn2 < to else to
+            to, calm_hz = _calm_end(t, limit, now, p, a, c)
+            first = min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), limit)
+            if to < first:
+                to, calm_hz = first, 0.0
+        else:
+            to = _window_end(t, limit, now, h, p, a, c)
         after, at_end = _hazard_at(to, p, a, tables, c)
-        bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), keyed.CERTAIN_HZ)
+        bound_hz = _bound_hz(before, to - t, now, after, at_end) if calm_hz == 0.0 else calm_hz
         while min(bound_hz, keyed.TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # the signal became faster
             to = t + (to - t) * 0.25
             after, at_end = _hazard_at(to, p, a, tables, c)
-            bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), keyed.CERTAIN_HZ)
+            bound_hz = _bound_hz(before, to - t, now, after, at_end)
         event = none
         if bound_hz * (to - t) > _NO_POINT:
             event = _first_event(t, to, bound_hz, p, a, tables, none, c)
