@@ -71,6 +71,7 @@ _LEAST_FAR = 1.5  # deviations
 _GROWTH = 1.15  # of the hazard, beside that of its Gaussian
 _LONGEST_NS, _LONGEST_STEPS = 1 << 33, 256
 _SLOWEST = 0.1  # 1/s: forgets in more than the longest time
+_LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
 
 # Purposes of an event's random numbers.
 _SLOPE, _VALUE = np.uint64(0xD6E8FEB86659FD93), np.uint64(0x9E3779B97F4A7C15)
@@ -477,14 +478,14 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
 
 
 @kernel
-def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, c: StepConstants) -> None:
+def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float, c: StepConstants) -> None:
     """Write the certificate of a pixel at the end of the step.
 
     `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s;
-    `moves` whether the value was in motion: a pixel that rests gets a longer certificate with narrower limits, so that
-    its whole block can rest.
+    `moving` the speed of the value without leak, a second. A pixel that rests gets a longer certificate with narrower
+    limits, so that its whole block can rest; one that moves needs none for long after it will have left the limits.
     """
-    at, a = state.slot(pixel), _state_of(pixels, pixel, c)
+    at, a, moves = state.slot(pixel), _state_of(pixels, pixel, c), moving != 0.0
     fields, rms = pixels.fields, c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE])
     fields[at + _UNTIL] = -_ENDLESS
     noise = noise_of(rate, c.noise_pole, rms, c.high_rate)
@@ -520,8 +521,12 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, 
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
-    forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
-    last_ns = end_ns + (min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns, forgotten_ns) if moves else _LONGEST_NS)
+    last_ns = end_ns + _LONGEST_NS
+    if moves:
+        forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
+        room = noise.sigma * (c_on - limit_on if moving > 0 else c_off - limit_off)
+        left_ns = int(min(_LATER * room / abs(moving), _LONGEST_NS * 1e-9) * 1e9)
+        last_ns = end_ns + min(_LONGEST_STEPS * c.h_ns, forgotten_ns, max(left_ns, c.h_ns))
     point = keyed.next_point(a.stream, end_ns - 1, last_ns, bound_hz)
     until_ns = min(point.t_ns, last_ns)
     fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
