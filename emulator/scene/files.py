@@ -105,10 +105,7 @@ def cached_array(
 
 
 def cached_arrays(
-    name: str,
-    made_from: object,
-    make: Callable[[], Sequence[npt.NDArray[Any]]],
-    kinds: Sequence[Kind],
+    name: str, made_from: object, make: Callable[[], Sequence[npt.NDArray[Any]]], kinds: Sequence[Kind]
 ) -> list[npt.NDArray[Any]]:
     """Return the arrays that `make` computes at once, one for each kind; see `cached_array`."""
     make_once = cache(make)

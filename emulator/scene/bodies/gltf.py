@@ -28,13 +28,7 @@ from emulator.light import SceneError
 from emulator.scene.bodies.textures import MOST_PIXELS, REPEAT, WRAPS, base_colour, decoded, mean_of, transformed
 
 _MOST_BYTES = 1 << 28
-_MOST = {
-    "nodes": 10_000,
-    "parts": 256,
-    "facets": 4_000_000,
-    "corners": 12_000_000,
-    "animated properties": 1024,
-}
+_MOST = {"nodes": 10_000, "parts": 256, "facets": 4_000_000, "corners": 12_000_000, "animated properties": 1024}
 """Limits of a model. A part is a node's mesh with one material."""
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942

@@ -190,12 +190,7 @@ def _quarters(values: Floats, padding: float, extreme: np.ufunc) -> Floats:
 
 @map_entry
 def _select(
-    levels: Ints,
-    low: Floats,
-    high: Floats,
-    split: _Split,
-    camera: Floats,
-    planes: Floats,
+    levels: Ints, low: Floats, high: Floats, split: _Split, camera: Floats, planes: Floats
 ) -> tuple[npt.NDArray[np.int32], Floats]:
     """Return (n, 4) grid, column, row, posts from vertex to vertex, and the distances."""
     blocks, distances = np.empty((_MOST_BLOCKS, 4), np.int32), np.empty(_MOST_BLOCKS)

@@ -62,8 +62,8 @@ def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float,
         base -= leaked
     leak = np.float64(pixels.fields[at + _LEAK])
     value = base + piece.d0 + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
-    moves = (piece.c1 != 0.0) | (piece.c2 != 0.0) | (piece.c3 != 0.0)
-    certify(pixels, pixel, value, piece.rate1, moves, c)
+    moving = (piece.c1 + 2 * piece.c2 + 3 * piece.c3) / piece.span_ns * 1e9
+    certify(pixels, pixel, value, piece.rate1, moving, c)
 
 
 @kernel
@@ -201,4 +201,4 @@ def settle(  # noqa: PLR0913, PLR0917
                     level += weight * (laws[at] + (laws[at + 1] - laws[at]) * fraction)
             fields[field + _REF] = np.float32(value + level * c.noise_rms * pixels.memory[pixel * MEMORY + 2])
         rate = np.float64(fields[field + _L])
-        certify(pixels, pixel, value, rate, rate != rate, c)  # no literal, which would be a type of its own
+        certify(pixels, pixel, value, rate, rate - rate, c)  # no literal, which would be a type of its own

@@ -5,8 +5,8 @@ windows. The hazard at both ends of a window (`hazard`) gives a bound in between
 below that bound (`keyed`) are tried in the order of time, and the first one below the hazard is an event. The windows
 do not change the events, because the points do not depend on them.
 
-    window     the distance to a threshold shrinks by some part of a deviation, or the time since the reset doubles;
-               windows end where the curve turns, so that each is monotone
+    window     after a reset all the time in which a passage is not likely; then until the hazard is so high that about
+               one point is expected below it. Windows end where the curve turns, so that each is monotone
     event      the noise's slope at the passage is drawn; value and slope are carried over the dead time exactly, with
                two normal numbers; the reference is signal plus noise at its end
     no event   at the end of the step the pixel gets a certificate
@@ -54,8 +54,10 @@ _BURST = 10.0  # time constants of the slower pole for which a window is no long
 _UNREACHED = 5.0  # deviations of the nearer threshold: no passage before the noise has grown to that
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
 _OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
-_LEAST_CALM, _CALM_POINTS, _WORTH_IT = 1.0, 1.0, 2.0  # deviations; points expected; times of the noise
-_RARE = 0.15  # hazard below which a ramp is passed in one window, over the speed of the exponent
+_LEAST_CALM, _CALM_POINTS = 3.0, 0.5  # points over them where thresholds are 1.5 deviations away; points expected
+_POINTS = 1.0  # expected below the bound of a window of an approach
+_INFINITE = 1e6  # deviations: a dead pixel's threshold
+_FALSE_POSITIONS, _CLOSE, _WIDEST = 6, 0.1, 4.0  # steps, at most; share of the travel; over that at the present speed
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
 _MOST_LOST = 1e9
@@ -69,6 +71,7 @@ _LEAST_FAR = 1.5  # deviations
 _GROWTH = 1.15  # of the hazard, beside that of its Gaussian
 _LONGEST_NS, _LONGEST_STEPS = 1 << 33, 256
 _SLOWEST = 0.1  # 1/s: forgets in more than the longest time
+_LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
 
 # Purposes of an event's random numbers.
 _SLOPE, _VALUE = np.uint64(0xD6E8FEB86659FD93), np.uint64(0x9E3779B97F4A7C15)
@@ -93,13 +96,26 @@ class _State(NamedTuple):
 
     on: float  # thresholds, ln units
     off: float
-    leak: float  # ln units a second
-    scale: float  # of its noise
     stream: np.uint64
     reference: float
     n_r: float  # value and slope of the noise at the reset, ln units and a second
     v_r: float
     reset: float  # ns since the start of the step
+
+
+class _Curve(NamedTuple):
+    """A piece, and what the light and the noise along it need of a pixel and of `StepConstants`.
+
+    Few numbers: they are copied for each of many calls.
+    """
+
+    piece: Piece
+    t0_ns: int
+    since_s: float  # since the epoch of the leak
+    leak: float  # ln units a second
+    rms: float  # of the noise behind the receptor
+    pole: float  # 1/s
+    high_rate: float
 
 
 class _Signal(NamedTuple):
@@ -112,22 +128,60 @@ class _Signal(NamedTuple):
 
 
 @lane
-def _signal(t_ns: float, p: Piece, leak: float, scale: float, c: StepConstants) -> _Signal:
+def _value(t_ns: float, curve: _Curve) -> float:
+    """Return the value of the comparator without noise at a time of a piece."""
+    p = curve.piece
+    x = (t_ns - p.begin_ns) / p.span_ns
+    return p.base + ((((p.c3 * x + p.c2) * x + p.c1) * x + p.d0) + curve.leak * (curve.since_s + t_ns * 1e-9))
+
+
+@lane
+def _signal(t_ns: float, curve: _Curve) -> _Signal:
     """Return the signal at a time of a piece."""
+    p, high = curve.piece, curve.high_rate
     x = (t_ns - p.begin_ns) / p.span_ns
     per_s = 1e9 / p.span_ns
-    value = p.base + ((((p.c3 * x + p.c2) * x + p.c1) * x + p.d0) + leak * (c.since_s + t_ns * 1e-9))
-    speed = ((3 * p.c3 * x + 2 * p.c2) * x + p.c1) * per_s + leak
+    speed = ((3 * p.c3 * x + 2 * p.c2) * x + p.c1) * per_s + curve.leak
     rate = p.rate0 + (p.rate1 - p.rate0) * x
-    noise = noise_of(rate, c.noise_pole, c.noise_rms * scale, c.high_rate)
+    noise = noise_of(rate, curve.pole, curve.rms, high)
     # sigma^2 is rms^2 a2 / (a1 + a2): it shrinks as the receptor becomes faster. A high-pass then takes less of it.
     narrowing = 0.0
     if p.rate1 != p.rate0:
         faster = 0.5 * (p.rate1 - p.rate0) * per_s
         if noise.a1 != noise.a2:
             narrowing = faster / (noise.a1 + noise.a2)
-        narrowing -= faster * c.high_rate / (rate * (rate + c.high_rate))
-    return _Signal(value, speed, narrowing, noise)
+        narrowing -= faster * high / (rate * (rate + high))
+    return _Signal(_value(t_ns, curve), speed, narrowing, noise)
+
+
+@kernel
+def _time_at(t: float, limit: float, travel: float, now: _Signal, curve: _Curve) -> float:
+    """Return a time until which the signal goes almost `travel` from that at t, or less; `limit` where it never does.
+
+    It must not turn before `limit`. The time is the lower end of an interval that false positions narrow.
+    """
+    lower, upper = t, min(limit, t + _WIDEST * travel / (abs(now.speed) + 1e-30) * 1e9)
+    short, past = -travel, abs(_value(upper, curve) - now.value) - travel
+    if not past > 0:
+        return upper
+    for _ in range(_FALSE_POSITIONS):
+        between = lower - short * (upper - lower) / (past - short)
+        missing = abs(_value(between, curve) - now.value) - travel
+        if missing > 0:
+            upper, past = between, missing
+            short *= 0.5  # Illinois: or else the other end would stay
+            continue
+        lower, short = between, missing
+        past *= 0.5
+        if missing > -_CLOSE * travel:
+            break
+    return lower
+
+
+@kernel
+def _fastest(first: float, last: float, mean: float) -> float:
+    """Return a bound of a speed that is a parabola in time, by its ends and its mean: its Bernstein coefficients."""
+    return max(abs(first), abs(last), abs(3 * mean - first - last))
 
 
 @kernel
@@ -148,26 +202,26 @@ def _first_window_s(now: _Signal, a: _State) -> float:
 
 
 @kernel
-def _window_s(c_near: float, speed: float, rate: float) -> float:
-    """Return the length of a window in which a threshold, `c_near` deviations away, comes nearer by `speed` a second.
+def _nearer(c_ahead: float, nu: float) -> float:
+    """Return by how many deviations a threshold, `c_ahead` away, may come nearer in a window, at the speed nu.
 
-    The exponent of the hazard may grow by some units. Where the hazard stays rare even much nearer, the window goes on
-    to there: the field has few points below such a bound, so that the far part of a ramp is one window.
+    The hazard is bounded by that at the window's end, e^(-c^2 / 2) times `steep` for each deviation travelled: to the
+    c where the field has some _POINTS below it. Where it is large already, its exponent grows by _EXPONENT.
     """
-    step = max(_EXPONENT, 0.25 * c_near * c_near - 2.0) if c_near > 0 else _EXPONENT
-    nearer = step / (abs(c_near) + 1)
-    if c_near > 3:
-        rare = _RARE * c_near * speed / rate
-        if rare < 0.1:
-            nearer = max(nearer, c_near - math.sqrt(2 * math.log(0.4 / rare)))
-    length_s: float = nearer / speed
-    return length_s
+    least = _EXPONENT / (abs(c_ahead) + 1)
+    if c_ahead < 1:
+        return least
+    c_ahead, c = min(c_ahead, _INFINITE), 2.0
+    steep = (0.4 + nu) / (nu * _POINTS)
+    for _ in range(2):
+        c = math.sqrt(2 * math.log(max(steep * max(c_ahead - c, 0.3), 1.0)))
+    return max(c_ahead - c, least)
 
 
 @kernel
-def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConstants) -> tuple[_Signal, Hazard]:
+def _hazard_at(t_ns: float, curve: _Curve, a: _State, tables: _Float32s) -> tuple[_Signal, Hazard]:
     """Return signal and hazard at a time of a piece that is after the reset."""
-    now = _signal(t_ns, p, a.leak, a.scale, c)
+    now = _signal(t_ns, curve)
     distance = Distance(a.reference + a.on - now.value, now.value - a.reference + a.off, now.speed, now.narrowing)
     since_s = max(t_ns - a.reset, _SHORTEST_NS) * 1e-9
     h = hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
@@ -180,44 +234,50 @@ def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConst
 
 
 @kernel
-def _calm_end(t: float, end: float, now: _Signal, a: _State) -> tuple[float, float]:
-    """Return until when a reset is not likely to fire a pixel, and a bound of its hazard until then; t where it is.
+def _calm_end(t: float, limit: float, now: _Signal, curve: _Curve, a: _State) -> tuple[float, float]:
+    """Return until when a reset is not likely to fire a pixel, and a bound of its hazard until then.
 
-    The mean of the noise stays within its value at the reset and what its slope adds. The thresholds are nearest, in
-    deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate at a speed of 1.
+    The mean of the noise stays between 0 and its value at the reset, and what its slope adds. The thresholds are
+    nearest, in deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate. Until
+    then, or until the signal has come so near a threshold that it no longer is, few points are below the bound.
     """
-    noise = now.noise
-    forgotten_s = min(_FORGOTTEN / min(noise.a1, noise.a2), (end - t) * 1e-9)
-    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + 2 * abs(now.speed) * forgotten_s
-    c = (min(a.on, a.off) - beyond) / noise.sigma
-    if c < _LEAST_CALM:
+    to = min(t + _FORGOTTEN / min(now.noise.a1, now.noise.a2) * 1e9, limit)
+    end = _signal(to, curve)
+    sigma, rate = max(now.noise.sigma, end.noise.sigma), max(now.noise.rate, end.noise.rate)
+    calm_s, gone = (to - t) * 1e-9, end.value - now.value
+    nu = _fastest(now.speed, end.speed, gone / calm_s) / (sigma * rate)
+    least_c = math.sqrt(2 * math.log(max(rate * calm_s * (4 + nu) / _CALM_POINTS, _LEAST_CALM)))
+    bound_hz = rate * math.exp(-0.5 * least_c * least_c) * (1 + least_c + nu)
+    margin = least_c * sigma + _OVERSHOOT * abs(a.v_r) / now.noise.rate
+    on = a.reference + a.on - now.value - max(a.n_r, 0.0) - margin
+    off = now.value - a.reference + a.off + min(a.n_r, 0.0) - margin
+    if min(on, off) <= 0:
         return t, 0.0
-    bound_hz = noise.rate * math.exp(-0.5 * c * c) * (0.5 + 0.25 * c if noise.ratio > 0 else 1 + c)
-    calm_s = min(forgotten_s, _CALM_POINTS / bound_hz)
-    return t + calm_s * 1e9 if calm_s * noise.rate > _WORTH_IT else t, bound_hz
+    travel = on if gone > 0 else off
+    return to if abs(gone) <= travel else _time_at(t, to, travel, now, curve), bound_hz
 
 
 @kernel
-def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> float:
-    """Return the end of the window that begins at t, a time of the piece, with hazard h."""
+def _window_end(t: float, limit: float, now: _Signal, h: Hazard, curve: _Curve, a: _State) -> float:
+    """Return the end of the window that begins at t, a time of the piece after the reset, with hazard h."""
     since_s, noise = (t - a.reset) * 1e-9, now.noise
-    window_s: float = (end - t) * 1e-9
-    if since_s <= 0:
-        return float(min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), end))
+    window_s: float = (limit - t) * 1e-9
+    gone = _value(limit, curve) - now.value
+    speed = max(abs(now.speed), abs(gone) / window_s) / noise.sigma
     # Shortly after a reset windows grow with the time since then; later the signal decides.
     if since_s * min(noise.a1, noise.a2) < _BURST:
         window_s = min(window_s, since_s)
-    speed = abs(now.speed) / noise.sigma
-    window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
     total = min(h.on + h.off, keyed.TOP_HZ)
     if total * window_s > _MOST_POINTS:
         window_s = _MOST_POINTS / total
-    to: float = min(t + max(window_s * 1e9, 1.0), end)
-    return to
+    to: float = min(t + max(window_s * 1e9, 1.0), limit)
+    travel = _nearer(h.c_on if gone > 0 else h.c_off, speed / noise.rate) * noise.sigma * h.deviation
+    end: float = max(_time_at(t, to, travel, now, curve), min(t + 1.0, limit))
+    return end
 
 
 class _Event(NamedTuple):
-    """An event: its stream time, NEVER_NS if there is none, its polarity, and signal and hazard at its time."""
+    """An event: its stream time, its polarity, and signal and hazard at its time."""
 
     t_ns: int
     on: bool
@@ -241,20 +301,17 @@ def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _
 
 
 @kernel
-def _first_event(  # noqa: PLR0913, PLR0917
-    t: float, to: float, bound_hz: float, p: Piece, a: _State, tables: _Float32s, none: _Event, c: StepConstants
-) -> _Event:  # fmt: skip
-    """Return the first event of a window, in which the hazard is below a bound, or `none`."""
+def _first_event(t: float, to: float, bound_hz: float, curve: _Curve, a: _State, tables: _Float32s) -> keyed.Point:
+    """Return the first point of a window below the hazard, in which that is below a bound."""
     # Windows share no point: each has those from its start, included, to its end, not included.
-    from_ns, to_ns = c.t0_ns + math.ceil(t) - 1, c.t0_ns + math.ceil(to) - 1
+    from_ns, to_ns = curve.t0_ns + math.ceil(t) - 1, curve.t0_ns + math.ceil(to) - 1
     while True:
-        point = keyed.next_point(a.stream, from_ns, to_ns, bound_hz)
+        point: keyed.Point = keyed.next_point(a.stream, from_ns, to_ns, bound_hz)
         if point.t_ns == keyed.NEVER_NS:
-            return none
-        now, h = _hazard_at(np.float64(point.t_ns - c.t0_ns), p, a, tables, c)
+            return point
+        _, h = _hazard_at(np.float64(point.t_ns - curve.t0_ns), curve, a, tables)
         if point.hz < h.on + h.off:
-            event: _Event = _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
-            return event
+            return point
         from_ns = point.t_ns
 
 
@@ -287,7 +344,7 @@ def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConsta
     offset = reset_offset_at(a.stream, pixels.refractory_until_ns[pixel], a.on, a.off, c.reset)
     reference = np.float32((a.reference if a.reference == a.reference else now.value + a.n_r) + offset)
     pixels.fields[state.slot(pixel) + _REF] = reference
-    return _State(a.on, a.off, a.leak, a.scale, a.stream, np.float64(reference), a.n_r, a.v_r, a.reset)
+    return _State(a.on, a.off, a.stream, np.float64(reference), a.n_r, a.v_r, a.reset)
 
 
 @kernel
@@ -298,8 +355,6 @@ def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
     return _State(
         np.float64(fields[at + _ON]),
         np.float64(fields[at + _OFF]),
-        np.float64(fields[at + _LEAK]),
-        np.float64(pixels.memory[memory + _SCALE]),
         noise_stream(pixels, pixel, c),
         np.float64(fields[at + _REF]),
         np.float64(pixels.memory[memory + _N]),
@@ -309,10 +364,24 @@ def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
 
 
 @kernel
-def _turns(p: Piece, leak: float) -> tuple[float, float]:
+def _bound_hz(before: float, length_ns: float, now: _Signal, after: _Signal, at_end: Hazard) -> float:
+    """Return a bound of the hazard in a window, before which it is `before`.
+
+    It is largest where the threshold is nearest, unless the signal is faster elsewhere.
+    """
+    slow = 0.4 * after.noise.sigma * after.noise.rate
+    fastest = _fastest(now.speed, after.speed, (after.value - now.value) / length_ns * 1e9)
+    faster = (slow + fastest) / (slow + abs(after.speed))
+    bound_hz: float = min(_MORE * max(before, (at_end.on + at_end.off) * faster), keyed.CERTAIN_HZ)
+    return bound_hz
+
+
+@kernel
+def _turns(curve: _Curve) -> tuple[float, float]:
     """Return the times at which a piece's curve turns, the end where it does not."""
+    p = curve.piece
     end = p.begin_ns + p.span_ns
-    first = p.c1 + leak * p.span_ns * 1e-9
+    first = p.c1 + curve.leak * p.span_ns * 1e-9
     middle, last = first + p.c2, first + 2 * p.c2 + 3 * p.c3
     if min(first, middle, last) >= 0 or max(first, middle, last) <= 0:  # Bernstein's coefficients of the slope
         return end, end
@@ -340,35 +409,45 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     a = _state_of(pixels, pixel, c)
     if a.reset >= end:
         return n_keys, fired, 0
+    rms, leak = (
+        c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE]),
+        np.float64(pixels.fields[state.slot(pixel) + _LEAK]),
+    )
+    curve = _Curve(p, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
     t = max(p.begin_ns, a.reset)
     if a.reference != a.reference:
-        a = _re_armed(pixels, pixel, _signal(t, p, a.leak, a.scale, c), a, c)
-    turn, turn2 = _turns(p, a.leak)
-    now, h = _hazard_at(t, p, a, tables, c)
-    none = _Event(keyed.NEVER_NS, False, now, h, 0.0)
+        a = _re_armed(pixels, pixel, _signal(t, curve), a, c)
+    turn, turn2 = _turns(curve)
+    now, h = _hazard_at(t, curve, a, tables)
+    if now.value != now.value:  # light that has just begun has no finite logarithm
+        return n_keys, fired, 0
     before = 0.0 if t <= a.reset else h.on + h.off
     while t < end:
-        to, calm_hz = t, 0.0
+        limit = turn if t < turn else turn2 if t < turn2 else end
+        to, calm_hz = limit, 0.0
         if t <= a.reset:
-            to, calm_hz = _calm_end(t, end, now, a)
-        if to <= t:
-            to, calm_hz = _window_end(t, end, now, h, a), 0.0
-        to = turn if t < turn < to else to
-        to = turn2 if t < turn2 < to else to
-        after, at_end = _hazard_at(to, p, a, tables, c)
-        bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), keyed.CERTAIN_HZ)
+            to, calm_hz = _calm_end(t, limit, now, curve, a)
+            first = min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), limit)
+            if to < first:
+                to, calm_hz = first, 0.0
+        else:
+            to = _window_end(t, limit, now, h, curve, a)
+        after, at_end = _hazard_at(to, curve, a, tables)
+        bound_hz = _bound_hz(before, to - t, now, after, at_end) if calm_hz == 0.0 else calm_hz
         while min(bound_hz, keyed.TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # the signal became faster
             to = t + (to - t) * 0.25
-            after, at_end = _hazard_at(to, p, a, tables, c)
-            bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), keyed.CERTAIN_HZ)
-        event = none
+            after, at_end = _hazard_at(to, curve, a, tables)
+            bound_hz = _bound_hz(before, to - t, now, after, at_end)
+        point = keyed.Point(keyed.NEVER_NS, 0.0)
         if bound_hz * (to - t) > _NO_POINT:
-            event = _first_event(t, to, bound_hz, p, a, tables, none, c)
-        if event.t_ns == keyed.NEVER_NS:
+            point = _first_event(t, to, bound_hz, curve, a, tables)
+        if point.t_ns == keyed.NEVER_NS:
             t, now = to, after
             h, before = at_end, at_end.on + at_end.off
             continue
         # The event, and the dead time behind it.
+        now, h = _hazard_at(np.float64(point.t_ns - c.t0_ns), curve, a, tables)
+        event = _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
         late_s = delay_s(abs(event.slope + event.signal.speed), event.on, c)
         t_ns = event.t_ns + int(late_s * 1e9)
         # The event is the noise's where the signal has gone less than half of the way since the reference was set.
@@ -389,27 +468,27 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         t = a.reset
         if t >= end:
             break
-        now = _signal(t, p, a.leak, a.scale, c)
+        now = _signal(t, curve)
         a = _re_armed(pixels, pixel, now, a, c)
         before = 0.0
         if fired >= MOST_PASSAGES:
-            pixels.fields[state.slot(pixel) + _REF] = np.float32(_signal(end, p, a.leak, a.scale, c).value)
+            pixels.fields[state.slot(pixel) + _REF] = np.float32(_signal(end, curve).value)
             return n_keys, fired, 1 + int(min(fired * (end - t) / max(t, 1.0), _MOST_LOST))
     return n_keys, fired, 0
 
 
 @kernel
-def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, c: StepConstants) -> None:
+def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float, c: StepConstants) -> None:
     """Write the certificate of a pixel at the end of the step.
 
     `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s;
-    `moves` whether the value was in motion: a pixel that rests gets a longer certificate with narrower limits, so that
-    its whole block can rest.
+    `moving` the speed of the value without leak, a second. A pixel that rests gets a longer certificate with narrower
+    limits, so that its whole block can rest; one that moves needs none for long after it will have left the limits.
     """
-    at, a = state.slot(pixel), _state_of(pixels, pixel, c)
-    fields = pixels.fields
+    at, a, moves = state.slot(pixel), _state_of(pixels, pixel, c), moving != 0.0
+    fields, rms = pixels.fields, c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE])
     fields[at + _UNTIL] = -_ENDLESS
-    noise = noise_of(rate, c.noise_pole, c.noise_rms * a.scale, c.high_rate)
+    noise = noise_of(rate, c.noise_pole, rms, c.high_rate)
     since_s = (c.h_ns - a.reset) * 1e-9
     if a.reference != a.reference or since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
         return
@@ -420,7 +499,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, 
         reach = max(off, 0.0) if c.high_rate == 0 else 2 * max(on, off)
         slower = noise.a1 / (noise.a1 + noise.a2) if noise.a1 != noise.a2 else 0.0
         share = 1 + 0.5 * max(slower, c.high_rate / (rate + c.high_rate)) * reach
-        louder = min(noise.sigma * share, c.noise_rms * a.scale)
+        louder = min(noise.sigma * share, rms)
         noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
     speed = _SPEED_SHARE * noise.sigma * noise.rate
     c_on, c_off = on / noise.sigma, off / noise.sigma
@@ -442,8 +521,12 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, 
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
-    forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
-    last_ns = end_ns + (min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns, forgotten_ns) if moves else _LONGEST_NS)
+    last_ns = end_ns + _LONGEST_NS
+    if moves:
+        forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
+        room = noise.sigma * (c_on - limit_on if moving > 0 else c_off - limit_off)
+        left_ns = int(min(_LATER * room / abs(moving), _LONGEST_NS * 1e-9) * 1e9)
+        last_ns = end_ns + min(_LONGEST_STEPS * c.h_ns, forgotten_ns, max(left_ns, c.h_ns))
     point = keyed.next_point(a.stream, end_ns - 1, last_ns, bound_hz)
     until_ns = min(point.t_ns, last_ns)
     fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
