@@ -57,7 +57,8 @@ _OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most,
 _LEAST_CALM, _CALM_POINTS = 3.0, 0.5  # points over them where thresholds are 1.5 deviations away; points expected
 _POINTS = 1.0  # expected below the bound of a window of an approach
 _INFINITE = 1e6  # deviations: a dead pixel's threshold
-_FALSE_POSITIONS, _CLOSE, _WIDEST = 6, 0.1, 4.0  # steps, at most; share of the travel; over that at the present speed
+_FALSE_POSITIONS, _CLOSE = 6, 0.1  # steps, at most; share of the travel
+_WIDEST = 4.0  # interval of false positions, over the time that the present speed needs
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
 _MOST_LOST = 1e9
@@ -478,6 +479,16 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
 
 
 @kernel
+def _lasting_ns(room: float, moving: float, c: StepConstants) -> int:
+    """Return how long a certificate may last; the signal moves by `moving` a second, its limit there is `room` away."""
+    if moving == 0.0:
+        return _LONGEST_NS
+    forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
+    left_ns = int(min(_LATER * room / abs(moving), _LONGEST_NS * 1e-9) * 1e9)
+    return min(_LONGEST_STEPS * c.h_ns, forgotten_ns, max(left_ns, c.h_ns))
+
+
+@kernel
 def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float, c: StepConstants) -> None:
     """Write the certificate of a pixel at the end of the step.
 
@@ -521,12 +532,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
-    last_ns = end_ns + _LONGEST_NS
-    if moves:
-        forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
-        room = noise.sigma * (c_on - limit_on if moving > 0 else c_off - limit_off)
-        left_ns = int(min(_LATER * room / abs(moving), _LONGEST_NS * 1e-9) * 1e9)
-        last_ns = end_ns + min(_LONGEST_STEPS * c.h_ns, forgotten_ns, max(left_ns, c.h_ns))
+    last_ns = end_ns + _lasting_ns(noise.sigma * (c_on - limit_on if moving > 0 else c_off - limit_off), moving, c)
     point = keyed.next_point(a.stream, end_ns - 1, last_ns, bound_hz)
     until_ns = min(point.t_ns, last_ns)
     fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
