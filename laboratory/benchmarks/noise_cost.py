@@ -1,7 +1,8 @@
-"""Cost of noise: the whole sensor beside OpenEB's simulator, and the noise before the start. Processor time.
+"""Cost of noise: beside OpenEB's simulator, before the start, and in the shipped rigs. Processor time.
 
     python -m laboratory.benchmarks.noise_cost openeb PATH [--steps 100] [--json]
     python -m laboratory.benchmarks.noise_cost start [--json]
+    python -m laboratory.benchmarks.noise_cost rigs [--json]
 
 PATH is a checkout of OpenEB, `git clone https://github.com/prophesee-ai/openeb`: nothing of it is compiled, as its
 simulator is Python and numba. Both simulators get the same light in one process and on one thread, 346 x 260 pixels in
@@ -23,6 +24,8 @@ import numpy as np
 from cyclopts import App
 
 from emulator.light import LightFrame
+from emulator.rig.loading import load_rig
+from emulator.run.assembly import build_scene
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
@@ -34,6 +37,8 @@ STEP_S = 1e-3
 FIRST_STEPS = 20  # compile, and settle
 START_SIZE = 1280, 720
 START_LIGHTS = 0.0, 0.1, 1.0
+RIGS = "eros", "itokawa", "eros-flyover", "rendezvous", "malapert"
+RIG_STEPS = 8
 
 Scene = Literal["grating", "edge"]
 app = App(name="noise_cost")
@@ -69,6 +74,22 @@ class Start(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.preset:12} light {self.light:g}: {self.noise_s:.2f} s, without noise {self.without_s:.2f} s"
+
+
+class RigStep(NamedTuple):
+    """Median processor time of a step's pixels with noise and without, s, and their events a step in the mean."""
+
+    rig: str
+    noise_s: float
+    without_s: float
+    events: float
+    events_without: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.rig:12} {self.noise_s * 1e3:.1f} ms a step ({self.events:.0f} events), without noise"
+            f" {self.without_s * 1e3:.1f} ms ({self.events_without:.0f})"
+        )
 
 
 def parameters(preset: str, size: tuple[int, int], *, noise: bool) -> SensorParameters:
@@ -128,7 +149,28 @@ def started(preset: str, light: float, size: tuple[int, int] = START_SIZE) -> St
     return Start(preset, light, *found_s)
 
 
-def _report(found: Iterable[Beside | Start], json: bool) -> None:
+def stepped(name: str, size: tuple[int, int] = START_SIZE) -> RigStep:
+    """Return the times of the pixels of `imx636` in the light of a shipped rig, from 0 s, on one thread."""
+    rig = load_rig(name)
+    taken: list[tuple[float, int]] = []
+    arrays = [PixelArray(parameters("imx636", size, noise=noise), 1, threads=1) for noise in (True, False)]
+    with build_scene(rig, size) as scene:
+        for k in range(RIG_STEPS + 1):
+            light, rate = np.zeros((2, *size[::-1]), np.float32)
+            scene.light_and_rate(k * rig.run.step_us * 1000, light, rate)
+            frame = LightFrame(k * rig.run.step_us * 1000, light, rate)
+            for array in arrays:
+                if k == 0:
+                    array.reset(frame)
+                    continue
+                begin_s = time.process_time()
+                count = len(array.step(frame).t_ns)
+                taken.append((time.process_time() - begin_s, count))
+    spent_s, events = np.array(taken).reshape(RIG_STEPS, len(arrays), 2).T
+    return RigStep(name, *np.median(spent_s, axis=1), *events.mean(axis=1))
+
+
+def _report(found: Iterable[Beside | Start | RigStep], json: bool) -> None:
     lines = []
     for line in found:
         print(line, flush=True)
@@ -151,6 +193,12 @@ def openeb(path: Path, *, steps: int = 100, json: bool = False) -> None:
 def start(*, json: bool = False) -> None:
     """Measure the reset at 1280 x 720, where the noise before the start is drawn, in still light."""
     _report(itertools.starmap(started, itertools.product(("imx636", "imx636_quiet", "davis346"), START_LIGHTS)), json)
+
+
+@app.command
+def rigs(*, json: bool = False) -> None:
+    """Measure a step's pixels at 1280 x 720 with `imx636` in the light of shipped rigs, with noise and without."""
+    _report(map(stepped, RIGS), json)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.hazard import BEYOND, Distance, Hazard, Noise, exit_speed, hazard, noise_of, transition
+from emulator.sensor.noise.hazard import (
+    BEYOND,
+    FARTHEST,
+    Distance,
+    Hazard,
+    Noise,
+    exit_speed,
+    hazard,
+    noise_of,
+    transition,
+)
 from emulator.sensor.numerics import keyed
 from emulator.sensor.numerics.compiled import kernel, lane
 from emulator.sensor.pixels import state
@@ -366,14 +376,19 @@ def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
 
 @kernel
 def _bound_hz(before: float, length_ns: float, now: _Signal, after: _Signal, at_end: Hazard) -> float:
-    """Return a bound of the hazard in a window, before which it is `before`.
+    """Return a bound of the hazard in a window, at whose start it is `before`.
 
-    It is largest where the threshold is nearest, unless the signal is faster elsewhere.
+    It is largest where the threshold is nearest, unless the signal is faster elsewhere. A threshold that recedes at the
+    end, as the noise shrinks, may have come nearer until then: there it is below twice Rice's rate.
     """
-    slow = 0.4 * after.noise.sigma * after.noise.rate
-    fastest = _fastest(now.speed, after.speed, (after.value - now.value) / length_ns * 1e9)
-    faster = (slow + fastest) / (slow + abs(after.speed))
-    bound_hz: float = min(_MORE * max(before, (at_end.on + at_end.off) * faster), keyed.CERTAIN_HZ)
+    gone = after.value - now.value
+    c_end, nu_end = (at_end.c_on, at_end.nu_on) if gone > 0 else (at_end.c_off, at_end.nu_off)
+    unit = after.noise.sigma * after.noise.rate
+    fastest = _fastest(now.speed, after.speed, gone / length_ns * 1e9) / unit
+    most_hz = (at_end.on + at_end.off) * (0.4 + fastest) / (0.4 + abs(after.speed) / unit)
+    if nu_end < 0 < c_end < FARTHEST:
+        most_hz = max(most_hz, after.noise.rate * math.exp(-0.5 * c_end * c_end) * (1 + c_end + fastest))
+    bound_hz: float = min(_MORE * max(before, most_hz), keyed.CERTAIN_HZ)
     return bound_hz
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from laboratory.benchmarks import noise_cost
-from laboratory.benchmarks.noise_cost import Beside, beside, frames, openeb, parameters, started
+from laboratory.benchmarks.noise_cost import Beside, beside, frames, openeb, parameters, started, stepped
 
 STAND_IN = """
 import time
@@ -100,3 +100,10 @@ def test_lines_come_as_json_too(checkout, monkeypatch, capsys):
     *lines, last = capsys.readouterr().out.splitlines()
     assert len(lines) == len(json.loads(last)) == 6
     assert [one["noise"] for one in json.loads(last)] == [True] * 4 + [False] * 2
+
+
+def test_pixels_of_a_rig_are_those_of_the_preset_with_and_without_noise():
+    found = stepped("rendezvous", (160, 120))
+    assert 0.8 < found.events / found.events_without < 1.5
+    line = str(found._replace(noise_s=0.02, without_s=0.004, events=1000.0, events_without=900.0))
+    assert line == "rendezvous   20.0 ms a step (1000 events), without noise 4.0 ms (900)"
