@@ -75,14 +75,10 @@ class Method:
 
     Attributes
     ----------
-    name : str
-        As in a rig's `run.method`.
-    make : MakePixels
-        Factory, for a sensor and a seed.
-    rate : bool
-        True: the method gets the light's time derivative.
-    refines : bool
-        True: the method gets the light of single pixels between the frames.
+    name : as in a rig's `run.method`.
+    make : factory, for a sensor and a seed.
+    rate : True: the method gets the light's time derivative.
+    refines : True: the method gets the light of single pixels between the frames.
     """
 
     name: str
@@ -97,18 +93,12 @@ class Case:
 
     Attributes
     ----------
-    name : str
-        One word.
-    scene : ClosedLight
-        The light, with as many pixels as the sensor.
-    parameters : SensorParameters
-        The sensor.
-    duration_s : float
-        Length in stream time.
-    start_ns : int
-        Stream time of the start; the light counts time from the start.
-    fine_s : float
-        Step of the truth, s; longer for slow scenes. With noise: between two frames of the reference.
+    name : one word.
+    scene : the light, with as many pixels as the sensor.
+    parameters : the sensor.
+    duration_s : length in stream time.
+    start_ns : stream time of the start; the light counts time from the start.
+    fine_s : step of the truth, s; longer for slow scenes. With noise: between two frames of the reference.
     """
 
     name: str
@@ -145,10 +135,8 @@ def events(
 
     Parameters
     ----------
-    step_s : float
-        Time between two frames, s; rounded to ns. The case should last a whole number of steps: the truth ends with it.
-    seen : callable, optional
-        Change of each frame before the method gets it.
+    step_s : time between frames, s; rounded to ns. A case should last a whole number of steps: the truth ends with it.
+    seen : change of each frame before the method gets it.
     """
     array, h_ns = method.make(case.parameters, SEED), round(step_s * 1e9)
     steps = round(case.duration_s * 1e9 / h_ns)

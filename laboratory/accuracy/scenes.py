@@ -404,12 +404,9 @@ class Faded(ClosedLight):
 
     Attributes
     ----------
-    scene : ClosedLight
-        The scene; `pixels` is its own.
-    threshold : float
-        The dimming is 0.1 to 0.9 of it, ln units.
-    rise_s : float
-        End of the dimming, s; its derivative is continuous.
+    scene : the scene; `pixels` is its own.
+    threshold : the dimming is 0.1 to 0.9 of it, ln units.
+    rise_s : end of the dimming, s; its derivative is continuous.
     """
 
     scene: ClosedLight = field(default_factory=lambda: MovingEdge())

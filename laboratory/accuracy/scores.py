@@ -129,12 +129,9 @@ class Stream:
 
     Attributes
     ----------
-    t_us : (n,) float64
-        Times.
-    on : (n,) bool
-        True where the light increased.
-    first : (pixels + 1,) int64
-        Index of each pixel's first event.
+    t_us : (n,) float64, times.
+    on : (n,) bool, True where the light increased.
+    first : (pixels + 1,) int64, index of each pixel's first event.
     """
 
     t_us: npt.NDArray[np.float64]
@@ -211,12 +208,9 @@ class Scores:
 
     Attributes
     ----------
-    right, wrong_events, count, same_time : float
-        Ratios.
-    t50_us, t95_us, earth_mover_us : float
-        Times, us.
-    events, true_events : int
-        Numbers of events.
+    right, wrong_events, count, same_time : ratios.
+    t50_us, t95_us, earth_mover_us : times, us.
+    events, true_events : numbers of events.
     """
 
     right: float

@@ -51,16 +51,11 @@ class Sweep:
 
     Attributes
     ----------
-    axis : str
-        Name of the axis.
-    description : str
-        Description in a few words.
-    label : str
-        Label of the axis, with the unit.
-    values : tuple of float
-        Values from harmless to extreme.
-    at : callable
-        Returns the setting of a value.
+    axis : name of the axis.
+    description : a few words.
+    label : of the axis, with the unit.
+    values : from harmless to extreme.
+    at : returns the setting of a value.
     """
 
     axis: str
@@ -76,12 +71,9 @@ class Cell:
 
     Attributes
     ----------
-    right, count, wrong_events : float
-        See `scores`.
-    t50_steps, t95_steps : float
-        Timestamp error over the step.
-    lost : int
-        Crossings beyond the most of one pixel and step.
+    right, count, wrong_events : see `scores`.
+    t50_steps, t95_steps : timestamp error over the step.
+    lost : crossings beyond the most of one pixel and step.
     """
 
     axis: str

@@ -56,18 +56,12 @@ class Point:
 
     Attributes
     ----------
-    case, method : str
-        Names.
-    step_ms : float
-        Time between two frames.
-    frames_per_s : float
-        Frames rendered for a second of stream.
-    us_per_frame : float
-        Pixel work of a step, 346 x 260, one thread.
-    us_per_stream_ms : float
-        Pixel work of a millisecond of stream.
-    scores : Scores
-        Against the truth.
+    case, method : names.
+    step_ms : time between two frames.
+    frames_per_s : frames rendered for a second of stream.
+    us_per_frame : pixel work of a step, 346 x 260, one thread.
+    us_per_stream_ms : pixel work of a millisecond of stream.
+    scores : against the truth.
     """
 
     case: str
@@ -105,10 +99,8 @@ class Need:
 
     Attributes
     ----------
-    frames_per_s : float
-        Infinite where no step gives the error.
-    kind : str
-        "between" two points of the sweep; "beyond" its shortest step, by the order of its three shortest ones; "at
+    frames_per_s : infinite where no step gives the error.
+    kind : "between" two points of the sweep; "beyond" its shortest step, by the order of its three shortest ones; "at
         most" that of its longest step, which is short enough; "never": the error does not fall with the step.
     """
 
@@ -230,12 +222,9 @@ class Effect:
 
     Attributes
     ----------
-    own : tuple of str
-        Fields that are copied from the case's sensor.
-    table : str
-        Table of the sensor in which `instead` is set.
-    instead : tuple
-        Fields and their values where the case's sensor has the effect switched off.
+    own : fields that are copied from the case's sensor.
+    table : of the sensor, in which `instead` is set.
+    instead : fields and their values where the case's sensor has the effect switched off.
     """
 
     name: str
@@ -335,16 +324,11 @@ class Controlled:
 
     Attributes
     ----------
-    wish_us
-        Wanted 95th percentile of timestamp errors, us.
-    with_rate
-        True: the light's derivative was given.
-    refined
-        True: the light of single pixels between the frames was given.
-    frames_per_s
-        Frames used for a second of stream.
-    pixel_frames_per_s
-        Requested lights of single pixels in a second of stream, as a number of frames.
+    wish_us : wanted 95th percentile of timestamp errors, us.
+    with_rate : True: the light's derivative was given.
+    refined : True: the light of single pixels between the frames was given.
+    frames_per_s : frames used for a second of stream.
+    pixel_frames_per_s : requested lights of single pixels in a second of stream, as a number of frames.
     """
 
     case: str

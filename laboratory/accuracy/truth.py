@@ -195,16 +195,11 @@ def true_events(
 
     Parameters
     ----------
-    scene : ClosedLight
-        The light, with as many pixels as the sensor.
-    parameters : SensorParameters
-        The sensor.
-    seed : int
-        Keys its mismatch, leak rates and phases.
-    duration_s : float
-        Rounded to a whole number of fine steps.
-    fine_s : float
-        The Runge-Kutta step, s.
+    scene : the light, with as many pixels as the sensor.
+    parameters : the sensor.
+    seed : keys its mismatch, leak rates and phases.
+    duration_s : rounded to a whole number of fine steps.
+    fine_s : the Runge-Kutta step, s.
 
     Raises
     ------
@@ -288,14 +283,10 @@ def ideal_events(
 
     Parameters
     ----------
-    scene : ClosedLight
-        The light, above 0 and without jumps.
-    threshold_on, threshold_off : float
-        Thresholds, ln units, > 0.
-    duration_s : float
-        Rounded to a whole number of fine steps.
-    fine_s : float
-        Distance of the values of ln i between which it is the cubic through its values and slopes, s.
+    scene : the light, above 0 and without jumps.
+    threshold_on, threshold_off : ln units, > 0.
+    duration_s : rounded to a whole number of fine steps.
+    fine_s : distance of the values of ln i between which it is the cubic through its values and slopes, s.
 
     Raises
     ------

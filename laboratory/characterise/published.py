@@ -31,22 +31,14 @@ class Published:
 
     Attributes
     ----------
-    description : str
-        Description, with the value.
-    curve : str
-        Curve in which it is drawn, or `FIGURE` for a value in the table alone.
-    x, y : tuple of float
-        Its position or positions. No x: a horizontal line at y (two: a band). No y: a vertical line at x.
-    source, how : str
-        Source, and the way the value was obtained.
-    series : str
-        The line to compare it with; "": all lines of the curve.
-    tolerance : float
-        Factor within which our value agrees; 0: no fair comparison is possible, `remark` gives the reason.
-    remark : str
-        Condition of the comparison.
-    own : bool
-        True: the presets use this source, so that agreement shows only that they follow it.
+    description : includes the value.
+    curve : curve in which it is drawn, or `FIGURE` for a value in the table alone.
+    x, y : its position or positions. No x: a horizontal line at y (two: a band). No y: a vertical line at x.
+    source, how : source, and the way the value was obtained.
+    series : the line to compare it with; "": all lines of the curve.
+    tolerance : factor within which our value agrees; 0: no fair comparison is possible, `remark` gives the reason.
+    remark : condition of the comparison.
+    own : True: the presets use this source, so that agreement shows only that they follow it.
     """
 
     description: str

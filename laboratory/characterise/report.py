@@ -130,12 +130,9 @@ class Comparison:
 
     Attributes
     ----------
-    published : Published
-        The published value.
-    low, high : float
-        Our values at its position: least and largest of the lines and points that it is compared with; NaN: none.
-    verdict : str
-        "agrees", "as preset" (agrees with the source of the presets), "differs", or "not compared".
+    published : the published value.
+    low, high : our values at its position: least and largest of the lines and points compared with it; NaN: none.
+    verdict : "agrees", "as preset" (agrees with the source of the presets), "differs", or "not compared".
     """
 
     published: Published

@@ -70,19 +70,14 @@ class Bench:
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor, of the bench's size.
-    light : scalar or (height, width)
-        Light at the start, on which the sensor is at rest.
-    seed : int
-        Keys all random numbers.
+    parameters : the sensor, of the bench's size.
+    light : scalar or (height, width), light at the start, on which the sensor is at rest.
+    seed : keys all random numbers.
 
     Attributes
     ----------
-    t_ns : int
-        Stream time.
-    light : (height, width) float64
-        Light of each lamp, relative to the sensor's reference.
+    t_ns : stream time.
+    light : (height, width) float64, light of each lamp, relative to the sensor's reference.
     """
 
     def __init__(self, parameters: SensorParameters, light: npt.ArrayLike, seed: int = 1) -> None:
@@ -181,16 +176,11 @@ class Point:
 
     Attributes
     ----------
-    curve : str
-        A key of `CURVES`, or `FIGURE`.
-    series : str
-        Line of the curve.
-    x, y : float
-        In the curve's units.
-    low, high : float
-        Spread between pixels or events, 5 % and 95 %; NaN: none.
-    model : float
-        Value of the equations; NaN: no closed form.
+    curve : a key of `CURVES`, or `FIGURE`.
+    series : line of the curve.
+    x, y : in the curve's units.
+    low, high : spread between pixels or events, 5 % and 95 %; NaN: none.
+    model : value of the equations; NaN: no closed form.
     """
 
     curve: str

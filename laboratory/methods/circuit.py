@@ -359,8 +359,7 @@ class LogLightPixels(PixelMethod):
 
     Attributes
     ----------
-    quiet_nan : int
-        Pixel-steps whose light was not finite; the last finite light of the pixel is used.
+    quiet_nan : pixel-steps whose light was not finite; the last finite light of the pixel is used.
     """
 
     _model: Any
@@ -451,15 +450,12 @@ class CircuitPixels(LogLightPixels):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor, with `photoreceptor = "circuit"`.
-    seed : int
-        Keys the pixels, which are those of a `PixelArray` with that seed.
+    parameters : the sensor, with `photoreceptor = "circuit"`.
+    seed : keys the pixels, which are those of a `PixelArray` with that seed.
 
     Attributes
     ----------
-    lost_in_pixel : int
-        Crossings beyond 64 of a pixel in a step.
+    lost_in_pixel : crossings beyond 64 of a pixel in a step.
     """
 
     capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_circuit=True)

@@ -319,17 +319,13 @@ class NoisyPixels(LogLightPixels):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor, with `noise.rms` > 0.
-    seed : int
-        Keys the noise, and the pixels, which are those of a `PixelArray` with that seed.
-    delta_ns : int
-        Step of the grid; 0: `grid_ns`.
+    parameters : the sensor, with `noise.rms` > 0.
+    seed : keys the noise, and the pixels, which are those of a `PixelArray` with that seed.
+    delta_ns : step of the grid; 0: `grid_ns`.
 
     Attributes
     ----------
-    lost_in_pixel : int
-        Crossings beyond 16 of a pixel in half a grid step.
+    lost_in_pixel : crossings beyond 16 of a pixel in half a grid step.
     """
 
     capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_grid_noise=True, has_large_signal=True)

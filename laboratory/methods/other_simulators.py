@@ -81,12 +81,9 @@ class Step:
 
     Attributes
     ----------
-    t0_ns, h_ns : int
-        Start and length of the step.
-    u0, u1 : (pixels,) float64
-        Log light before and after; NaN where unreadable.
-    readable : (pixels,) bool
-        Whether both are readable.
+    t0_ns, h_ns : start and length of the step.
+    u0, u1 : (pixels,) float64, log light before and after; NaN where unreadable.
+    readable : (pixels,) bool, True where both are readable.
     """
 
     t0_ns: int
@@ -124,17 +121,13 @@ class Rule(PixelMethod):
 
     Parameters
     ----------
-    parameters : SensorParameters
-        The sensor.
-    seed : int
-        Keys the pixels, which are those of a `PixelArray` with that seed.
+    parameters : the sensor.
+    seed : keys the pixels, which are those of a `PixelArray` with that seed.
 
     Attributes
     ----------
-    lost_in_pixel : int
-        Crossings since `reset` beyond 64 of a pixel and step.
-    quiet_nan : int
-        Pixel-steps since `reset` whose light was unreadable.
+    lost_in_pixel : crossings since `reset` beyond 64 of a pixel and step.
+    quiet_nan : pixel-steps since `reset` whose light was unreadable.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
@@ -400,10 +393,8 @@ class Esim(Sikorski):
 
     Parameters
     ----------
-    parameters, seed
-        See `Rule`.
-    redraw : bool
-        True: every pixel's thresholds are drawn again in each step, with the sensor's mismatch.
+    parameters, seed : see `Rule`.
+    redraw : True: every pixel's thresholds are drawn again in each step, with the sensor's mismatch.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, redraw: bool = False) -> None:

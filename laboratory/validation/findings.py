@@ -33,24 +33,15 @@ class Datum:
 
     Attributes
     ----------
-    what : str
-        The condition, such as "ON at 0.046 W/m2, factory biases".
-    real, ours : float
-        The two values, in `unit`; ours is the median over the seeds, NaN where the simulated sensor gives none.
-    unit : str
-        Unit; "" for a number.
-    kind : Kind
-        Distance between the two.
-    bound : float
-        Largest distance that is alike.
-    fitted : bool
-        True: a value of the preset was chosen by this datum, which shows what the model can follow; false: predicted.
-    apart : float
-        The distance, of the same kind, between two real ones, such as two regions of a chip; NaN: not known.
-    remark : str
-        Doubts about the measurement or the comparison.
-    seeds : tuple of float
-        Ours for each seed; empty: one seed.
+    what : the condition, such as "ON at 0.046 W/m2, factory biases".
+    real, ours : the values, in `unit`; ours is the median over the seeds, NaN where the simulated sensor gives none.
+    unit : "" for a number.
+    kind : distance between the two.
+    bound : largest distance that is alike.
+    fitted : True: a preset value was chosen by this datum, which shows what the model can follow; False: predicted.
+    apart : the distance, of the same kind, between two real ones, such as two regions of a chip; NaN: not known.
+    remark : doubts about the measurement or the comparison.
+    seeds : ours for each seed; empty: one seed.
     """
 
     what: str
@@ -108,12 +99,9 @@ class Source:
 
     Attributes
     ----------
-    title, address : str
-        Citation; DOI or address.
-    licence : str
-        Licence, with the acknowledgement that it requires.
-    obtained : str
-        The way the values were obtained, such as "digitised from the maps of the repository".
+    title, address : citation; DOI or address.
+    licence : its name, with the acknowledgement that it requires.
+    obtained : the way the values were obtained, such as "digitised from the maps of the repository".
     """
 
     title: str
@@ -128,22 +116,14 @@ class Findings:
 
     Attributes
     ----------
-    name : str
-        One word, also the stem of its files.
-    title : str
-        Heading on the page.
-    sensor : str
-        Preset that is measured.
-    protocol : str
-        The experiment, and our repetition, in a few sentences.
-    sources : tuple of Source
-        Origin of the real values.
-    data : tuple of Datum
-        All values.
-    remarks : tuple of str
-        Limits of the comparison, and what could not be obtained.
-    draw : Draw or None
-        Picture of the experiment.
+    name : one word, also the stem of its files.
+    title : heading on the page.
+    sensor : preset that is measured.
+    protocol : the experiment, and our repetition, in a few sentences.
+    sources : origin of the real values.
+    data : all values.
+    remarks : limits of the comparison, and what could not be obtained.
+    draw : picture of the experiment.
     """
 
     name: str

@@ -53,16 +53,11 @@ class Observatory:
 
     Attributes
     ----------
-    sensor : SensorParameters
-        The sensor.
-    lens : LensParameters
-        The lens.
-    scene : StarsParameters
-        The sky, with the camera's path and a drawn field.
-    step_ns : int
-        Time from one light frame to the next.
-    chip : str
-        Name of a camera model; its chip's pitch has an effect on diffraction only.
+    sensor : the sensor.
+    lens : the lens.
+    scene : the sky, with the camera's path and a drawn field.
+    step_ns : time from one light frame to the next.
+    chip : name of a camera model; its chip's pitch has an effect on diffraction only.
     """
 
     sensor: SensorParameters
@@ -82,16 +77,11 @@ class Seen:
 
     Attributes
     ----------
-    magnitudes : (n,) float64
-        G of the stars inside the picture.
-    matched : (n,) bool
-        True: a source lies at the star.
-    chance : float
-        Share of places without a star at which a source lies, from the stars' places mirrored.
-    noise_hz : float
-        Mean rate of ON events of a pixel without stars.
-    counts : (height, width) float32
-        The picture.
+    magnitudes : (n,) float64, G of the stars inside the picture.
+    matched : (n,) bool, True: a source lies at the star.
+    chance : share of places without a star at which a source lies, from the stars' places mirrored.
+    noise_hz : mean rate of ON events of a pixel without stars.
+    counts : (height, width) float32, the picture.
     """
 
     magnitudes: Floats

@@ -56,10 +56,8 @@ class Limits:
 
     Attributes
     ----------
-    found : (n,) float64
-        Share of the stars that is found in each interval of `_LADDER`.
-    noise_hz : float
-        ON events of a pixel without stars, Hz.
+    found : (n,) float64, share of the stars that is found in each interval of `_LADDER`.
+    noise_hz : ON events of a pixel without stars, Hz.
     """
 
     found: Floats

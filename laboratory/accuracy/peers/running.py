@@ -43,14 +43,10 @@ class Adapter:
 
     Attributes
     ----------
-    python : str
-        The interpreter.
-    place : str
-        `FILE.py:MAKE`.
-    path : str
-        Place of the simulator, or "".
-    threads : int
-        Threads that the usual libraries may use; 0 leaves it to them.
+    python : the interpreter.
+    place : `FILE.py:MAKE`.
+    path : place of the simulator, or "".
+    threads : number of threads that the usual libraries may use; 0 leaves it to them.
     """
 
     python: str
@@ -79,10 +75,8 @@ def run_adapter(
 
     Parameters
     ----------
-    limit_s : float
-        Longest time for the start, and for each sequence, on the clock.
-    done : callable
-        Called with the name of each sequence that has ended in any way.
+    limit_s : longest time for the start, and for each sequence, on the clock.
+    done : called with the name of each sequence that has ended in any way.
     """
     outcome, waiting, lost = Outcome(), list(sequences), 0
     while waiting:

@@ -39,16 +39,11 @@ class PeerEvents:
 
     Attributes
     ----------
-    t_us : (n,) float64
-        Times since the first frame.
-    x, y : (n,) int64
-        Pixels.
-    on : (n,) bool
-        Polarities.
-    frame : (n,) int64, optional
-        Number of the frame with which each event came; the number of frames for those of the end.
-    wall_ns, cpu_ns : (frames,) int64, optional
-        Clock and time of all processors that each frame took.
+    t_us : (n,) float64, times since the first frame.
+    x, y : (n,) int64, pixels.
+    on : (n,) bool, polarities.
+    frame : (n,) int64, number of the frame with which each event came; the number of frames for those of the end.
+    wall_ns, cpu_ns : (frames,) int64, clock and time of all processors that each frame took.
     """
 
     t_us: npt.NDArray[np.float64]
@@ -66,12 +61,9 @@ class SequenceScore:
 
     Attributes
     ----------
-    right, false, missed : float, optional
-        Share of the sequences of pixels that are right; false and missing events over the true ones.
-    t50_us, t95_us : float, optional
-        Quantiles of |time error| over the events of the right pixels.
-    failure : str
-        The reason why there are no scores, or "".
+    right, false, missed : share of the sequences of pixels that are right; false and missing events over the true ones.
+    t50_us, t95_us : quantiles of |time error| over the events of the right pixels.
+    failure : the reason why there are no scores, or "".
     """
 
     sequence: str
@@ -120,18 +112,12 @@ class Report:
 
     Attributes
     ----------
-    about : dict of str to str
-        Its name, version, date, takes, notes and device.
-    day : str
-        Date of the run.
-    machine : str
-        The machine.
-    scores : tuple of SequenceScore
-        Of all sequences with a truth.
-    frame_times : dict of str to FrameTime
-        By the timing sequence.
-    remarks : tuple of str
-        On its events.
+    about : its name, version, date, takes, notes and device.
+    day : date of the run.
+    machine : the machine.
+    scores : of all sequences with a truth.
+    frame_times : by the timing sequence.
+    remarks : on its events.
     """
 
     about: dict[str, str]
@@ -231,8 +217,7 @@ def score_events(
 
     Parameters
     ----------
-    failures : mapping of str to str
-        Sequences that a run did not finish, with the reasons.
+    failures : sequences that a run did not finish, with the reasons.
 
     Raises
     ------

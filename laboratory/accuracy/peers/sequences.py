@@ -121,12 +121,9 @@ class SequenceFolder:
 
     Attributes
     ----------
-    path : Path
-        The folder.
-    threshold_on, threshold_off : float
-        Thresholds of its truth, ln units.
-    sequences : dict of str to FrameSequence
-        Sequences by name.
+    path : the folder.
+    threshold_on, threshold_off : thresholds of its truth, ln units.
+    sequences : sequences by name.
     """
 
     path: Path
@@ -194,10 +191,8 @@ def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tupl
 
     Parameters
     ----------
-    images_per_s : sequence of int
-        Frame rates, that divide 10^9; sequences of whole milliseconds suit all rates that are multiples of 20.
-    scenes : sequence of str
-        Names of `SCENES`.
+    images_per_s : frame rates, that divide 10^9; sequences of whole milliseconds suit all that are multiples of 20.
+    scenes : names of `SCENES`.
 
     Raises
     ------

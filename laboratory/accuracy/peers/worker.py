@@ -53,21 +53,14 @@ class Settings:
 
     Attributes
     ----------
-    width, height : int
-        Pixels.
-    threshold_on, threshold_off : float
-        Contrast thresholds, ln units. Everything else of the sensor is off: mismatch, noise, leak, refractory period
-        and low-pass.
-    scene : str
-        Name of the light.
-    images_per_s : float
-        Rate of the frames.
-    frames : int
-        Number of the frames.
-    whole : bool
-        True: turn on all that the simulator models, as for a real camera. For times alone: nothing is scored.
-    path : str
-        Place of the simulator's checkout or package as the user gave it, or "".
+    width, height : pixels.
+    threshold_on, threshold_off : contrast thresholds, ln units. Everything else of the sensor is off: mismatch, noise,
+        leak, refractory period and low-pass.
+    scene : name of the light.
+    images_per_s : rate of the frames.
+    frames : number of the frames.
+    whole : True: turn on all that the simulator models, as for a real camera. For times alone: nothing is scored.
+    path : place of the simulator's checkout or package as the user gave it, or "".
     """
 
     width: int
@@ -86,12 +79,9 @@ class Frame(NamedTuple):
 
     Attributes
     ----------
-    t_ns : int
-        Time since the first frame, ns.
-    light : (height, width) float32
-        Linear light, above 0 and at most 1.
-    rate : (height, width) float32
-        Its time derivative, a second, for simulators that can use it.
+    t_ns : time since the first frame, ns.
+    light : (height, width) float32, linear light, above 0 and at most 1.
+    rate : (height, width) float32, its time derivative, a second, for simulators that can use it.
     """
 
     t_ns: int
