@@ -22,7 +22,7 @@ from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.presets import SensorParameters
 
 EFFECTS = (
-    *("low-pass", "bandwidth following the light", "large signals", "source follower"),
+    *("low-pass", "bandwidth following the light", "large signals", "source follower", "high-pass"),
     *("leak", "leak spread", "leak jitter", "parasitic", "mismatch", "refractory period"),
     *("noise", "jitter", "comparator", "reset offset", "reset noise", "acknowledge"),
     *("dark current", "temperature", "system efficiency", "quantum efficiency", "PRNU", "DCNU"),
@@ -47,17 +47,12 @@ class Decision:
 
     Attributes
     ----------
-    bound
-        The compared quantity, in words.
-    cost_us, cost_share
-        Error accepted or avoided: of timestamps, us, and as a share of the events; None where it has none.
-    changes
-        Changes in SensorParameters that drop the effect; for a table, the changes in it.
-    choice
-        False for an effect that cannot be left out, which is kept at any cost, and for one that the method does not
-        have, which is left out.
-    kept
-        The verdict.
+    bound : the compared quantity, in words.
+    cost_us, cost_share : error accepted or avoided: of timestamps, us, and as a share of the events; None: it has none.
+    changes : changes in SensorParameters that drop the effect; for a table, the changes in it.
+    choice : False for an effect that cannot be left out, which is kept at any cost, and for one that the method does
+        not have, which is left out.
+    kept : the verdict.
     """
 
     effect: str
@@ -114,6 +109,7 @@ def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list
         _bandwidth(p, scene),
         _large_signals(p, scene),
         _source_follower(p),
+        _high_pass(p, scene),
         *_leaks(p, scene, tolerance),
         _mismatch(p, scene),
         _refractory(p, scene),
@@ -172,6 +168,14 @@ def _source_follower(p: SensorParameters) -> Decision | None:
     lag_us = 1e6 / (2 * math.pi * p.source_follower_hz)
     noise: dict[str, Any] = {"noise": {"corner_hz": fixed_corner_hz(p)}} if p.noise.rms else {}  # which keeps its band
     return Decision("source follower", "its time constant", lag_us, None, {**noise, "source_follower_hz": 0.0})
+
+
+def _high_pass(p: SensorParameters, scene: Probe) -> Decision | None:
+    if not p.highpass_hz:
+        return None
+    time_constants = 2 * math.pi * p.highpass_hz * run_events(p, scene) * interval_s(p, scene)
+    share = 1 + math.expm1(-time_constants) / time_constants  # 1 in a still scene
+    return Decision("high-pass", "events that a monotone run loses", None, share, {"highpass_hz": 0.0})
 
 
 def _leaks(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:

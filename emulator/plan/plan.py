@@ -14,6 +14,7 @@ darkest active light.
     bandwidth           lags differ by those of darkest and brightest      that < eps
     large signals       stamps early by (1 + ln range) / (2 pi f_max)      that < eps; off unless selected
     source follower     every stamp early by 1/lambda2                     1/lambda2 < eps
+    high-pass           a run of z time constants loses 1 - (1 - e^-z)/z   that < delta
     leak                R T events a pixel; stamps drift by R theta T/A    R T < delta N, and the drift < eps
     its spread, jitter  the same, of the rate's deviation                  the same
     parasitic           the same, R proportional to light                  the same
@@ -93,16 +94,11 @@ class Steps:
 
     Attributes
     ----------
-    controlled
-        Whether step control sets them; else all are `step_us` long.
-    step_us
-        Expected length.
-    error_us
-        Expected 95th percentile of timestamp errors of the interpolation between two frames.
-    bound
-        Reason for the length.
-    line_step_us
-        Step of the same error with a straight line in log light.
+    controlled : whether step control sets them; else all are `step_us` long.
+    step_us : expected length.
+    error_us : expected 95th percentile of timestamp errors of the interpolation between two frames.
+    bound : reason for the length.
+    line_step_us : step of the same error with a straight line in log light.
     """
 
     controlled: bool

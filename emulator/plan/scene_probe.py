@@ -35,30 +35,18 @@ class Probe:
 
     Attributes
     ----------
-    contrast_rate
-        A, 1/s.
-    bend
-        C, 1/s.
-    line_error_us, hermite_error_us
-        95th percentile of the timestamp error at a step of `step_s`, us.
-    step_s
-        The step of the probe, s.
-    active_share
-        Share of the pixels whose light changes by more than a hundredth of a threshold in a second.
-    least_current, largest_current
-        Photocurrent of the active pixels, relative, 5th and 95th percentile over events.
-    fastest_change
-        Largest |D| / h of any pixel, 1/s.
-    events_per_s
-        Predicted, without refractory period or noise.
-    draw_s
-        Seconds for one frame, and for one with its derivative.
-    motion_px_s
-        The scene's bound on image motion.
-    line_slips, hermite_slips
-        Slips per event at a step of `step_s`; see `step_control`.
-    mean_current
-        Mean photocurrent of all pixels, relative.
+    contrast_rate : A, 1/s.
+    bend : C, 1/s.
+    line_error_us, hermite_error_us : 95th percentile of the timestamp error at a step of `step_s`, us.
+    step_s : the step of the probe, s.
+    active_share : share of the pixels whose light changes by more than a hundredth of a threshold in a second.
+    least_current, largest_current : photocurrent of the active pixels, relative, 5th and 95th percentile over events.
+    fastest_change : largest |D| / h of any pixel, 1/s.
+    events_per_s : predicted, without refractory period or noise.
+    draw_s : seconds for one frame, and for one with its derivative.
+    motion_px_s : the scene's bound on image motion.
+    line_slips, hermite_slips : slips per event at a step of `step_s`; see `step_control`.
+    mean_current : mean photocurrent of all pixels, relative.
     """
 
     contrast_rate: float

@@ -96,14 +96,10 @@ class Limits:
 
     Attributes
     ----------
-    tolerance_us
-        Wanted 95th percentile of timestamp errors.
-    shortest_ns, longest_ns
-        Bounds on a step.
-    motion_bound_px_s
-        Largest motion of the image; infinite where unknown, which sets no limit.
-    wrong_share
-        Tolerated share of wrong sequences of 300 events; 1 sets no limit.
+    tolerance_us : wanted 95th percentile of timestamp errors.
+    shortest_ns, longest_ns : bounds on a step.
+    motion_bound_px_s : largest motion of the image; infinite where unknown, which sets no limit.
+    wrong_share : tolerated share of wrong sequences of 300 events; 1 sets no limit.
     """
 
     tolerance_us: float
@@ -183,16 +179,12 @@ class _Seen:
     ----------
     change
         |D|.
-    bend
-        Error of log light at the worst point of the step, ln units.
+    bend : error of log light at the worst point of the step, ln units.
     defect, turn
         |d|; and the size of the turn where the light turns, else 0.
-    turns
-        Whether the light turns.
-    dt_us
-        Length of the step.
-    order
-        Power of `dt_us` to which the bend is proportional.
+    turns : whether the light turns.
+    dt_us : length of the step.
+    order : power of `dt_us` to which the bend is proportional.
     """
 
     change: Floats
@@ -256,14 +248,10 @@ class ControlledSteps:
 
     Parameters
     ----------
-    limits
-        Limits of the steps.
-    dark
-        Photocurrent in the dark, relative, which is added before the logarithm.
-    first_ns
-        Length of the first steps, before three frames are known.
-    refinement
-        Model of the refinement; None where undersampled steps are not refined.
+    limits : limits of the steps.
+    dark : photocurrent in the dark, relative, which is added before the logarithm.
+    first_ns : length of the first steps, before three frames are known.
+    refinement : model of the refinement; None where undersampled steps are not refined.
     """
 
     def __init__(self, limits: Limits, dark: float, first_ns: int, refinement: RefinementModel | None = None) -> None:

@@ -40,6 +40,7 @@ SENSOR = dataclasses.replace(
     PRESETS["davis346"],
     leak_hz=0.1,
     source_follower_hz=286.0,
+    highpass_hz=1.0,
     parasitic_hz_at_reference=0.05,
     temperature=TemperatureParameters(celsius=30.0),
     noise=NoiseParameters(rms=0.05),
@@ -62,6 +63,7 @@ ALL = {
     "low-pass",
     "bandwidth following the light",
     "source follower",
+    "high-pass",
     "leak",
     "leak spread",
     "leak jitter",
@@ -155,6 +157,10 @@ def test_the_figures_of_the_table():
     found = decisions(10.0)
     assert found["low-pass"].cost_us == pytest.approx(1e6 / (2 * math.pi * 300), rel=1e-6)
     assert found["source follower"].cost_us == pytest.approx(556.5, rel=1e-3)
+    # light of 10:1 at a contrast rate of 20: a run of ln(10)/20 s
+    z = 2 * math.pi * math.log(10) / 20
+    assert found["high-pass"].cost_us is None
+    assert found["high-pass"].cost_share == pytest.approx(1 - (1 - math.exp(-z)) / z, rel=1e-6)
     # leak 0.1 Hz, threshold 0.2725, 10 s, contrast rate 20: the drift is at most one event's interval
     assert found["leak"].cost_us == pytest.approx(0.1 * 0.2725 * 10 / 20 * 1e6, rel=1e-6)
     assert found["leak"].cost_share == pytest.approx(0.1 * 0.2725 / 20, rel=1e-6)
