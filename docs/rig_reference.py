@@ -187,7 +187,11 @@ def _attributes(cls: type) -> dict[str, str]:
             texts.update(dict.fromkeys(names, rest))
         elif line.strip():
             texts.update({name: f"{texts[name]} {line.strip()}".strip() for name in names})
-    return texts
+    # A sentence begins with a capital, but for a symbol or a name such as `w` or `cameraID`.
+    return {
+        name: re.sub(r"^(a(?= )|[a-z](?=[a-z]+\b))", lambda m: m[0].upper(), described)
+        for name, described in texts.items()
+    }
 
 
 def _value(field: dataclasses.Field[Any], annotation: Any, bounds: Meta | None) -> str:

@@ -51,18 +51,13 @@ class FrameSettings:
 
     Attributes
     ----------
-    run
-        True if frames are requested now.
-    global_shutter
-        True if all pixels are exposed at the same time.
-    by_column
-        True if a line of the read-out is a column of the user's image; else a row.
-    exposure_cycles
-        Value of the register, for the stream.
+    run : True if frames are requested now.
+    global_shutter : True if all pixels are exposed at the same time.
+    by_column : True if a line of the read-out is a column of the user's image; else a row.
+    exposure_cycles : value of the register, for the stream.
     exposure_ns, interval_ns
         Stream time; the interval from one frame's start to the next, at least as long as a frame takes.
-    first_column, first_row, last_column, last_row
-        Region of interest in the user's coordinates, inclusive.
+    first_column, first_row, last_column, last_row : region of interest in the user's coordinates, inclusive.
     """
 
     run: bool = False
@@ -96,12 +91,10 @@ class WholeFrame:
 
     Attributes
     ----------
-    first_column, first_row
-        First pixel of its region in the array.
+    first_column, first_row : first pixel of its region in the array.
     reset, signal
         (rows, columns) uint16, ADC values.
-    records
-        Number of its lines and moments.
+    records : number of its lines and moments.
     """
 
     start_us: int

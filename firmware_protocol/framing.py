@@ -78,16 +78,11 @@ class FrameCounters:
 
     Attributes
     ----------
-    bytes_received
-        All bytes pushed.
-    bytes_framed
-        Bytes of good frames, and delimiters between frames.
-    bytes_skipped
-        Bytes that belong to no good frame.
-    frames
-        Good frames.
-    refused
-        Bad frames by reason.
+    bytes_received : all bytes pushed.
+    bytes_framed : bytes of good frames, and delimiters between frames.
+    bytes_skipped : bytes that belong to no good frame.
+    frames : good frames.
+    refused : bad frames by reason.
     """
 
     bytes_received: int = 0
@@ -128,10 +123,8 @@ class DelimitedDeframer(StreamDeframer, ABC):
 
     Parameters
     ----------
-    delimiter
-        Byte that occurs in no frame.
-    max_frame
-        Longest frame in bytes on the line, without delimiters.
+    delimiter : byte that occurs in no frame.
+    max_frame : longest frame in bytes on the line, without delimiters.
     """
 
     def __init__(self, delimiter: int, max_frame: int) -> None:

@@ -86,16 +86,11 @@ class ImuSettings:
 
     Attributes
     ----------
-    run
-        True if samples are requested now.
-    unit
-        1: MPU-6050, 2: MPU-9250 or MPU-6500, 3: BMI160.
-    scale
-        The scale byte: the groups that run, and the ranges.
-    accelerometer_mhz, gyroscope_mhz
-        Bandwidths, thousandths of a hertz.
-    per_ms
-        Samples of the unit's output a millisecond, before `divider`, 1 or more.
+    run : True if samples are requested now.
+    unit : 1: MPU-6050, 2: MPU-9250 or MPU-6500, 3: BMI160.
+    scale : the scale byte: the groups that run, and the ranges.
+    accelerometer_mhz, gyroscope_mhz : bandwidths, thousandths of a hertz.
+    per_ms : samples of the unit's output a millisecond, before `divider`, 1 or more.
     """
 
     run: bool = False

@@ -129,10 +129,8 @@ class MessageType:
 
     Attributes
     ----------
-    ros
-        Its name in ROS, "package/msg/Name".
-    rihs01
-        Hash of its definition, hexadecimal.
+    ros : its name in ROS, "package/msg/Name".
+    rihs01 : hash of its definition, hexadecimal.
     """
 
     ros: str
@@ -168,8 +166,7 @@ class Image:
         (width, height), pixels.
     encoding
         "rgb8", "mono16", ...
-    step
-        Bytes of a row.
+    step : bytes of a row.
     """
 
     header: Header

@@ -30,22 +30,14 @@ class Field:
 
     Attributes
     ----------
-    bits
-        Its width, 1 to 64.
-    meaning
-        Meaning of the number, for people.
-    unit
-        Unit of the value, after `scale`; "" for none.
-    scale
-        Value of one step in `unit`.
-    signed
-        True for a number in two's complement.
-    fixed
-        Its only value; None if it varies.
-    choices
-        Name of each value that it can have, if these are a list.
-    lowest, highest
-        Range of the number on the wire; None: all values of the bits.
+    bits : its width, 1 to 64.
+    meaning : meaning of the number, for people.
+    unit : unit of the value, after `scale`; "" for none.
+    scale : value of one step in `unit`.
+    signed : True for a number in two's complement.
+    fixed : its only value; None if it varies.
+    choices : name of each value that it can have, if these are a list.
+    lowest, highest : range of the number on the wire; None: all values of the bits.
     """
 
     name: str

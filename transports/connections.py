@@ -34,10 +34,8 @@ class Places:
 
     Attributes
     ----------
-    total
-        Limit for all addresses together.
-    per_address
-        Limit for one address.
+    total : limit for all addresses together.
+    per_address : limit for one address.
     """
 
     total: int = 64
@@ -57,8 +55,7 @@ class Admission:
 
     Attributes
     ----------
-    counts
-        Numbers of connections that were refused or closed for another one, by their names in the summary.
+    counts : numbers of connections that were refused or closed for another one, by their names in the summary.
     """
 
     def __init__(self, allowed: AllowList, places: Places = Places()) -> None:
@@ -126,12 +123,10 @@ class Listener:
 
     Parameters
     ----------
-    admission
-        Permitted addresses, and limits of connections.
+    admission : permitted addresses, and limits of connections.
     protocol
         Makes the protocol of a connection that was admitted; it calls `Admission.leave` when the connection has ended.
-    farewell
-        Bytes sent to a peer that finds no place; one whose address is not allowed receives nothing.
+    farewell : bytes sent to a peer that finds no place; one whose address is not allowed receives nothing.
     """
 
     def __init__(

@@ -40,10 +40,8 @@ class Need:
 
     Attributes
     ----------
-    name
-        Short name: "extra ros2 (cyclonedds)", "kernel module vhci-hcd".
-    look
-        Function that checks this machine.
+    name : short name: "extra ros2 (cyclonedds)", "kernel module vhci-hcd".
+    look : function that checks this machine.
     by
         "run": without it the rig does not run; "driver": drivers of the camera that run on this machine need it.
     """

@@ -119,8 +119,7 @@ class DatagramOutlet:
 
     Attributes
     ----------
-    counts
-        Numbers of datagrams sent, refused by the receiver's machine because no program listens, and not sendable.
+    counts : numbers of datagrams sent, refused by the receiver's machine because no program listens, and not sendable.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -177,8 +176,7 @@ class DatagramInlet:
 
     Attributes
     ----------
-    refused
-        Number of datagrams of senders that are not allowed.
+    refused : number of datagrams of senders that are not allowed.
     """
 
     def __init__(self, host: str, port: int, allow: Iterable[str] = ()) -> None:

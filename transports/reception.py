@@ -28,14 +28,10 @@ class Reception:
 
     Attributes
     ----------
-    seconds
-        Wall time since the reception began.
-    last_t_us
-        The camera's time of the newest event; None before the first.
-    digest
-        Digest of all events, see `digest_of`.
-    gone
-        True when the other side disconnected, or the transport was lost.
+    seconds : wall time since the reception began.
+    last_t_us : the camera's time of the newest event; None before the first.
+    digest : digest of all events, see `digest_of`.
+    gone : True when the other side disconnected, or the transport was lost.
     """
 
     events: int = 0
@@ -88,12 +84,9 @@ class Arrivals:
 
     Attributes
     ----------
-    events, edges
-        Number received so far.
-    last_t_us
-        The camera's time of the newest event; None before the first.
-    digest
-        Digest of all events, see `digest_of`.
+    events, edges : number received so far.
+    last_t_us : the camera's time of the newest event; None before the first.
+    digest : digest of all events, see `digest_of`.
     """
 
     def __init__(self, clock: Clock, recorder: Recorder | None = None) -> None:
@@ -144,12 +137,9 @@ class CountedReception(Reception):
 
     Attributes
     ----------
-    faults
-        Number of faults that never occur on an intact link: damaged frames, gaps in the counts, wrong blocks.
-    counts
-        All other counts by name.
-    jitter_us
-        Delay of each block or frame relative to the fastest one: the camera's clock is not known.
+    faults : number of faults that never occur on an intact link: damaged frames, gaps in the counts, wrong blocks.
+    counts : all other counts by name.
+    jitter_us : delay of each block or frame relative to the fastest one: the camera's clock is not known.
     """
 
     faults: int = 0
@@ -170,12 +160,9 @@ class InstrumentReception(CountedReception):
 
     Attributes
     ----------
-    housekeeping
-        The newest report.
-    answers
-        Number of answers to telecommands.
-    answer_texts
-        Texts of the newest answers, at most 1024.
+    housekeeping : the newest report.
+    answers : number of answers to telecommands.
+    answer_texts : texts of the newest answers, at most 1024.
     """
 
     housekeeping: Housekeeping | None = None

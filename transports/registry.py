@@ -53,14 +53,10 @@ class Registry(Mapping[str, T], Generic[T]):
 
     Parameters
     ----------
-    group
-        Of the entry points.
-    record
-        Type of the records; `type[Base]` where they are subclasses of a base class.
-    built_in
-        Import paths, or records, by name. No package can replace one of these.
-    name_of
-        Function that returns the name of a record.
+    group : of the entry points.
+    record : type of the records; `type[Base]` where they are subclasses of a base class.
+    built_in : import paths, or records, by name. No package can replace one of these.
+    name_of : function that returns the name of a record.
     """
 
     def __init__(

@@ -159,8 +159,7 @@ class Program:
         {address.NAME}, {port}, {port.NAME}, and {KEY} for the value of a parameter.
     start
         "with": when the links of the run are open; "after": when the run is over.
-    ends_run
-        Whether the run ends when the program does; only a program that starts with the run can.
+    ends_run : whether the run ends when the program does; only a program that starts with the run can.
     grace_s
         How long the program may take to end after the run has; then it is stopped. Started after the run: how long it
         may take at all.
@@ -188,12 +187,9 @@ class Plots:
     columns
         Columns whose sensitivity is reported; by default success, the margin, the event rate and the numbers that the
         program gives.
-    worst
-        The column that orders the worst runs; by default the margin.
-    worst_is
-        Whether the lowest or the highest values of it are the worst.
-    labels
-        Names of columns and parameters in the report, with their units: "result.vertical_m_s" = "touchdown, m/s".
+    worst : the column that orders the worst runs; by default the margin.
+    worst_is : whether the lowest or the highest values of it are the worst.
+    labels : names of columns and parameters in the report, with their units: "result.vertical_m_s" = "touchdown, m/s".
     """
 
     columns: tuple[str, ...] = ()
@@ -208,34 +204,20 @@ class Settings:
 
     Attributes
     ----------
-    rig
-        Name of a shipped rig, or path of a rig file, absolute or from the campaign's folder.
-    title
-        Purpose of the campaign, in one sentence.
-    sampling
-        How the values of the parameters are chosen.
-    count
-        Number of points; with "saltelli" of base points; a grid has as many as it has.
-    repeats
-        Runs of each point, each with a seed of its own.
-    seed
-        Seed of everything random in the campaign.
-    success
-        Rules of a successful run: "verdict", "program" (it ends with 0), and rules "COLUMN OP VALUE".
-    min_success
-        Share of successes below which `evstim campaign` ends with 1.
-    timeout_s
-        Time after which a run is given up.
-    record
-        Suffix of each run's recording of the delivered events, such as ".npz"; none by default.
-    parameters
-        Sampled parameters.
-    program
-        The program under test.
-    report
-        Content of the report.
-    set
-        Tables of a rig, laid over the rig's own.
+    rig : name of a shipped rig, or path of a rig file, absolute or from the campaign's folder.
+    title : purpose of the campaign, in one sentence.
+    sampling : how the values of the parameters are chosen.
+    count : number of points; with "saltelli" of base points; a grid has as many as it has.
+    repeats : runs of each point, each with a seed of its own.
+    seed : seed of everything random in the campaign.
+    success : rules of a successful run: "verdict", "program" (it ends with 0), and rules "COLUMN OP VALUE".
+    min_success : share of successes below which `evstim campaign` ends with 1.
+    timeout_s : time after which a run is given up.
+    record : suffix of each run's recording of the delivered events, such as ".npz"; none by default.
+    parameters : sampled parameters.
+    program : the program under test.
+    report : content of the report.
+    set : tables of a rig, laid over the rig's own.
     """
 
     rig: str

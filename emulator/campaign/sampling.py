@@ -84,8 +84,7 @@ class Law(ABC):
     key
         Destination of the value: a key of the rig such as "camera.sensor.threshold_on" or "faults[0].rate", or
         "program.NAME" for a value that the program under test alone receives.
-    also
-        Other keys of the rig that have the same value.
+    also : other keys of the rig that have the same value.
     """
 
     kind: ClassVar[str]

@@ -178,15 +178,12 @@ class Cycle:
 
     Parameters
     ----------
-    rate_hz
-        Turns per second, of either sign; 0 stands still. A `Fraction` is taken exactly.
-    start_turns
-        Phase at time zero.
+    rate_hz : turns per second, of either sign; 0 stands still. A `Fraction` is taken exactly.
+    start_turns : phase at time zero.
 
     Attributes
     ----------
-    rate_hz
-        Turns per second, exactly.
+    rate_hz : turns per second, exactly.
     """
 
     def __init__(self, rate_hz: Fraction | float, start_turns: Fraction | float = 0.0) -> None:

@@ -32,10 +32,8 @@ class TimeAxis:
 
     Parameters
     ----------
-    imu_unit
-        Kind of the camera's inertial unit, for its scales; None where it has none.
-    has_frames
-        Whether the camera can read frames.
+    imu_unit : kind of the camera's inertial unit, for its scales; None where it has none.
+    has_frames : whether the camera can read frames.
     """
 
     def __init__(self, imu_unit: int | None, *, has_frames: bool) -> None:

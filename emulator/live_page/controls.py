@@ -204,19 +204,15 @@ class Repeats:
 
     Parameters
     ----------
-    obstacle
-        Reason why the run cannot be started again; "" where it can.
+    obstacle : reason why the run cannot be started again; "" where it can.
 
     Attributes
     ----------
-    before
-        Seed, totals, verdict and number of changes of the run before; None in the first one.
+    before : seed, totals, verdict and number of changes of the run before; None in the first one.
     place
         (port, token) of the page, which the next run keeps; None before the first page.
-    seed
-        Requested seed; None where no viewer has requested a new run.
-    count
-        Number of runs before this one.
+    seed : requested seed; None where no viewer has requested a new run.
+    count : number of runs before this one.
     """
 
     def __init__(self, obstacle: str = "") -> None:

@@ -85,10 +85,8 @@ class Picture:
         Pixels with events, row * width + column, increasing.
     last : (active,) int8
     count : (active,) uint8
-    events
-        All events of the interval, drawn or not.
-    every
-        One in so many of them is drawn.
+    events : all events of the interval, drawn or not.
+    every : one in so many of them is drawn.
     """
 
     number: int
@@ -186,15 +184,12 @@ class ViewerCommands:
     trigger
         Function that makes an edge on the cameras' external input, at a time of CLOCK_MONOTONIC (ns), with a number;
         None where the rig has a trigger of its own.
-    can_pause
-        Whether the run may be paused: only one that is not paced, and that no bus drives.
-    repeats
-        Receiver of the request for a new run; None where there can be none.
+    can_pause : whether the run may be paused: only one that is not paced, and that no bus drives.
+    repeats : receiver of the request for a new run; None where there can be none.
 
     Attributes
     ----------
-    paused
-        Whether the run is to pause before its next step.
+    paused : whether the run is to pause before its next step.
     """
 
     def __init__(

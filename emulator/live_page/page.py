@@ -185,8 +185,7 @@ class LivePage:
 
     Attributes
     ----------
-    url
-        Address to open in a browser; the page of a run that was started again keeps it.
+    url : address to open in a browser; the page of a run that was started again keeps it.
     """
 
     def __init__(self, rig: Rig, address: Address, commands: ViewerCommands, repeats: Repeats | None = None) -> None:

@@ -42,13 +42,11 @@ class Viewer:
 
     Parameters
     ----------
-    now_s
-        A clock, s.
+    now_s : a clock, s.
 
     Attributes
     ----------
-    number
-        Number of the viewer; answers are for one viewer alone.
+    number : number of the viewer; answers are for one viewer alone.
     """
 
     def __init__(self, number: int, now_s: Callable[[], float]) -> None:
@@ -262,10 +260,8 @@ class PageServer:
 
     Parameters
     ----------
-    greeting
-        Function that returns the first message for a viewer.
-    command
-        Function that forwards a viewer's parsed command; False where too many wait already.
+    greeting : function that returns the first message for a viewer.
+    command : function that forwards a viewer's parsed command; False where too many wait already.
     """
 
     def __init__(

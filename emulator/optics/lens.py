@@ -76,33 +76,22 @@ class LensParameters:
 
     Attributes
     ----------
-    field_of_view_deg
-        Field of view of the image's width, edge to edge.
-    f_number
-        Focal length over aperture.
-    transmission
-        Share of the light that passes.
-    reference_lux
-        Light on the chip at which the sensor's parameters are valid (light 1).
-    blur_px
-        The lens's own point spread, standard deviation of a Gaussian, pixels.
-    focus_m
-        Distance in focus; 0: infinity.
-    vignetting
-        True: light falls as cos^4 off the axis.
-    k1, k2, k3
-        Radial distortion (Brown and Conrady, as OpenCV writes it).
-    p1, p2
-        Tangential distortion.
+    field_of_view_deg : field of view of the image's width, edge to edge.
+    f_number : focal length over aperture.
+    transmission : share of the light that passes.
+    reference_lux : light on the chip at which the sensor's parameters are valid (light 1).
+    blur_px : the lens's own point spread, standard deviation of a Gaussian, pixels.
+    focus_m : distance in focus; 0: infinity.
+    vignetting : True: light falls as cos^4 off the axis.
+    k1, k2, k3 : radial distortion (Brown and Conrady, as OpenCV writes it).
+    p1, p2 : tangential distortion.
     veiling_glare
         Share of the light that the lens scatters evenly over the image (veiling glare index, ISO 9358): 0.01 to
         0.05 for usual lenses (not verified). Costs time: no pixel can be skipped.
-    halo
-        Share of the light that rough and dirty surfaces of the lens scatter about each source. Costs time likewise.
+    halo : share of the light that rough and dirty surfaces of the lens scatter about each source. Costs time likewise.
     halo_px
         Knee of the halo: from there on it falls as a power of the distance, pixels; 0.1 to 10 mrad for polished glass.
-    halo_power
-        That power: 0.5 to 2 for polished glass, above 2.5 for the best polish.
+    halo_power : that power: 0.5 to 2 for polished glass, above 2.5 for the best polish.
     """
 
     field_of_view_deg: Annotated[float, Meta(ge=0.001, le=170)] = 25.0

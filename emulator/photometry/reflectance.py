@@ -69,8 +69,7 @@ class Lambert:
 
     Attributes
     ----------
-    albedo
-        Share of the light that is reflected.
+    albedo : share of the light that is reflected.
     """
 
     kind: ClassVar[str] = "lambert"
@@ -124,8 +123,7 @@ class LunarLambert:
 
     Attributes
     ----------
-    albedo
-        A: I/F of ground seen and lit straight on; 0.12 for the Moon's mean.
+    albedo : A: I/F of ground seen and lit straight on; 0.12 for the Moon's mean.
     """
 
     kind: ClassVar[str] = "lunar-lambert"
@@ -162,8 +160,7 @@ class Hapke:
         w: share of light that a grain does not absorb.
     asymmetry
         b of the Henyey-Greenstein function: below 0 light is scattered back to its source.
-    surge
-        B0: height of the opposition surge.
+    surge : B0: height of the opposition surge.
     surge_width
         h, of the order of the angle, rad, over which it fades.
     """
@@ -206,12 +203,9 @@ class Glossy:
 
     Attributes
     ----------
-    albedo
-        Share of the light that is reflected diffusely.
-    shine
-        Share that is reflected around the mirror's direction.
-    sharpness
-        Exponent m of the lobe; its width is about 80 degrees / sqrt(m).
+    albedo : share of the light that is reflected diffusely.
+    shine : share that is reflected around the mirror's direction.
+    sharpness : exponent m of the lobe; its width is about 80 degrees / sqrt(m).
     """
 
     kind: ClassVar[str] = "glossy"
@@ -267,10 +261,8 @@ class Sun:
 
     Attributes
     ----------
-    direction
-        Towards the Sun in the world; need not be of unit length.
-    distance_au
-        Distance from the Sun, astronomical units.
+    direction : towards the Sun in the world; need not be of unit length.
+    distance_au : distance from the Sun, astronomical units.
     """
 
     direction: tuple[float, float, float] = (0.0, 0.0, -1.0)

@@ -97,14 +97,10 @@ class Chart:
 
     Parameters
     ----------
-    x, y
-        Axes.
-    description
-        Text in place of the chart, for people who do not see it.
-    height
-        Of the area between the axes; the area is 628 wide.
-    lanes
-        Rows of marks below the x axis.
+    x, y : axes.
+    description : text in place of the chart, for people who do not see it.
+    height : of the area between the axes; the area is 628 wide.
+    lanes : rows of marks below the x axis.
     """
 
     def __init__(self, x: Axis, y: Axis, description: str, height: float = 170.0, lanes: Sequence[Lane] = ()) -> None:

@@ -126,10 +126,8 @@ class Document:
 
     Parameters
     ----------
-    title, subtitle
-        Heading, and the line below it.
-    verdict, words
-        Kind of the verdict, and its words; "": the document has none.
+    title, subtitle : heading, and the line below it.
+    verdict, words : kind of the verdict, and its words; "": the document has none.
     """
 
     def __init__(self, title: str, subtitle: str = "", verdict: str = "", words: str = "") -> None:

@@ -54,10 +54,8 @@ def event_picture(light: Light, events: Events, *, white: float | None = None, d
     ----------
     light : (height, width) float32, linear.
     events : (n,) EVENT, sorted by time; where a pixel has several the last is seen.
-    white
-        The light drawn as full white; `white_of` the picture unless given.
-    dimming
-        Level of white, as a share of the screen's range; 1 is best for light without events.
+    white : the light drawn as full white; `white_of` the picture unless given.
+    dimming : level of white, as a share of the screen's range; 1 is best for light without events.
 
     Raises
     ------

@@ -122,12 +122,10 @@ class UsbModel:
     device
         Returns the factory of the device in a link's process, which can be pickled; raises ValueError for a camera
         that the device cannot represent.
-    has_evt
-        Whether it sends EVT words: a run compiles their kernels before it begins.
+    has_evt : whether it sends EVT words: a run compiles their kernels before it begins.
     kernels
         Returns the kernels of its own that a camera uses, which a run compiles likewise.
-    imu_units
-        Inertial units that it can have; None: it has no use for one, and any is allowed.
+    imu_units : inertial units that it can have; None: it has no use for one, and any is allowed.
     """
 
     size: tuple[int, int]
@@ -143,13 +141,11 @@ class CameraModel:
 
     Attributes
     ----------
-    name
-        Name of the model, the value of `camera.model` in rigs.
+    name : name of the model, the value of `camera.model` in rigs.
     gige
         Returns the factory of its GigE Vision device for a camera, the parameters of the link, and the length of a
         pulse on its input, us; None: it is no such device.
-    bias_slopes
-        Effects of its biases where a rig gives none, if `camera.bias_slopes` may change them.
+    bias_slopes : effects of its biases where a rig gives none, if `camera.bias_slopes` may change them.
     commanded_biases
         Returns the biases that telecommands of an instrument change; None: those of the instrument's own sensor.
     """

@@ -30,35 +30,25 @@ class Camera:
 
     Attributes
     ----------
-    model
-        Name of a camera: its sensor's size, pixels and read-out, and its connector.
-    serial
-        Serial number that the host reads, up to 8 characters; of Prophesee's cameras on USB, hexadecimal digits.
-    speed
-        USB speed.
+    model : name of a camera: its sensor's size, pixels and read-out, and its connector.
+    serial : serial number that the host reads, up to 8 characters; of Prophesee's cameras on USB, hexadecimal digits.
+    speed : USB speed.
     layout
         Orientation of a DAVIS346's chip: "turned" as in the hardware, where row words carry x. Drivers turn it
         back.
     fifo_bytes
         Size of the camera's output buffer; data without room in it is dropped and counted. 256 KiB, as in an FX3.
-    start_delay_ms
-        Least time from the host's start command to the first event (0 suits every driver but one).
+    start_delay_ms : least time from the host's start command to the first event (0 suits every driver but one).
     activity_filter
         Whether a DAVIS346 has its filters of background activity and refractory period. libcaer and
         neuromorphic_drivers switch the former on, and then do not receive events without another event near
         them.
-    preset
-        Preset of another unit of the same chip, such as "imx636_quiet" for an EVK4; without it, the model's own.
-    sensor
-        Sensor parameters that differ from the preset.
-    clock
-        The camera's own clock; without it the camera shows stream time.
-    imu
-        Its inertial unit, of a DAVIS346 or a DVXplorer; without the table it has none.
-    lens
-        For scenes in units of radiance; the others bring their own light.
-    frames
-        The active pixels of a DAVIS346: with this table the camera takes frames when its host requests them.
+    preset : preset of another unit of the same chip, such as "imx636_quiet" for an EVK4; without it, the model's own.
+    sensor : sensor parameters that differ from the preset.
+    clock : the camera's own clock; without it the camera shows stream time.
+    imu : its inertial unit, of a DAVIS346 or a DVXplorer; without the table it has none.
+    lens : for scenes in units of radiance; the others bring their own light.
+    frames : the active pixels of a DAVIS346: with this table the camera takes frames when its host requests them.
     bias_slopes
         Effect of a step of each bias of an IMX636 (model "evk4", "triton2", "imx636") or a GenX320 ("genx320");
         without it, the defaults; those of a GenX320 are in its page.
@@ -103,19 +93,14 @@ class Run:
 
     Attributes
     ----------
-    seconds
-        Stream time to run for; 0 means until Ctrl-C.
-    step_us
-        Time between two light frames.
-    seed
-        Seed of everything random.
+    seconds : stream time to run for; 0 means until Ctrl-C.
+    step_us : time between two light frames.
+    seed : seed of everything random.
     pace
         "realtime": every event leaves at its own time; "free": as fast as the machine can, without loss; "lockstep": by
         `lockstep_us` for each SYNC of the trigger's bus.
-    lockstep_us
-        Stream time for each SYNC.
-    lead_us
-        Time by which steps are computed ahead of real time, at least one step: covers the machine's jitter.
+    lockstep_us : stream time for each SYNC.
+    lead_us : time by which steps are computed ahead of real time, at least one step: covers the machine's jitter.
     max_late_ms
         In real time: greatest lateness of a step for a good verdict. 0: lateness is not judged,
         `max_late_share` included.
@@ -133,8 +118,7 @@ class Run:
     painter
         Renderer of bodies and terrain: "cpu", the exact mean light of each pixel, the same on every machine;
         "gl", points in each pixel by OpenGL 4.3. The environment variable EVSTIM_RENDERER replaces this key.
-    threads
-        Threads of drawing, blur and the pixel step, without effect on events. 0: chosen by the work, at most 4.
+    threads : threads of drawing, blur and the pixel step, without effect on events. 0: chosen by the work, at most 4.
     tolerance_us
         Tolerated timestamp error, 95th percentile: steps are as long as it allows, `step_us` the first one, and
         effects that change less are left out (`evstim plan`). 0: steps of `step_us`, nothing left out.
@@ -176,14 +160,10 @@ class TriggerEdges:
 
     Attributes
     ----------
-    at_ms
-        Stream time of the first.
-    kind
-        As `kind` of the trigger.
-    every_ms
-        Above 0, it is repeated with this period.
-    count
-        Number of edges in all; 0: without end. Without a period: once.
+    at_ms : stream time of the first.
+    kind : as `kind` of the trigger.
+    every_ms : above 0, it is repeated with this period.
+    count : number of edges in all; 0: without end. Without a period: once.
     """
 
     at_ms: Annotated[float, Meta(ge=0, le=1e10)]
@@ -210,27 +190,18 @@ class Trigger:
 
     Attributes
     ----------
-    source
-        Name of the CAN link whose SYNC triggers.
-    period_ms
-        Instead: an edge each period of stream time, the first after one period.
-    edges
-        Instead: edges at given times, without latency and jitter.
-    kind
-        Edges at the input; a pulse rises, and falls again after `pulse_us`.
-    channel
-        Number of the input; a DAVIS346 has one, 0.
-    latency_us
-        From the bus to the input.
-    jitter_us
-        Standard deviation of the latency, normal and never below zero in all.
-    pulse_us
-        Length of a pulse.
+    source : name of the CAN link whose SYNC triggers.
+    period_ms : instead: an edge each period of stream time, the first after one period.
+    edges : instead: edges at given times, without latency and jitter.
+    kind : edges at the input; a pulse rises, and falls again after `pulse_us`.
+    channel : number of the input; a DAVIS346 has one, 0.
+    latency_us : from the bus to the input.
+    jitter_us : standard deviation of the latency, normal and never below zero in all.
+    pulse_us : length of a pulse.
     holdback_us
         With a source: delay of events, so that an edge which is received late still comes in order; later ones
         are stamped at the earliest time possible, and counted.
-    send_period_ms
-        Above 0, the camera itself sends a mark on the bus each time its own clock has gone this far.
+    send_period_ms : above 0, the camera itself sends a mark on the bus each time its own clock has gone this far.
     """
 
     source: str = ""
@@ -271,14 +242,10 @@ class Verdict:
 
     Attributes
     ----------
-    max_drop
-        Share of the events read out that a link may lose after its camera was started. Negative: any share.
-    min_rate_hz, max_rate_hz
-        Least and greatest mean event rate at the read-out, events per second, over the run.
-    max_latency_us
-        Greatest 99th percentile of the time from an event to its bytes, on any link.
-    max_undersampled
-        Share of the solved pixel-steps whose light may have changed unseen between two light frames.
+    max_drop : share of the events read out that a link may lose after its camera was started. Negative: any share.
+    min_rate_hz, max_rate_hz : least and greatest mean event rate at the read-out, events per second, over the run.
+    max_latency_us : greatest 99th percentile of the time from an event to its bytes, on any link.
+    max_undersampled : share of the solved pixel-steps whose light may have changed unseen between two light frames.
     """
 
     max_drop: Annotated[float, Meta(le=1)] = -1.0
@@ -299,16 +266,11 @@ class SecondCamera:
 
     Attributes
     ----------
-    links
-        Names of the links that carry it; the others carry the first camera.
-    model
-        Name of a camera, with its own sensor's preset; without it, the first camera's model, sensor and parts.
-    serial
-        Its serial number, up to 8 characters.
-    offset_m
-        Its position along the first camera's axes: x right, y down, z along the boresight.
-    q_first_from_second
-        Its attitude relative to the first one: unit quaternion, scalar first.
+    links : names of the links that carry it; the others carry the first camera.
+    model : name of a camera, with its own sensor's preset; without it, the first camera's model, sensor and parts.
+    serial : its serial number, up to 8 characters.
+    offset_m : its position along the first camera's axes: x right, y down, z along the boresight.
+    q_first_from_second : its attitude relative to the first one: unit quaternion, scalar first.
     """
 
     links: tuple[str, ...]

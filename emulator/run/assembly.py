@@ -86,10 +86,8 @@ class TriggerPaths:
 
     Parameters
     ----------
-    links
-        Names of the rig's links.
-    lockstep_us
-        Above 0, the trigger drives the run.
+    links : names of the rig's links.
+    lockstep_us : above 0, the trigger drives the run.
     """
 
     def __init__(self, trigger: Trigger | None, links: Sequence[str], seed: int, lockstep_us: int = 0) -> None:

@@ -36,8 +36,7 @@ class ReadingSource(Protocol):
 
     Attributes
     ----------
-    kind, record
-        Of its readings; the dtype has a field `t`, us of stream time.
+    kind, record : of its readings; the dtype has a field `t`, us of stream time.
     """
 
     kind: ReadingKind
@@ -59,8 +58,7 @@ class ReadingSources:
 
     Parameters
     ----------
-    setups
-        Of the run's links; each with the rings that `new_rings` made for it.
+    setups : of the run's links; each with the rings that `new_rings` made for it.
     """
 
     def __init__(self, sources: Sequence[ReadingSource], setups: Sequence[LinkSetup[Any]]) -> None:
@@ -120,10 +118,8 @@ class CameraView:
 
     Parameters
     ----------
-    links
-        Names of the links that carry it.
-    changes
-        Record of the changes that its hosts make to its sensor; None for no record.
+    links : names of the links that carry it.
+    changes : record of the changes that its hosts make to its sensor; None for no record.
     """
 
     def __init__(

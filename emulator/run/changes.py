@@ -39,20 +39,14 @@ class Change:
 
     Attributes
     ----------
-    t_ns
-        Stream time from which it acts: for a sensor parameter, the end of a step.
+    t_ns : stream time from which it acts: for a sensor parameter, the end of a step.
     by
         "register", "telecommand", "restart" of a link; "live page", "evstim" (its verbs fault and trigger), "program".
-    link
-        The link over which it came, or that it concerns; empty for none.
-    what
-        A sensor parameter such as "threshold_on"; a fault, an edge of `evstim trigger`, a telecommand.
-    before, after
-        Values of the parameter; None where there are none.
-    taken_us
-        Stream time of the camera when it received the change; None where no camera received it.
-    fault
-        Number of the fault on its link that begins or ends; 0 for none.
+    link : the link over which it came, or that it concerns; empty for none.
+    what : a sensor parameter such as "threshold_on"; a fault, an edge of `evstim trigger`, a telecommand.
+    before, after : values of the parameter; None where there are none.
+    taken_us : stream time of the camera when it received the change; None where no camera received it.
+    fault : number of the fault on its link that begins or ends; 0 for none.
     """
 
     t_ns: int

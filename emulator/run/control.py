@@ -241,8 +241,7 @@ class FaultInjection:
 
     Attributes
     ----------
-    trouble
-        Reason why there is no socket; "" where there is one, or none is needed.
+    trouble : reason why there is no socket; "" where there is one, or none is needed.
     """
 
     def __init__(self, rig: Rig, session: Operator, socket: ControlSocket | None, trouble: str = "") -> None:

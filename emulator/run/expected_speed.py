@@ -197,14 +197,10 @@ class RealTimeSpeed:
 
     Attributes
     ----------
-    times_real_time
-        Stream seconds for a second of this machine, scene and sensor without links.
-    stream_s
-        Stream time that was computed for this.
-    planned_load
-        Cores that the plan expects the whole run to keep busy; None for a recording, which has no plan.
-    expected
-        Speed expected from a probe over the whole run; None for a recording.
+    times_real_time : stream seconds for a second of this machine, scene and sensor without links.
+    stream_s : stream time that was computed for this.
+    planned_load : cores that the plan expects the whole run to keep busy; None for a recording, which has no plan.
+    expected : speed expected from a probe over the whole run; None for a recording.
     """
 
     times_real_time: float

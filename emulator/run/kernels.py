@@ -50,16 +50,11 @@ class Part:
 
     Attributes
     ----------
-    name
-        For people.
-    seconds
-        Time on one idle core, about.
-    compile
-        Compiles it; can be pickled.
-    variant
-        Distinguishes parts of one name.
-    after
-        Parts whose kernels it uses: they come first.
+    name : for people.
+    seconds : time on one idle core, about.
+    compile : compiles it; can be pickled.
+    variant : distinguishes parts of one name.
+    after : parts whose kernels it uses: they come first.
     """
 
     name: str

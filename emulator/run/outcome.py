@@ -134,10 +134,8 @@ class RunResult:
 
     Attributes
     ----------
-    changes, changes_beyond
-        Changes from outside, and the number of further ones that are not listed.
-    scene_trouble
-        Reason why the scene gave no more light before the end of the run; "" if it did.
+    changes, changes_beyond : changes from outside, and the number of further ones that are not listed.
+    scene_trouble : reason why the scene gave no more light before the end of the run; "" if it did.
     """
 
     sim_seconds: float

@@ -110,10 +110,8 @@ class Lockstep:
 
     Parameters
     ----------
-    syncs
-        Ring of the received SYNCs.
-    period_ns
-        Stream time of each of them, ns.
+    syncs : ring of the received SYNCs.
+    period_ns : stream time of each of them, ns.
     """
 
     def __init__(self, syncs: EdgeRing, period_ns: int, clock: Clock) -> None:

@@ -105,18 +105,12 @@ class Session:
 
     Parameters
     ----------
-    frames
-        Light frames of the camera's scene; the caller closes the scene.
-    sensor
-        From light to events.
-    steps
-        Length of each step.
-    setups
-        One for each link.
-    clock
-        Clock that paces the run.
-    readings
-        Readings of the camera beside events.
+    frames : light frames of the camera's scene; the caller closes the scene.
+    sensor : from light to events.
+    steps : length of each step.
+    setups : one for each link.
+    clock : clock that paces the run.
+    readings : readings of the camera beside events.
     """
 
     def __init__(

@@ -31,8 +31,7 @@ class SceneKind:
 
     Attributes
     ----------
-    parameters
-        Type of its [scene] table; its `kind` is the kind's name.
+    parameters : type of its [scene] table; its `kind` is the kind's name.
     build
         Import path, "module:name", of the function that returns the `emulator.light.Scene`; imported when a scene is
         built. Its arguments are the parameters and those that `lens` requires.
@@ -43,15 +42,12 @@ class SceneKind:
     events
         Import path of a source of events that replaces the sensor, called with the parameters and the sensor's; "": the
         sensor receives the light of the scene.
-    kernels
-        True: drawing compiles kernels, which a run does in advance.
+    kernels : True: drawing compiles kernels, which a run does in advance.
     gl
         Import path of the function that builds the scene for GL, with the arguments of `build`; "": only the CPU draws
         it.
-    threads
-        True: `build` takes the keyword `threads`, the number of threads that draw, 0 for its own choice.
-    needs
-        Function from the parameters to the needs of the scene beyond evstim and its base dependencies.
+    threads : True: `build` takes the keyword `threads`, the number of threads that draw, 0 for its own choice.
+    needs : function from the parameters to the needs of the scene beyond evstim and its base dependencies.
     """
 
     parameters: type[SceneParameters]

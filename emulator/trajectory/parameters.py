@@ -61,14 +61,10 @@ class FixedPath(_Checked):
 
     Attributes
     ----------
-    position_m
-        In the world.
-    q_world_from_body
-        Attitude, scalar first; a camera's axes are x right, y down, z along the boresight.
-    look_at_m
-        A point to look at instead.
-    up
-        Direction that is up in the image then.
+    position_m : in the world.
+    q_world_from_body : attitude, scalar first; a camera's axes are x right, y down, z along the boresight.
+    look_at_m : a point to look at instead.
+    up : direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "fixed"
@@ -84,12 +80,9 @@ class Keyframe(_Checked):
 
     Attributes
     ----------
-    t_s
-        Time.
-    position_m
-        In the world.
-    q_world_from_body
-        Attitude, scalar first.
+    t_s : time.
+    position_m : in the world.
+    q_world_from_body : attitude, scalar first.
     """
 
     t_s: float
@@ -103,12 +96,9 @@ class KeyframePath(_Checked):
 
     Attributes
     ----------
-    keyframes
-        In order of time.
-    look_at_m
-        A point to look at instead of the keyframes' attitudes.
-    up
-        Direction that is up in the image then.
+    keyframes : in order of time.
+    look_at_m : a point to look at instead of the keyframes' attitudes.
+    up : direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "keyframes"
@@ -123,20 +113,13 @@ class OrbitPath(Elements, _Checked):
 
     Attributes
     ----------
-    gm_m3_s2
-        Gravitational parameter of the body; 4.4628e5 for Eros.
-    semi_major_axis_m
-        Mean of nearest and farthest distance.
-    eccentricity
-        0 for a circle, below 1.
-    inclination_deg, node_deg, periapsis_deg
-        Of the orbit's plane against the world's x-y plane.
-    anomaly_deg
-        Mean anomaly at time zero.
-    look_at_m
-        A point to look at; the origin, where the body is.
-    up
-        Direction that is up in the image.
+    gm_m3_s2 : gravitational parameter of the body; 4.4628e5 for Eros.
+    semi_major_axis_m : mean of nearest and farthest distance.
+    eccentricity : 0 for a circle, below 1.
+    inclination_deg, node_deg, periapsis_deg : of the orbit's plane against the world's x-y plane.
+    anomaly_deg : mean anomaly at time zero.
+    look_at_m : a point to look at; the origin, where the body is.
+    up : direction that is up in the image.
     """
 
     kind: ClassVar[str] = "orbit"
@@ -154,18 +137,12 @@ class SpinPath(_Checked):
 
     Attributes
     ----------
-    position_m
-        In the world.
-    pole
-        Direction of the angular momentum in the world.
-    spin_deg_s
-        Rate of turning about +Z, right-handed.
-    start_deg
-        Angle at time zero.
-    tilt_deg
-        Of +Z against the momentum.
-    precession_deg_s
-        Rate of +Z about the momentum.
+    position_m : in the world.
+    pole : direction of the angular momentum in the world.
+    spin_deg_s : rate of turning about +Z, right-handed.
+    start_deg : angle at time zero.
+    tilt_deg : of +Z against the momentum.
+    precession_deg_s : rate of +Z about the momentum.
     """
 
     kind: ClassVar[str] = "spin"
@@ -183,12 +160,9 @@ class DescentPath(_Checked):
 
     Attributes
     ----------
-    gates
-        Moments between phases, in order of time; the default is a lunar landing's last three minutes.
-    heading_deg
-        Direction of flight: 0 along +y, 90 along +x.
-    site_m
-        Landing site.
+    gates : moments between phases, in order of time; the default is a lunar landing's last three minutes.
+    heading_deg : direction of flight: 0 along +y, 90 along +x.
+    site_m : landing site.
     """
 
     kind: ClassVar[str] = "descent"
@@ -203,18 +177,12 @@ class FilePath(_Checked):
 
     Attributes
     ----------
-    path
-        A table (`.csv`), a CCSDS orbit file (`.oem`) or a PANGU flight file (`.fli`), beside the rig file.
-    attitude_path
-        A CCSDS attitude file (`.aem`) with the attitudes to the places of `path`; empty for none.
-    period_s
-        Time between two poses of a flight file, which holds no times.
-    axes
-        Axes of the file's camera: it looks along +z with y down ("opencv"), or along -z with y up ("opengl").
-    look_at_m
-        A point to look at instead of the file's attitudes.
-    up
-        Direction that is up in the image then.
+    path : a table (`.csv`), a CCSDS orbit file (`.oem`) or a PANGU flight file (`.fli`), beside the rig file.
+    attitude_path : A CCSDS attitude file (`.aem`) with the attitudes to the places of `path`; empty for none.
+    period_s : time between two poses of a flight file, which holds no times.
+    axes : axes of the file's camera: it looks along +z with y down ("opencv"), or along -z with y up ("opengl").
+    look_at_m : a point to look at instead of the file's attitudes.
+    up : direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "file"
@@ -240,14 +208,10 @@ class LivePath(_Checked):
     host, port
         Address to listen on. Paths of a scene with one host and port share it: number 0 is the camera, 1 the first
         body.
-    allow
-        Addresses that may send poses, for instance ["192.168.1.5"]; needed when `host` is not this machine alone.
-    position_m, q_world_from_body
-        The pose until one comes.
-    hold_ms
-        Time for which the last motion is continued when no newer pose comes.
-    ahead_ms
-        Most time by which a pose may be stamped beyond its arrival; others are refused.
+    allow : addresses that may send poses, for instance ["192.168.1.5"]; needed when `host` is not this machine alone.
+    position_m, q_world_from_body : the pose until one comes.
+    hold_ms : time for which the last motion is continued when no newer pose comes.
+    ahead_ms : most time by which a pose may be stamped beyond its arrival; others are refused.
     """
 
     kind: ClassVar[str] = "live"
@@ -272,12 +236,9 @@ class BasiliskPath(_Checked):
     ----------
     camera
         cameraID of the camera.
-    spacecraft
-        Name of the spacecraft.
-    body
-        Name of the celestial body.
-    origin
-        Name of the celestial body at the world's origin; empty: the origin of Basilisk's inertial frame.
+    spacecraft : name of the spacecraft.
+    body : name of the celestial body.
+    origin : name of the celestial body at the world's origin; empty: the origin of Basilisk's inertial frame.
     position_m, q_world_from_body
         The pose until the simulation gives one. Detail is chosen for it, so give the nearest point of the flight.
     """
@@ -302,22 +263,14 @@ class SpicePath(_Checked):
 
     Attributes
     ----------
-    kernels
-        SPK, CK, FK, LSK, SCLK and PCK files beside the rig file, in the order of loading.
-    observer, target
-        NAIF names or ids, for instance "-82" and "MOON".
-    frame
-        Axes of the world, for instance "J2000" or "IAU_MOON".
-    camera_frame
-        Frame of the camera; empty: it looks at the target.
-    start_utc
-        Time 0, for instance "2004-06-11T19:00:00".
-    duration_s
-        Length of the path, which the kernels must cover.
-    aberration
-        Correction of the target's place, as SPICE names it.
-    up
-        Direction that is up in the image where the camera looks at the target.
+    kernels : SPK, CK, FK, LSK, SCLK and PCK files beside the rig file, in the order of loading.
+    observer, target : NAIF names or ids, for instance "-82" and "MOON".
+    frame : axes of the world, for instance "J2000" or "IAU_MOON".
+    camera_frame : frame of the camera; empty: it looks at the target.
+    start_utc : time 0, for instance "2004-06-11T19:00:00".
+    duration_s : length of the path, which the kernels must cover.
+    aberration : correction of the target's place, as SPICE names it.
+    up : direction that is up in the image where the camera looks at the target.
     """
 
     kind: ClassVar[str] = "spice"

@@ -103,10 +103,8 @@ class TimeOfDay:
 
     Attributes
     ----------
-    ms
-        Since midnight.
-    days
-        Since 1984-01-01.
+    ms : since midnight.
+    days : since 1984-01-01.
     """
 
     ms: int
@@ -174,14 +172,10 @@ class SelectorSettings:
 
     Attributes
     ----------
-    default
-        0 for bus A, 1 for bus B.
-    heartbeat_ms
-        Consumer heartbeat time: longest accepted silence of the master.
-    toggle_ms
-        T_toggle: time on one bus during a search.
-    toggles
-        N_toggle: changes without a heartbeat before it stays on the default bus; 0: search without end.
+    default : 0 for bus A, 1 for bus B.
+    heartbeat_ms : consumer heartbeat time: longest accepted silence of the master.
+    toggle_ms : T_toggle: time on one bus during a search.
+    toggles : N_toggle: changes without a heartbeat before it stays on the default bus; 0: search without end.
     """
 
     default: int = 0

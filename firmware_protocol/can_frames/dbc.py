@@ -36,36 +36,21 @@ class Identifiers:
 
     Attributes
     ----------
-    nmt
-        Commands of the network's master: start, stop.
-    sync
-        The bus's SYNC.
-    emcy
-        The camera's emergency messages.
-    time
-        Time of day, to the millisecond.
-    follow_up
-        Transmission time of a SYNC.
-    scet
-        Spacecraft time, to 60 ns.
-    events
-        The camera's events frames.
-    epoch
-        The camera's epoch frames, which belong to the events frames.
-    clock
-        The camera's clock frames, with all bits of the time.
-    marks
-        The camera's own trigger and exposure marks.
-    edges
-        Edges on the camera's external input, with raw frames.
-    telemetry
-        ISO-TP messages of the camera.
-    telecommand
-        ISO-TP messages to the camera.
-    heartbeat
-        The camera's heartbeat.
-    master_heartbeat
-        The master's heartbeat, which selects the bus in use.
+    nmt : commands of the network's master: start, stop.
+    sync : the bus's SYNC.
+    emcy : the camera's emergency messages.
+    time : time of day, to the millisecond.
+    follow_up : transmission time of a SYNC.
+    scet : spacecraft time, to 60 ns.
+    events : the camera's events frames.
+    epoch : the camera's epoch frames, which belong to the events frames.
+    clock : the camera's clock frames, with all bits of the time.
+    marks : the camera's own trigger and exposure marks.
+    edges : edges on the camera's external input, with raw frames.
+    telemetry : ISO-TP messages of the camera.
+    telecommand : ISO-TP messages to the camera.
+    heartbeat : the camera's heartbeat.
+    master_heartbeat : the master's heartbeat, which selects the bus in use.
     """
 
     nmt: int = 0x000

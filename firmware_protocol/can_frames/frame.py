@@ -64,18 +64,12 @@ class Frame:
 
     Attributes
     ----------
-    identifier
-        11 bits, or 29 bits when `extended`; of an error frame, the class bits of linux/can/error.h.
-    data
-        At most 8 bytes; with `fd` one of the lengths of `FD_LENGTHS`.
-    extended
-        29-bit identifier.
-    fd
-        CAN FD.
-    brs
-        The data are sent at the second, faster bit rate; only with `fd`.
-    error
-        A report of the controller, not a frame of a node: bus-off, error-passive and so on.
+    identifier : 11 bits, or 29 bits when `extended`; of an error frame, the class bits of linux/can/error.h.
+    data : at most 8 bytes; with `fd` one of the lengths of `FD_LENGTHS`.
+    extended : 29-bit identifier.
+    fd : CAN FD.
+    brs : the data are sent at the second, faster bit rate; only with `fd`.
+    error : a report of the controller, not a frame of a node: bus-off, error-passive and so on.
     """
 
     identifier: int
@@ -146,10 +140,8 @@ class FollowUp:
 
     Attributes
     ----------
-    counter
-        Counter of the SYNC, 0 to 255.
-    sent_ns
-        Sender's clock when the SYNC left, ns, 0 to 2^56 - 1.
+    counter : counter of the SYNC, 0 to 255.
+    sent_ns : sender's clock when the SYNC left, ns, 0 to 2^56 - 1.
     """
 
     counter: int
@@ -315,12 +307,9 @@ class BusShare:
 
     Parameters
     ----------
-    rates
-        Bit rates of the bus.
-    share
-        0 to 1.
-    depth_ns
-        Bus time that may be made up after a pause; it covers the period at which the sender runs.
+    rates : bit rates of the bus.
+    share : 0 to 1.
+    depth_ns : bus time that may be made up after a pause; it covers the period at which the sender runs.
     """
 
     def __init__(self, rates: BitRates, share: float, depth_ns: int = 1_000_000) -> None:

@@ -81,12 +81,9 @@ class Epoch:
 
     Attributes
     ----------
-    ticks
-        Low 30 bits of the time, in ticks: unwrap it near the expected time (`unwrapped`).
-    tick_us
-        Tick of this time and of the events frames that follow.
-    sent, dropped
-        Events since the start, modulo 65536.
+    ticks : low 30 bits of the time, in ticks: unwrap it near the expected time (`unwrapped`).
+    tick_us : tick of this time and of the events frames that follow.
+    sent, dropped : events since the start, modulo 65536.
     """
 
     ticks: int

@@ -50,10 +50,8 @@ class SocketcandSession:
 
     Attributes
     ----------
-    raw
-        True if the client selected raw mode, which delivers every frame.
-    refused
-        True if the client requested a bus that does not exist here; the server has to close the connection.
+    raw : True if the client selected raw mode, which delivers every frame.
+    refused : True if the client requested a bus that does not exist here; the server has to close the connection.
     """
 
     def __init__(self, bus: str) -> None:

@@ -63,22 +63,15 @@ class IsoTpSettings:
 
     Attributes
     ----------
-    send, receive
-        Identifiers of this side's frames and of the peer's.
-    extended
-        29-bit identifiers.
-    fd, brs
-        CAN FD frames of up to 64 bytes, and the faster bit rate for their data.
+    send, receive : identifiers of this side's frames and of the peer's.
+    extended : 29-bit identifiers.
+    fd, brs : CAN FD frames of up to 64 bytes, and the faster bit rate for their data.
     flow_control
         True: wait for the peer's flow control. False: send at this side's own pace, for peers that only receive.
-    block_size, separation
-        BS and STmin that this side requests of the peer.
-    timeout_ns
-        N_Bs and N_Cr: longest wait for flow control, and for the next consecutive frame.
-    waits
-        Number of "wait" frames in a row that the peer may send.
-    longest_bytes
-        Longer messages are refused with an overflow.
+    block_size, separation : BS and STmin that this side requests of the peer.
+    timeout_ns : N_Bs and N_Cr: longest wait for flow control, and for the next consecutive frame.
+    waits : number of "wait" frames in a row that the peer may send.
+    longest_bytes : longer messages are refused with an overflow.
     """
 
     send: int
@@ -350,8 +343,7 @@ class CfpReceiver:
 
     Parameters
     ----------
-    address
-        CSP address whose packets are accepted, with those for the broadcast address 16383; None: all packets.
+    address : CSP address whose packets are accepted, with those for the broadcast address 16383; None: all packets.
     """
 
     def __init__(self, address: int | None = None) -> None:

@@ -64,8 +64,7 @@ def find_fates(
     ----------
     ticks, x, y
         (n,) the clock at each event, 0 to STAMP_MASK, and its pixel.
-    limits
-        The least age of its own cell and the greatest age of a cell that supports an event, ticks.
+    limits : the least age of its own cell and the greatest age of a cell that supports an event, ticks.
     stamps
         (rows, columns) of cells.
     """
@@ -118,10 +117,8 @@ class ActivityLimits:
 
     Attributes
     ----------
-    shortest
-        The least age of its own cell that lets an event pass; 0: any.
-    longest
-        The greatest age of a cell that supports an event; STAMP_MASK: any.
+    shortest : the least age of its own cell that lets an event pass; 0: any.
+    longest : the greatest age of a cell that supports an event; STAMP_MASK: any.
     """
 
     shortest: int

@@ -71,15 +71,12 @@ class FrameReader:
 
     Parameters
     ----------
-    turned
-        True if a line of the stream is a row of the image; else it is a column.
+    turned : True if a line of the stream is a row of the image; else it is a column.
 
     Attributes
     ----------
-    incomplete
-        Frames that began and did not become complete.
-    resets
-        Timestamp resets so far.
+    incomplete : frames that began and did not become complete.
+    resets : timestamp resets so far.
     """
 
     def __init__(self, turned: bool = False) -> None:
@@ -189,8 +186,7 @@ class Decoder:
     ----------
     size
         (width, height) in user coordinates.
-    turned
-        True if row words carry x and column words y (invert bit of the orientation register).
+    turned : True if row words carry x and column words y (invert bit of the orientation register).
     """
 
     def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:

@@ -52,17 +52,13 @@ class Davis346Settings(Fx3Settings):
 
     Attributes
     ----------
-    bcd_device
-        Low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
+    bcd_device : low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
     size
         (width, height) of the array. neuromorphic_drivers assumes 346 x 260; other sensors may send their events in
         DAVIS words if the receiver is configured for their size.
-    layout
-        Order in which rows and columns are sent.
-    imu_unit
-        0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
-    activity_filter
-        True if it has the filters of background activity and refractory period.
+    layout : order in which rows and columns are sent.
+    imu_unit : 0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
+    activity_filter : True if it has the filters of background activity and refractory period.
     """
 
     product_id: ClassVar[int] = PRODUCT_ID
@@ -126,14 +122,12 @@ class FilterSettings:
 
     Attributes
     ----------
-    suppressed
-        Polarity that does not pass; None: both do.
+    suppressed : polarity that does not pass; None: both do.
     region
         (first column, first row, last column, last row).
     hot
         (column, row) of each pixel that does not pass; those outside the array are left out.
-    every
-        Events that pass before one is skipped; None: all pass.
+    every : events that pass before one is skipped; None: all pass.
     """
 
     flatten: bool
@@ -170,12 +164,9 @@ class _Filtered:
 
     Attributes
     ----------
-    not_selected, hot
-        Numbers of events not selected, and of those among them at hot pixels.
-    counted
-        Number of events that reached the skip filter.
-    activity
-        Result of the activity filter; None: it is off.
+    not_selected, hot : numbers of events not selected, and of those among them at hot pixels.
+    counted : number of events that reached the skip filter.
+    activity : result of the activity filter; None: it is off.
     """
 
     not_selected: int = 0
@@ -189,8 +180,7 @@ class DvsFilters:
 
     Attributes
     ----------
-    hot
-        Of the events that were not selected, those at hot pixels.
+    hot : of the events that were not selected, those at hot pixels.
     """
 
     def __init__(self, size: tuple[int, int], fates: Counts, *, has_activity: bool = False) -> None:

@@ -100,8 +100,7 @@ class WordEncoder(TimedEncoder):
     ----------
     size
         (width, height) of the array; events outside are refused.
-    turned
-        True for the chip's own coordinates, turned by 90 degrees: the row word carries x, the column word y.
+    turned : True for the chip's own coordinates, turned by 90 degrees: the row word carries x, the column word y.
     """
 
     def __init__(self, size: tuple[int, int] = (MAX_ADDRESS + 1, MAX_ADDRESS + 1), turned: bool = False) -> None:

@@ -116,10 +116,8 @@ class ClockStep:
 
     Attributes
     ----------
-    at_s
-        Stream time of the jump, seconds.
-    by_us
-        Its size, microseconds; above 0 the clock jumps forward.
+    at_s : stream time of the jump, seconds.
+    by_us : its size, microseconds; above 0 the clock jumps forward.
     """
 
     at_s: _StreamSeconds
@@ -135,18 +133,13 @@ class ClockSettings:
 
     Attributes
     ----------
-    offset_us
-        Its reading at the start.
-    drift_ppm
-        Frequency error, positive if too fast; a quartz has 10 to 50.
-    walk_ppb
-        Random walk of its frequency, standard deviation after one second; after n seconds sqrt(n) times that.
+    offset_us : its reading at the start.
+    drift_ppm : frequency error, positive if too fast; a quartz has 10 to 50.
+    walk_ppb : random walk of its frequency, standard deviation after one second; after n seconds sqrt(n) times that.
     ramp_ppm, ramp_from_s, ramp_seconds
         A temperature ramp: the frequency changes by `ramp_ppm`, evenly, within `ramp_seconds` from `ramp_from_s` on.
-    steps
-        Jumps. The clock of a camera never runs backward: at a jump back it stands still until time has caught up.
-    restarts_s
-        Stream times at which it restarts at zero, as by a pulse on a DAVIS346's synchronisation input.
+    steps : jumps. The clock of a camera never runs backward: at a jump back it stands still until time has caught up.
+    restarts_s : stream times at which it restarts at zero, as by a pulse on a DAVIS346's synchronisation input.
     """
 
     offset_us: Annotated[float, Meta(ge=0, le=1e15)] = 0.0

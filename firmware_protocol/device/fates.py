@@ -33,24 +33,16 @@ class Counts:
     not_running
         Arrived while no host had the camera, or this kind, running; or in the middle of a frame whose start the host
         did not get.
-    ignored
-        Edges that were not detected: the camera was not running, or its registers exclude this kind of edge.
-    not_selected
-        Excluded on purpose: outside the region of interest, or a pixel that sub-sampling skips.
+    ignored : edges that were not detected: the camera was not running, or its registers exclude this kind of edge.
+    not_selected : excluded on purpose: outside the region of interest, or a pixel that sub-sampling skips.
     dropped_background, dropped_refractory
         Dropped by the camera's own filters of background activity and of the refractory period.
-    dropped_rate
-        Beyond the camera's rate limit.
-    dropped_late
-        Waited longer than the camera's age limit.
-    dropped_fifo
-        Found the camera's buffer full, in items or in bytes.
-    flushed
-        Were in the buffer when it was emptied, at a stop or when the host went away.
-    lost_on_link
-        Left the camera and were lost on the link.
-    queued
-        Still wait, or have left and their fate is open.
+    dropped_rate : beyond the camera's rate limit.
+    dropped_late : waited longer than the camera's age limit.
+    dropped_fifo : found the camera's buffer full, in items or in bytes.
+    flushed : were in the buffer when it was emptied, at a stop or when the host went away.
+    lost_on_link : left the camera and were lost on the link.
+    queued : still wait, or have left and their fate is open.
     """
 
     offered: int = 0
@@ -105,10 +97,8 @@ class Fates(Counts):
 
     Attributes
     ----------
-    edges
-        Those of the edges of the external input.
-    readings
-        Those of parts of frames and of samples, by `ReadingKind`; empty for a camera that does not use them.
+    edges : those of the edges of the external input.
+    readings : those of parts of frames and of samples, by `ReadingKind`; empty for a camera that does not use them.
     """
 
     edges: Counts = field(default_factory=Counts)

@@ -99,8 +99,7 @@ class ItemQueue:
 
     Attributes
     ----------
-    waiting
-        See `ItemEncoder.waiting`.
+    waiting : see `ItemEncoder.waiting`.
     """
 
     def __init__(self) -> None:
@@ -148,17 +147,13 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
 
     Parameters
     ----------
-    capacity
-        Most events that it holds, with those whose fate is open; edges likewise.
-    readings
-        Settings of each kind of readings that it takes, as `TakesReadings.reading_settings`; others are refused.
-    pulse_us
-        Length of a pulse at its input.
+    capacity : most events that it holds, with those whose fate is open; edges likewise.
+    readings : settings of each kind of readings that it takes, as `TakesReadings.reading_settings`; others are refused.
+    pulse_us : length of a pulse at its input.
 
     Attributes
     ----------
-    takes_edges
-        True if its link carries edges; if not, they are ignored.
+    takes_edges : True if its link carries edges; if not, they are ignored.
     is_watched
         True if a receiver notices when data leave: they then leave at their own time, not some milliseconds later.
     """

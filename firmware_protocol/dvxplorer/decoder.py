@@ -87,8 +87,7 @@ def read_words(words: Words, state: _Int64s, events: _Bytes, rare: _Int64s) -> i
 
     Parameters
     ----------
-    words
-        Words in stream order.
+    words : words in stream order.
     state
         (9,) with the layout above, updated.
     events
@@ -164,8 +163,7 @@ class GroupDecoder:
 
     Attributes
     ----------
-    faults
-        Counts of words that an intact stream never contains.
+    faults : counts of words that an intact stream never contains.
     """
 
     def __init__(self, size: tuple[int, int] = (640, 480)) -> None:

@@ -47,10 +47,8 @@ class DvxplorerSettings(Fx3Settings):
 
     Attributes
     ----------
-    bcd_device
-        Low byte: firmware version, 9 for all drivers. High byte: 3, hardware with an FX3.
-    imu_unit
-        0 none, 3 BMI160.
+    bcd_device : low byte: firmware version, 9 for all drivers. High byte: 3, hardware with an FX3.
+    imu_unit : 0 none, 3 BMI160.
     """
 
     product_id: ClassVar[int] = PRODUCT_ID

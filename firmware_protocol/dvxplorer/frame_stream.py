@@ -45,15 +45,12 @@ class FrameStream:
     ----------
     size
         (width, height) of the array; events outside are refused.
-    fifo_bytes
-        Room for events that wait, at eight bytes each; at least 1024.
+    fifo_bytes : room for events that wait, at eight bytes each; at least 1024.
 
     Attributes
     ----------
-    period_us
-        Longest frame, us; 0: each time is a frame of its own.
-    epoch_us
-        Stream time at which device time is zero.
+    period_us : longest frame, us; 0: each time is a frame of its own.
+    epoch_us : stream time at which device time is zero.
     """
 
     def __init__(self, size: tuple[int, int], fifo_bytes: int) -> None:

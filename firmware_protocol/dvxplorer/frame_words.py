@@ -403,8 +403,7 @@ class FrameDecoder:
 
     Attributes
     ----------
-    faults
-        Counts of words that an intact stream never contains.
+    faults : counts of words that an intact stream never contains.
     """
 
     def __init__(self, size: tuple[int, int] = (640, 480)) -> None:

@@ -113,8 +113,7 @@ def write_words(events: _Bytes, mark_times: _Times, mark_words: Words, state: _S
 
     Returns
     -------
-    int
-        Number of words; negative: backwards, outside or too late, and `state` is invalid.
+    int : number of words; negative: backwards, outside or too late, and `state` is invalid.
     """
     written = 0
     while written <= len(out) - _MOST_WORDS:
@@ -244,8 +243,7 @@ class GroupEncoder(TimedEncoder):
 
     Attributes
     ----------
-    compressed
-        True: two groups share their addresses.
+    compressed : True: two groups share their addresses.
     groups, dropped_columns, dropped_groups
         Words of pixels that were queued; columns and words of pixels that found no room.
     """

@@ -82,8 +82,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
     ----------
     events, edges
         (13 n,) and (12 m,) bytes of EVENT and EDGE records.
-    width
-        Columns of the sensor.
+    width : columns of the sensor.
     state
         (8,) with the layout in `words`; on return the state after the last word.
     out
@@ -91,8 +90,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
 
     Returns
     -------
-    int
-        Number of words; negative: BACKWARDS, TOO_LATE or OUTSIDE, and `state` is invalid.
+    int : number of words; negative: BACKWARDS, TOO_LATE or OUTSIDE, and `state` is invalid.
     """
     written = 0
     while written <= len(out) - _MOST_WORDS and is_left(events, edges, state):

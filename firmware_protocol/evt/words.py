@@ -198,14 +198,10 @@ class Words:
 
     Attributes
     ----------
-    dtype
-        Type of a word.
-    low_bits, high_bits
-        Bits of a time, in a low part and in a high part.
-    write
-        Kernel that writes the next words of events and edges, both as bytes; see `write_words`.
-    high_words
-        Function that returns the words of a high part.
+    dtype : type of a word.
+    low_bits, high_bits : bits of a time, in a low part and in a high part.
+    write : kernel that writes the next words of events and edges, both as bytes; see `write_words`.
+    high_words : function that returns the words of a high part.
     """
 
     dtype: type[np.unsignedinteger]

@@ -98,17 +98,13 @@ class Fx3Settings(UsbCameraSettings):
 
     Attributes
     ----------
-    serial
-        1 to 8 ASCII characters; libcaer and dv-processing cut longer ones.
+    serial : 1 to 8 ASCII characters; libcaer and dv-processing cut longer ones.
     fifo_bytes
         Room for words that wait for the host. 256 KiB is the most that the FX3 can give to DMA buffers: its memory from
         0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s of a DAVIS that lasts 4 to 10 ms.
-    pulse_us
-        Length of a pulse on the external input (an EDGE of kind PULSE).
-    imu_unit
-        Its inertial unit, by the numbers of `imu_samples`; 0: none.
-    frames
-        True if it takes frames; if not, its host may request them and gets none.
+    pulse_us : length of a pulse on the external input (an EDGE of kind PULSE).
+    imu_unit : its inertial unit, by the numbers of `imu_samples`; 0: none.
+    frames : True if it takes frames; if not, its host may request them and gets none.
     """
 
     product_id: ClassVar[int]

@@ -32,14 +32,10 @@ class FrameRead:
 
     Attributes
     ----------
-    start_us, exposure_start_us, exposure_end_us, end_us
-        Device time.
-    exposure_cycles
-        Exposure register, cycles of the ADC's clock.
-    roi
-        First column, first row, last column, last row.
-    resets
-        Timestamp resets that the reader had read before.
+    start_us, exposure_start_us, exposure_end_us, end_us : device time.
+    exposure_cycles : exposure register, cycles of the ADC's clock.
+    roi : first column, first row, last column, last row.
+    resets : timestamp resets that the reader had read before.
     reset, signal
         (rows, columns) uint16, the two reads of the region.
     """
@@ -76,12 +72,10 @@ class Decoded:
         (n,) EVENT in device time, microseconds since the last timestamp reset.
     specials
         (m,) SPECIAL_EVENT.
-    frames
-        Frames that this piece completed.
+    frames : frames that this piece completed.
     imu_read
         (k,) IMU_READ: samples of the inertial unit; see `ImuReader`.
-    resets_in_all
-        Timestamp resets since the decoder was made.
+    resets_in_all : timestamp resets since the decoder was made.
     """
 
     events: Events

@@ -53,16 +53,11 @@ class InputSettings:
 
     Attributes
     ----------
-    report_from_us
-        Stream time from which marks are reported; None: the camera does not run.
-    rising, falling, pulses
-        Edges that the detector reports.
-    active_high
-        Polarity of a pulse.
-    length_us
-        Time after which a level is a pulse.
-    generator
-        Settings of the generator; None while it is off.
+    report_from_us : stream time from which marks are reported; None: the camera does not run.
+    rising, falling, pulses : edges that the detector reports.
+    active_high : polarity of a pulse.
+    length_us : time after which a level is a pulse.
+    generator : settings of the generator; None while it is off.
     """
 
     report_from_us: int | None = None
@@ -148,10 +143,8 @@ class ExternalInput:
 
     Parameters
     ----------
-    pulse_us
-        Length of an EDGE of kind PULSE.
-    counts
-        The camera's counts of edges.
+    pulse_us : length of an EDGE of kind PULSE.
+    counts : the camera's counts of edges.
     """
 
     def __init__(self, pulse_us: int, counts: Counts) -> None:

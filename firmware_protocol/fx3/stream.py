@@ -46,10 +46,8 @@ class TimedEncoder(ABC):
 
     Attributes
     ----------
-    rows
-        Number of row words of the last call of `encode`.
-    words_per_event
-        Most words of an event, without wraps.
+    rows : number of row words of the last call of `encode`.
+    words_per_event : most words of an event, without wraps.
     """
 
     words_per_event: ClassVar[int] = 3
@@ -110,12 +108,9 @@ class Batch:
 
     Attributes
     ----------
-    before
-        State of a reader before the first word.
-    epoch_us
-        Stream time at which device time is zero for these words.
-    words_taken
-        Number of words that have left.
+    before : state of a reader before the first word.
+    epoch_us : stream time at which device time is zero for these words.
+    words_taken : number of words that have left.
     """
 
     encoded: Encoded
@@ -191,13 +186,11 @@ class Fifo:
 
     Parameters
     ----------
-    capacity_bytes
-        Size; at least 1024.
+    capacity_bytes : size; at least 1024.
 
     Attributes
     ----------
-    waiting
-        Numbers of events, marks and blocks whose last word has not left.
+    waiting : numbers of events, marks and blocks whose last word has not left.
     """
 
     def __init__(self, capacity_bytes: int) -> None:
@@ -299,10 +292,8 @@ class EventStream:
 
     Attributes
     ----------
-    rows
-        Number of row words queued so far.
-    epoch_us
-        Stream time at which device time is zero.
+    rows : number of row words queued so far.
+    epoch_us : stream time at which device time is zero.
     """
 
     def __init__(self, encoder: TimedEncoder, fifo: Fifo) -> None:

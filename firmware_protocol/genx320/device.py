@@ -57,10 +57,8 @@ class Genx320Settings(TreuzellSettings):
 
     Attributes
     ----------
-    biases
-        Effect of the biases on the sensor.
-    surroundings, board
-        Readings of the sensor's own instruments; identity of the board.
+    biases : effect of the biases on the sensor.
+    surroundings, board : readings of the sensor's own instruments; identity of the board.
     """
 
     biases: BiasModel = field(default_factory=lambda: BiasModel(SLOPES))

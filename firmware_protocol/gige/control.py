@@ -126,10 +126,8 @@ class Control:
 
     Attributes
     ----------
-    owner
-        The host that has control, or None.
-    counts
-        Requests by outcome.
+    owner : the host that has control, or None.
+    counts : requests by outcome.
     """
 
     def __init__(self, memory: Memory, controlled: Controlled) -> None:
@@ -359,8 +357,7 @@ class Messages:
 
     Attributes
     ----------
-    counts
-        Messages by outcome.
+    counts : messages by outcome.
     """
 
     def __init__(self) -> None:

@@ -32,14 +32,10 @@ class Feature:
         (first, last) bit of the register that it uses, bit 0 the lowest; None: all of them.
     limits
         (least, most) value; a negative least means a signed register.
-    entries
-        Values of an enumeration by name.
-    room
-        Octets of a text, or of a register.
-    order
-        Value that a host writes to execute a command.
-    per_unit
-        Steps of the register in one unit of the feature, which then is a converter.
+    entries : values of an enumeration by name.
+    room : octets of a text, or of a register.
+    order : value that a host writes to execute a command.
+    per_unit : steps of the register in one unit of the feature, which then is a converter.
     """
 
     name: str
@@ -138,12 +134,9 @@ class Description:
 
     Attributes
     ----------
-    xml
-        Its text.
-    octets
-        The zipped file as it is stored at `address`, padded to a multiple of four.
-    location
-        Text of the registers XML_1 and XML_2.
+    xml : its text.
+    octets : the zipped file as it is stored at `address`, padded to a multiple of four.
+    location : text of the registers XML_1 and XML_2.
     """
 
     def __init__(self, model: Model, features: Sequence[Feature]) -> None:

@@ -149,14 +149,10 @@ class BlockAssembly:
 
     Attributes
     ----------
-    lost
-        Blocks that were given up, or of which no packet arrived.
-    repeated
-        Packets that arrived more than once.
-    requested
-        Packets that were requested again.
-    invalid
-        Datagrams that are no packets, and packets of blocks that are over.
+    lost : blocks that were given up, or of which no packet arrived.
+    repeated : packets that arrived more than once.
+    requested : packets that were requested again.
+    invalid : datagrams that are no packets, and packets of blocks that are over.
     """
 
     def __init__(self) -> None:

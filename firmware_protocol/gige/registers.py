@@ -130,12 +130,9 @@ class DeviceIdentity:
 
     Attributes
     ----------
-    manufacturer, model, version, serial, user_name, info
-        At most 31, 31, 31, 15, 15 and 47 ASCII characters.
-    address
-        The device's own IPv4 address.
-    mac_prefix
-        First three octets of its MAC, those of the manufacturer; the others follow from the serial.
+    manufacturer, model, version, serial, user_name, info : at most 31, 31, 31, 15, 15 and 47 ASCII characters.
+    address : the device's own IPv4 address.
+    mac_prefix : first three octets of its MAC, those of the manufacturer; the others follow from the serial.
     """
 
     manufacturer: str

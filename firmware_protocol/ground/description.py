@@ -30,10 +30,8 @@ class Tail:
 
     Attributes
     ----------
-    longest, shortest
-        Its greatest and least length, octets.
-    records
-        Layout of each of its records; None if it is octets or text.
+    longest, shortest : its greatest and least length, octets.
+    records : layout of each of its records; None if it is octets or text.
     """
 
     name: str
@@ -53,10 +51,8 @@ class Placed:
 
     Attributes
     ----------
-    at
-        Bits from the beginning of the packet to the first bit of the field.
-    identifies
-        Its only value in this kind of packet; None if it varies.
+    at : bits from the beginning of the packet to the first bit of the field.
+    identifies : its only value in this kind of packet; None if it varies.
     """
 
     field: Field

@@ -67,8 +67,7 @@ class BoardModel(BoardIdentity):
 
     Attributes
     ----------
-    chip
-        Its sensor.
+    chip : its sensor.
     """
 
     chip: Chip = IMX636
@@ -105,10 +104,8 @@ class Evk4Settings(TreuzellSettings):
 
     Attributes
     ----------
-    surroundings
-        Readings of the sensor's own instruments.
-    board
-        The board: its identity and its sensor.
+    surroundings : readings of the sensor's own instruments.
+    board : the board: its identity and its sensor.
     """
 
     surroundings: Surroundings = field(default_factory=Surroundings)

@@ -115,16 +115,11 @@ class Chip:
 
     Attributes
     ----------
-    name
-        Its name in the board's own description, for people.
-    compatible
-        Names by which OpenEB finds its driver.
-    number, variant
-        Values of the registers CHIP and VARIANT.
-    biases
-        Register and factory's current of each bias, by Prophesee's names.
-    bias_flags
-        The other bits of the bias registers at power-on.
+    name : its name in the board's own description, for people.
+    compatible : names by which OpenEB finds its driver.
+    number, variant : values of the registers CHIP and VARIANT.
+    biases : register and factory's current of each bias, by Prophesee's names.
+    bias_flags : the other bits of the bias registers at power-on.
     """
 
     name: str

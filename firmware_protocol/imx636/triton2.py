@@ -96,10 +96,8 @@ class BlockOutflow(Outflow[Outgoing]):
 
     Attributes
     ----------
-    number
-        Number of the last block.
-    shift_ns
-        Time of a master clock less the camera's, ns; None: times count from the start of the acquisition.
+    number : number of the last block.
+    shift_ns : time of a master clock less the camera's, ns; None: times count from the start of the acquisition.
     """
 
     def __init__(self, epoch_us: int, settings: Triton2Settings, number: int = 0) -> None:
@@ -161,10 +159,8 @@ class Triton2(PropheseeCamera[BlockOutflow]):
 
     Attributes
     ----------
-    owner
-        The host that has control of it, or None.
-    messages
-        Its messages about edges to its host.
+    owner : the host that has control of it, or None.
+    messages : its messages about edges to its host.
     """
 
     def __init__(self, settings: Triton2Settings | None = None) -> None:
@@ -410,8 +406,7 @@ class _Ranges:
 
     Attributes
     ----------
-    mask
-        Mask of the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
+    mask : mask of the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
     """
 
     def __init__(self, pixels: int) -> None:

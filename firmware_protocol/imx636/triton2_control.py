@@ -58,12 +58,9 @@ class Triton2Control:
 
     Parameters
     ----------
-    time
-        Source of the device's clock, as the stream has it.
-    stream_port
-        Port from which the stream is sent.
-    ptp
-        Clock that a host can switch on, if the settings have `ptp`.
+    time : source of the device's clock, as the stream has it.
+    stream_port : port from which the stream is sent.
+    ptp : clock that a host can switch on, if the settings have `ptp`.
 
     Attributes
     ----------

@@ -63,24 +63,16 @@ class Triton2Settings:
     ----------
     size
         (width, height) of the sensor, pixels.
-    address
-        The camera's own IPv4 address, which is in its answer to a discovery.
-    serial, user_name
-        At most 15 ASCII characters.
+    address : the camera's own IPv4 address, which is in its answer to a discovery.
+    serial, user_name : at most 15 ASCII characters.
     start_delay_us
         Silence after AcquisitionStart: a host with the stock socket buffer begins to read some 0.1 s later.
-    block_us
-        Age at which a block is closed, unless it is full before.
-    capacity
-        Most events that wait; further ones are dropped and counted.
-    biases
-        Effect of the biases on the sensor.
-    ptp
-        True if the camera can follow a master of the Precision Time Protocol; a host switches that on.
-    ptp_domain
-        Domain of that protocol.
-    pulse_us
-        Length of a pulse at the trigger input.
+    block_us : age at which a block is closed, unless it is full before.
+    capacity : most events that wait; further ones are dropped and counted.
+    biases : effect of the biases on the sensor.
+    ptp : True if the camera can follow a master of the Precision Time Protocol; a host switches that on.
+    ptp_domain : domain of that protocol.
+    pulse_us : length of a pulse at the trigger input.
     """
 
     size: tuple[int, int] = (1280, 720)

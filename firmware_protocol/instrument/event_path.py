@@ -34,10 +34,8 @@ class Outgoing(Items):
 
     Attributes
     ----------
-    message
-        Message to send, with the instrument's own time. Its payload is empty if the link packs the events itself.
-    dropped
-        Events dropped between these and those sent before.
+    message : message to send, with the instrument's own time. Its payload is empty if the link packs the events itself.
+    dropped : events dropped between these and those sent before.
     """
 
     message: Message = field(kw_only=True)

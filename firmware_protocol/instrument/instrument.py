@@ -60,8 +60,7 @@ class Answers:
 
     Attributes
     ----------
-    taken, refused, missing
-        Numbers of telecommands so far.
+    taken, refused, missing : numbers of telecommands so far.
     """
 
     def __init__(self, time: OwnTime) -> None:
@@ -155,13 +154,11 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
     ----------
     size
         (width, height) of the array.
-    biases
-        Biases of its sensor; by default those of a DAVIS346.
+    biases : biases of its sensor; by default those of a DAVIS346.
 
     Attributes
     ----------
-    frames_refused
-        Damaged frames that the link received; the link sets it, housekeeping reports it.
+    frames_refused : damaged frames that the link received; the link sets it, housekeeping reports it.
 
     Raises
     ------

@@ -40,12 +40,9 @@ class QueueBounds:
 
     Attributes
     ----------
-    events
-        Most events that wait.
-    age_us
-        Longest that an event waits, us of stream time.
-    block_events
-        Events of a full block: "drop_newest" accepts events again once there is room for that many.
+    events : most events that wait.
+    age_us : longest that an event waits, us of stream time.
+    block_events : events of a full block: "drop_newest" accepts events again once there is room for that many.
     """
 
     events: int
@@ -223,8 +220,7 @@ class Selection:
 
     Attributes
     ----------
-    x, y, width, height
-        The region of interest, pixels.
+    x, y, width, height : the region of interest, pixels.
     keep_every
         Of the region, only columns and rows that are a multiple of this, counted from the array's corner, are sent.
     """
@@ -261,12 +257,9 @@ class OwnTime:
 
     Attributes
     ----------
-    now_us
-        Stream time.
-    offset_us
-        The camera's time minus stream time.
-    status
-        Source of the camera's time.
+    now_us : stream time.
+    offset_us : the camera's time minus stream time.
+    status : source of the camera's time.
     """
 
     def __init__(self) -> None:

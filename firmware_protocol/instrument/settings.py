@@ -29,28 +29,18 @@ class InstrumentSettings:
 
     Attributes
     ----------
-    tick_us
-        Unit of event times.
-    coding
-        Coding of blocks.
-    block_events, block_bytes
-        Largest block.
+    tick_us : unit of event times.
+    coding : coding of blocks.
+    block_events, block_bytes : largest block.
     region
         [x, y, width, height] of the pixels that are sent; empty for all.
-    keep_every
-        Of those, only columns and rows that are a multiple of this.
-    rate_limit
-        Most events a second on the average; 0 for no limit but the line's.
-    when_full
-        Events to drop when more arrive than leave.
-    queue_events, queue_ms
-        Limits of the queue, in events and in time.
-    housekeeping_s
-        Time between two housekeeping messages; 0 for none except on request.
-    autostart
-        Events flow without a start command.
-    temperature_c
-        Temperature in housekeeping.
+    keep_every : of those, only columns and rows that are a multiple of this.
+    rate_limit : most events a second on the average; 0 for no limit but the line's.
+    when_full : events to drop when more arrive than leave.
+    queue_events, queue_ms : limits of the queue, in events and in time.
+    housekeeping_s : time between two housekeeping messages; 0 for none except on request.
+    autostart : events flow without a start command.
+    temperature_c : temperature in housekeeping.
     """
 
     tick_us: Literal[1, 10, 100, 1000] = 1
@@ -97,10 +87,8 @@ class DavisBiases:
 
     Attributes
     ----------
-    values
-        Present values, by number.
-    factors, without_effect
-        Factors of the pixels by the biases, and biases without an effect, each with the reason.
+    values : present values, by number.
+    factors, without_effect : factors of the pixels by the biases, and biases without an effect, each with the reason.
     """
 
     def __init__(self) -> None:

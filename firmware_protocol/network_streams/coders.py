@@ -74,22 +74,14 @@ class PictureSettings:
 
     Attributes
     ----------
-    channels
-        Of an event image, in this order; see docs/streams.md.
-    filter_ms
-        Time constant of the low pass for the channel "filtered" and for the display's light.
-    on_colour, off_colour
-        Red, green, blue, 0 to 255, of pixels of the display with more ON, or more OFF events.
-    both_colour
-        Colour of pixels with equal numbers of both.
-    background
-        Colour of pixels without an event, if no light is shown.
-    light_share
-        Share of the filtered level that is shown as grey, 0 (none) to 1.
-    light_below_events
-        True if it is also added to pixels that have events.
-    contrast
-        Change of log light for one event, if the level is shown as grey.
+    channels : of an event image, in this order; see docs/streams.md.
+    filter_ms : time constant of the low pass for the channel "filtered" and for the display's light.
+    on_colour, off_colour : red, green, blue, 0 to 255, of pixels of the display with more ON, or more OFF events.
+    both_colour : colour of pixels with equal numbers of both.
+    background : colour of pixels without an event, if no light is shown.
+    light_share : share of the filtered level that is shown as grey, 0 (none) to 1.
+    light_below_events : True if it is also added to pixels that have events.
+    contrast : change of log light for one event, if the level is shown as grey.
     """
 
     channels: tuple[Channel, ...] = ("on", "off", "first_us", "last_us", "level")
@@ -129,14 +121,11 @@ class StreamFacts:
     ----------
     size
         (width, height) of the sensor, pixels.
-    camera
-        Its name, such as "DAVIS346_00000001".
-    frame_us
-        Stream time of an image, if the stream is one of images.
+    camera : its name, such as "DAVIS346_00000001".
+    frame_us : stream time of an image, if the stream is one of images.
     compression
         "none" or "lz4", if the format has it.
-    pictures
-        Content of the images, if the stream is one of images.
+    pictures : content of the images, if the stream is one of images.
     """
 
     size: tuple[int, int]
@@ -159,10 +148,8 @@ class ConnectionCoder(ABC):
 
     Attributes
     ----------
-    limit_px
-        Most columns and rows of the format.
-    has_edges
-        True if it carries edges on the camera's external input.
+    limit_px : most columns and rows of the format.
+    has_edges : True if it carries edges on the camera's external input.
     """
 
     limit_px: ClassVar[tuple[int, int]]

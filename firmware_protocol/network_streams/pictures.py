@@ -44,8 +44,7 @@ class EventFrames:
     ----------
     size
         (width, height), pixels.
-    filter_us
-        Time constant of the channel "filtered"; 0 if it is not needed.
+    filter_us : time constant of the channel "filtered"; 0 if it is not needed.
     """
 
     def __init__(self, size: tuple[int, int], period_us: int, filter_us: float = 0.0) -> None:

@@ -20,12 +20,9 @@ class Addresses:
 
     Attributes
     ----------
-    apid
-        Application process of the instrument: telecommands, and all its messages except events.
-    science_apid
-        Application process of events and edges.
-    csp_node, csp_peer
-        CSP addresses of the instrument and of the computer, 0..16383 (version 2).
+    apid : application process of the instrument: telecommands, and all its messages except events.
+    science_apid : application process of events and edges.
+    csp_node, csp_peer : CSP addresses of the instrument and of the computer, 0..16383 (version 2).
     """
 
     apid: int = 0x2A0
@@ -107,10 +104,8 @@ class SequenceFollower:
 
     Attributes
     ----------
-    missing
-        Packets that never arrived.
-    disordered
-        Packets with a count behind the expected one.
+    missing : packets that never arrived.
+    disordered : packets with a count behind the expected one.
     """
 
     def __init__(self, modulus: int) -> None:

@@ -95,8 +95,7 @@ class SpacePacket:
 
     Attributes
     ----------
-    data
-        Octets after the primary header, 1..65536.
+    data : octets after the primary header, 1..65536.
     """
 
     type: PacketType
@@ -281,10 +280,8 @@ class TmPacket:
 
     Attributes
     ----------
-    sequence_count, type_count
-        Number of the packet under its APID, and of the report under its service and subtype.
-    t_us
-        Time of the report in microseconds since the start of the stream.
+    sequence_count, type_count : number of the packet under its APID, and of the report under its service and subtype.
+    t_us : time of the report in microseconds since the start of the stream.
     """
 
     apid: int

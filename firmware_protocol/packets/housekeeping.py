@@ -134,16 +134,12 @@ class Housekeeping:
 
     Attributes
     ----------
-    t_us
-        The camera's own time, us.
-    offered_hz, sent_hz
-        Events per second since the last report.
-    temperature_centi_c
-        0.01 degree Celsius.
+    t_us : the camera's own time, us.
+    offered_hz, sent_hz : events per second since the last report.
+    temperature_centi_c : 0.01 degree Celsius.
     region
         x, y, width, height in pixels.
-    rate_limit_hz
-        Events per second, 0 for none.
+    rate_limit_hz : events per second, 0 for none.
     """
 
     t_us: int

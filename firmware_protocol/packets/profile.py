@@ -80,14 +80,10 @@ class ReceivedCommand:
 
     Attributes
     ----------
-    request
-        Id that names it in a `Verification`.
-    acknowledge
-        Successes that its sender wants reported.
-    command, failure
-        One of them is None.
-    missing
-        Telecommands that are missing before it.
+    request : id that names it in a `Verification`.
+    acknowledge : successes that its sender wants reported.
+    command, failure : one of them is None.
+    missing : telecommands that are missing before it.
     """
 
     request: RequestId
@@ -103,16 +99,11 @@ class UnwrapperCounters:
 
     Attributes
     ----------
-    frames
-        Bytes and frames received.
-    packets
-        Good packets.
-    idle
-        Packets that fill the line.
-    refused
-        Refused packets of good frames, by reason.
-    missing, disordered
-        See SequenceFollower.
+    frames : bytes and frames received.
+    packets : good packets.
+    idle : packets that fill the line.
+    refused : refused packets of good frames, by reason.
+    missing, disordered : see SequenceFollower.
     """
 
     frames: FrameCounters
@@ -193,12 +184,9 @@ class Profile:
 
     Parameters
     ----------
-    name
-        One of `PROFILES`. Raises ValueError for another.
-    addresses
-        Addresses of both sides; the same on both sides.
-    max_payload
-        Longest payload of a message in bytes; the same on both sides.
+    name : one of `PROFILES`. Raises ValueError for another.
+    addresses : addresses of both sides; the same on both sides.
+    max_payload : longest payload of a message in bytes; the same on both sides.
     """
 
     def __init__(

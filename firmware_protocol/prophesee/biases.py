@@ -55,18 +55,12 @@ class BiasSlopes:
     ----------
     diff_on, diff_off
         Of the logarithm of the ON and the OFF contrast threshold, 0 to 1; `diff_off` holds below the factory's value.
-    diff_off_above
-        The same of the OFF contrast threshold above the factory's value.
-    largest_exponent
-        Largest logarithm of a contrast threshold over the factory's, 0 to 1.
-    off_delay
-        Of the logarithm of the delay of OFF events, a step of diff_off, where the sensor has such a delay.
-    fo
-        Of the low-pass corner frequency, as a share, 0 to 1: one over the factory's value of the register.
-    refr
-        Of the inverse of the refractory period, likewise.
-    hpf
-        Corner frequency of the high-pass, Hz a step above the factory's value, 0 to 100.
+    diff_off_above : the same of the OFF contrast threshold above the factory's value.
+    largest_exponent : largest logarithm of a contrast threshold over the factory's, 0 to 1.
+    off_delay : of the logarithm of the delay of OFF events, a step of diff_off, where the sensor has such a delay.
+    fo : of the low-pass corner frequency, as a share, 0 to 1: one over the factory's value of the register.
+    refr : of the inverse of the refractory period, likewise.
+    hpf : corner frequency of the high-pass, Hz a step above the factory's value, 0 to 100.
     """
 
     diff_on: Share = 0.0143
@@ -91,8 +85,7 @@ class BiasModel:
     low_pass
         Parameter that bias fo changes: the fixed pole after the photoreceptor, or, if the sensor has none, the
         photoreceptor's corner frequency in bright light.
-    has_delay
-        True: the sensor delays its OFF events, by a time that diff_off changes.
+    has_delay : True: the sensor delays its OFF events, by a time that diff_off changes.
     """
 
     slopes: BiasSlopes = field(default_factory=BiasSlopes)

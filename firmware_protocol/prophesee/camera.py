@@ -46,10 +46,8 @@ class OutflowLimits:
 
     Attributes
     ----------
-    events, edges
-        Most that wait.
-    silence_us
-        Time without words after which words carry the time alone.
+    events, edges : most that wait.
+    silence_us : time without words after which words carry the time alone.
     """
 
     events: int
@@ -71,8 +69,7 @@ class Outflow(ABC, Generic[_Taken]):
 
     Attributes
     ----------
-    epoch_us
-        Stream time at which the sensor's clock was zero.
+    epoch_us : stream time at which the sensor's clock was zero.
     """
 
     def __init__(self, encoder: Coder, epoch_us: int, limits: OutflowLimits) -> None:
@@ -188,10 +185,8 @@ class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
     ----------
     size
         (width, height) of the array.
-    biases
-        Effect of the biases on the sensor.
-    pulse_us
-        Length of a pulse at the trigger input.
+    biases : effect of the biases on the sensor.
+    pulse_us : length of a pulse at the trigger input.
     """
 
     def __init__(self, size: tuple[int, int], biases: BiasModel, outflow: _Out, pulse_us: int) -> None:

@@ -36,12 +36,9 @@ class SensorSurroundings(ABC):
 
     Attributes
     ----------
-    celsius
-        Temperature of the chip.
-    lux
-        Light on the chip; the scene's light is not available here.
-    dead_time_us
-        Refractory period at the biases of a camera that was just opened.
+    celsius : temperature of the chip.
+    lux : light on the chip; the scene's light is not available here.
+    dead_time_us : refractory period at the biases of a camera that was just opened.
     """
 
     celsius: float = 35.0
@@ -68,10 +65,8 @@ class ChipRegisters(ABC):
 
     Parameters
     ----------
-    count
-        Number of registers.
-    biases
-        Register of each bias, and its value at the factory or when a driver opens it, by Prophesee's names.
+    count : number of registers.
+    biases : register of each bias, and its value at the factory or when a driver opens it, by Prophesee's names.
     """
 
     array_control: ClassVar[int]

@@ -107,8 +107,7 @@ class BoardFacts:
 
     Attributes
     ----------
-    short_frames
-        True if it has frames without a size as well.
+    short_frames : True if it has frames without a size as well.
     """
 
     serial: int

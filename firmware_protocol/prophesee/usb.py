@@ -54,13 +54,11 @@ class UsbOutflow(Outflow[Transfer]):
 
     Attributes
     ----------
-    form
-        Form of the words.
+    form : form of the words.
 
     Parameters
     ----------
-    width
-        Columns of the array.
+    width : columns of the array.
     """
 
     def __init__(self, epoch_us: int, fifo_bytes: int, form: Form, width: int) -> None:
@@ -126,16 +124,12 @@ class BoardIdentity:
 
     Attributes
     ----------
-    title
-        Its name for people.
+    title : its name for people.
     usb_id
         (vendor, product).
-    manufacturer, product
-        String descriptors.
-    kind
-        Kind of board, as the vendor request reports it.
-    short_frames
-        True if hosts write registers by frames without a size (see `treuzell`).
+    manufacturer, product : string descriptors.
+    kind : kind of board, as the vendor request reports it.
+    short_frames : True if hosts write registers by frames without a size (see `treuzell`).
     """
 
     title: str
@@ -177,18 +171,12 @@ class TreuzellSettings(UsbCameraSettings):
 
     Attributes
     ----------
-    serial
-        1 to 8 hexadecimal digits.
-    fifo_bytes
-        Room for events that wait for the host, at 6 bytes each: time, row and column.
-    release
-        Firmware version, 0x00MMmmpp; OpenEB refuses below 0x030800.
-    build_unix_s
-        Build time of the firmware.
-    biases
-        Effect of the biases on the sensor.
-    pulse_us
-        Length of a pulse at the trigger input.
+    serial : 1 to 8 hexadecimal digits.
+    fifo_bytes : room for events that wait for the host, at 6 bytes each: time, row and column.
+    release : firmware version, 0x00MMmmpp; OpenEB refuses below 0x030800.
+    build_unix_s : build time of the firmware.
+    biases : effect of the biases on the sensor.
+    pulse_us : length of a pulse at the trigger input.
     """
 
     bcd_device: int = 0x0309

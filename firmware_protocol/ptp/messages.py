@@ -78,10 +78,8 @@ class Header:
 
     Attributes
     ----------
-    correction_ns
-        Time that the message stayed in bridges, ns, rounded down.
-    log_interval
-        Binary logarithm of the interval between such messages, s.
+    correction_ns : time that the message stayed in bridges, ns, rounded down.
+    log_interval : binary logarithm of the interval between such messages, s.
     """
 
     type: MessageType

@@ -73,10 +73,8 @@ class Timebase:
 
     Attributes
     ----------
-    local_ns, time_ns
-        Readings of the local clock and of this one at the same instant.
-    rate_ppb
-        Parts in 10^9 by which this clock goes faster than the local one.
+    local_ns, time_ns : readings of the local clock and of this one at the same instant.
+    rate_ppb : parts in 10^9 by which this clock goes faster than the local one.
     """
 
     local_ns: int = 0
@@ -102,12 +100,9 @@ class Servo:
 
     Attributes
     ----------
-    clock
-        The clock that it sets.
-    locked
-        True if time and rate follow the master.
-    steps
-        Number of times that the time was set.
+    clock : the clock that it sets.
+    locked : True if time and rate follow the master.
+    steps : number of times that the time was set.
     """
 
     def __init__(self) -> None:
@@ -225,12 +220,9 @@ class PtpStatus:
 
     Attributes
     ----------
-    offset_ns
-        Last measured offset of the clock from its master.
-    delay_ns
-        Delay of the path in one direction.
-    clock, parent, grandmaster
-        Identities of this clock, its master, and that one's grandmaster; 0: none.
+    offset_ns : last measured offset of the clock from its master.
+    delay_ns : delay of the path in one direction.
+    clock, parent, grandmaster : identities of this clock, its master, and that one's grandmaster; 0: none.
     """
 
     state: PortState = PortState.DISABLED
@@ -267,19 +259,14 @@ class Slave:
 
     Parameters
     ----------
-    clock
-        Identity of the clock, 64 bits.
-    domain
-        Domain of the protocol; messages of others are ignored.
-    draw
-        Source of numbers from 0 to 1, evenly distributed, for the pauses between requests.
+    clock : identity of the clock, 64 bits.
+    domain : domain of the protocol; messages of others are ignored.
+    draw : source of numbers from 0 to 1, evenly distributed, for the pauses between requests.
 
     Attributes
     ----------
-    state
-        State of the port.
-    counts
-        Messages by what became of them.
+    state : state of the port.
+    counts : messages by what became of them.
     """
 
     def __init__(self, clock: int, domain: int, draw: Callable[[], float]) -> None:

@@ -33,16 +33,11 @@ class CanReceiverSettings:
 
     Attributes
     ----------
-    identifiers
-        Identifiers of all frames.
-    fd
-        ISO-TP flow control goes in CAN FD frames.
-    flow_control
-        Answer ISO-TP messages with flow control.
-    answer_ms
-        Longest pause inside an ISO-TP message.
-    csp_address, csp_peer
-        CSP addresses of camera and computer.
+    identifiers : identifiers of all frames.
+    fd : ISO-TP flow control goes in CAN FD frames.
+    flow_control : answer ISO-TP messages with flow control.
+    answer_ms : longest pause inside an ISO-TP message.
+    csp_address, csp_peer : CSP addresses of camera and computer.
     """
 
     identifiers: Identifiers = field(default_factory=Identifiers)

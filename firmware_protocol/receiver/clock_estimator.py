@@ -32,10 +32,8 @@ class ClockEstimate:
 
     Attributes
     ----------
-    offset_ns
-        Host stamp less device stamp at `at_ns` of device time, the least delay included.
-    drift_ppm
-        Rate of the host's clock less that of the device's.
+    offset_ns : host stamp less device stamp at `at_ns` of device time, the least delay included.
+    drift_ppm : rate of the host's clock less that of the device's.
     """
 
     at_ns: int
@@ -52,14 +50,10 @@ class ClockEstimator:
 
     Parameters
     ----------
-    period_ns
-        Nominal time between two SYNCs.
-    window_ns
-        Age at which points are removed: a quartz's frequency is constant for a minute or two.
-    alarm_periods
-        Periods without a SYNC after which there is an alarm.
-    least_delay_ns
-        Least delay, measured once by a loopback.
+    period_ns : nominal time between two SYNCs.
+    window_ns : age at which points are removed: a quartz's frequency is constant for a minute or two.
+    alarm_periods : periods without a SYNC after which there is an alarm.
+    least_delay_ns : least delay, measured once by a loopback.
     """
 
     def __init__(

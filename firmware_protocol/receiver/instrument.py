@@ -40,13 +40,11 @@ class Inbox:
 
     Parameters
     ----------
-    most_events, most_edges
-        Most events and edges that wait to be taken.
+    most_events, most_edges : most events and edges that wait to be taken.
 
     Attributes
     ----------
-    events_not_taken, edges_not_taken, reports_not_taken
-        Received, and dropped because they were not taken in time.
+    events_not_taken, edges_not_taken, reports_not_taken : received, and dropped because they were not taken in time.
     """
 
     def __init__(self, most_events: int = _MOST_EVENTS, most_edges: int = _MOST_EDGES) -> None:
@@ -152,10 +150,8 @@ class MessageReader:
 
     Attributes
     ----------
-    counts
-        Messages by kind, `events_dropped` and `edges_dropped` from the blocks, `bad_blocks`, `bad_answers`.
-    housekeeping
-        The newest report; None before the first.
+    counts : messages by kind, `events_dropped` and `edges_dropped` from the blocks, `bad_blocks`, `bad_answers`.
+    housekeeping : the newest report; None before the first.
     """
 
     def __init__(self, inbox: Inbox) -> None:
@@ -221,8 +217,7 @@ class SerialReceiver(Receiver):
 
     Parameters
     ----------
-    profile
-        The name of one of `PROFILES`, or a profile with other addresses. Raises ValueError for an unknown name.
+    profile : the name of one of `PROFILES`, or a profile with other addresses. Raises ValueError for an unknown name.
     """
 
     def __init__(self, profile: Profile | str = "ccsds-cobs") -> None:
@@ -299,8 +294,7 @@ class DavisReceiver(Receiver):
     ----------
     size
         (width, height) in user coordinates.
-    turned
-        True if the invert bit of the orientation register is set.
+    turned : True if the invert bit of the orientation register is set.
     """
 
     def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:

@@ -26,12 +26,10 @@ class Frame:
 
     Attributes
     ----------
-    t_us, exposure_begin_us, exposure_end_us
-        Its time, and those of its exposure.
+    t_us, exposure_begin_us, exposure_end_us : its time, and those of its exposure.
     pixels
         (height, width), row 0 on top: uint8, or uint16 with 10 bits as a DAVIS has them.
-    origin
-        Column and row of its first pixel in the array.
+    origin : column and row of its first pixel in the array.
     """
 
     t_us: int
@@ -75,14 +73,10 @@ class Facts:
     ----------
     size
         (width, height) of the sensor, pixels; None: not known.
-    camera
-        Name of the camera.
-    unix_us
-        Unix time of t = 0, us; 0: not known.
-    streams
-        Its contents besides events: "edges", "imu", "frames".
-    imu_unit
-        Type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
+    camera : name of the camera.
+    unix_us : unix time of t = 0, us; 0: not known.
+    streams : its contents besides events: "edges", "imu", "frames".
+    imu_unit : type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
     """
 
     size: tuple[int, int] | None = None
@@ -101,17 +95,13 @@ class RecordingSummary:
 
     Attributes
     ----------
-    title
-        Its format, for people.
-    paths
-        The file, and those that began at restarts of the camera's clock.
+    title : its format, for people.
+    paths : the file, and those that began at restarts of the camera's clock.
     written, left_out
         Number of records of each stream in it, and of those that its format cannot hold: "events", "edges", "imu",
         "frames". Both are empty until it is closed.
-    trouble
-        Reason for an incomplete file, for people; empty if it is complete.
-    closed
-        True if it was finished; False if the process of its link died.
+    trouble : reason for an incomplete file, for people; empty if it is complete.
+    closed : True if it was finished; False if the process of its link died.
     """
 
     title: str

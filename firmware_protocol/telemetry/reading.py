@@ -286,10 +286,8 @@ def decode_block(data: bytes, near_us: int = 0) -> Block:
 
     Parameters
     ----------
-    data
-        The block, exactly.
-    near_us
-        A time within 35 minutes of the block's; its upper bits complete the block's 32.
+    data : the block, exactly.
+    near_us : a time within 35 minutes of the block's; its upper bits complete the block's 32.
 
     Raises
     ------
@@ -313,8 +311,7 @@ def as_received(events: Events, tick_us: int) -> Events:
     ----------
     events
         (n,) EVENT, sorted by time, spanning less than 2**32 ticks.
-    tick_us
-        The unit of time.
+    tick_us : the unit of time.
     """
     if not len(events):
         return events

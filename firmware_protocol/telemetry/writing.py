@@ -224,8 +224,7 @@ def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: 
     ----------
     events
         (13 n,) bytes of EVENT records, n at least 1.
-    form, limits, room
-        The sensor; the limits of the block; (max_events,) scratch.
+    form, limits, room : the sensor; the limits of the block; (max_events,) scratch.
     out
         (size,) at least as many bytes as `limits` allows.
 

@@ -185,14 +185,10 @@ class UsbCameraSettings(ABC):
 
     Attributes
     ----------
-    serial
-        Its serial number.
-    bcd_device
-        Version of the device, in its descriptor.
-    fifo_bytes
-        Room for data that wait for the host.
-    start_delay_us
-        Silence after the stream starts, stream time: the fault of drivers in `fx3.camera`.
+    serial : its serial number.
+    bcd_device : version of the device, in its descriptor.
+    fifo_bytes : room for data that wait for the host.
+    start_delay_us : silence after the stream starts, stream time: the fault of drivers in `fx3.camera`.
     """
 
     serial: str = "00000346"
@@ -222,8 +218,7 @@ class UsbCamera(EventDevice, UsbDevice):
 
     Attributes
     ----------
-    data_endpoint
-        Number of the IN endpoint that carries its events.
+    data_endpoint : number of the IN endpoint that carries its events.
     """
 
     data_endpoint: ClassVar[int]

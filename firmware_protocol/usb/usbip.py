@@ -252,12 +252,10 @@ class Limits:
 
     Attributes
     ----------
-    in_bytes
-        Longest IN transfer. 16 MiB is the most that Linux lets one usbfs user have in flight by default.
+    in_bytes : longest IN transfer. 16 MiB is the most that Linux lets one usbfs user have in flight by default.
     out_bytes
         Longest OUT transfer, which is held in memory until it is complete. A control transfer has 65535 at most.
-    devices
-        Most devices a server may list; Linux has 8 controllers of 30 ports.
+    devices : most devices a server may list; Linux has 8 controllers of 30 ports.
     """
 
     in_bytes: int = 16 << 20
@@ -473,12 +471,9 @@ class UrbRecord:
 
     Attributes
     ----------
-    t_us
-        Unix time.
-    devid
-        Bus number and device number, as USB/IP has them: bus << 16 | device.
-    length
-        Bytes requested ('S') or transferred ('C').
+    t_us : unix time.
+    devid : bus number and device number, as USB/IP has them: bus << 16 | device.
+    length : bytes requested ('S') or transferred ('C').
     """
 
     urb: int

@@ -44,8 +44,7 @@ class CanBus(ABC):
 
     Attributes
     ----------
-    missed
-        Number of frames that other nodes missed because they read too slowly, if it is known.
+    missed : number of frames that other nodes missed because they read too slowly, if it is known.
     """
 
     missed = 0

@@ -41,8 +41,7 @@ class FrameSource(ABC):
 
     Attributes
     ----------
-    tracker
-        Follows which messages arrive while faults may hit frames; set and removed between two messages.
+    tracker : follows which messages arrive while faults may hit frames; set and removed between two messages.
     """
 
     label = "frames"
@@ -115,8 +114,7 @@ class _RawEvents(FrameSource):
 
     Attributes
     ----------
-    sender
-        Encoder of the events, clock and epoch frames.
+    sender : encoder of the events, clock and epoch frames.
     """
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, sender: RawSender) -> None:

@@ -36,14 +36,10 @@ class CanLink(InstrumentLink):
     interface
         "served": evstim's own bus, which programs join by TCP in the protocol of socketcand; or an interface of
         python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
-    channel
-        Channel of the interface: can0, /dev/ttyACM0, 239.74.163.2 ...
-    channel_b
-        The redundant bus; "" for none. The master's heartbeat selects the active bus.
-    host, port
-        Address of a served bus, with interface = "served".
-    allow
-        Addresses and networks that may join a served bus; required if other machines can reach `host`.
+    channel : channel of the interface: can0, /dev/ttyACM0, 239.74.163.2 ...
+    channel_b : the redundant bus; "" for none. The master's heartbeat selects the active bus.
+    host, port : address of a served bus, with interface = "served".
+    allow : addresses and networks that may join a served bus; required if other machines can reach `host`.
     bitrate
         Bits a second of classic frames and of arbitration, 1000 to 1 000 000: of a served bus, of adapters
         (slcan, gs_usb, pcan, kvaser ...), and for `share`; a bus of socketcan, socketcand, virtual or
@@ -51,42 +47,24 @@ class CanLink(InstrumentLink):
     data_bitrate
         With fd: bits a second of the data, `bitrate` to 20 000 000, of adapters for which python-can can set
         it, and for `share`; no effect on a served bus.
-    fd
-        True for CAN FD frames.
-    share
-        Highest share of the bus's time that all frames may take; above it our events wait.
-    carriage
-        Transport of the events: frames that stand alone, blocks by ISO-TP, or blocks in CSP packets.
-    flow_control
-        With ISO-TP: wait for the peer's flow control. Without it no peer has to answer.
-    answer_ms
-        With ISO-TP: timeout of the peer's answer.
-    epoch_ms
-        Time between two epoch frames, with raw frames.
-    node
-        Our node number for NMT, 1 to 127; the default identifiers are derived from it.
-    heartbeat_ms
-        Time between two of our heartbeats; 0 for none.
-    sync_ms
-        Time between two SYNCs that we send as the bus's master; 0 for none.
-    sync_counter
-        True if our SYNC contains its counter.
-    time_ms
-        Time between two SCETs that we send as the bus's master; 0 for none.
-    follow_time
-        Set the camera's time by the SCET or TIME of the bus's master.
-    csp_address, csp_peer
-        CSP addresses of camera and computer, with CFP.
-    options
-        Further options of python-can's interface, by its own names.
-    identifiers
-        Identifiers of all frames.
-    redundancy
-        Conditions for a change of the bus.
-    instrument
-        Selection and rates of the camera's messages.
-    name
-        Name of the link, for reports, faults and triggers.
+    fd : True for CAN FD frames.
+    share : highest share of the bus's time that all frames may take; above it our events wait.
+    carriage : transport of the events: frames that stand alone, blocks by ISO-TP, or blocks in CSP packets.
+    flow_control : with ISO-TP: wait for the peer's flow control. Without it no peer has to answer.
+    answer_ms : with ISO-TP: timeout of the peer's answer.
+    epoch_ms : time between two epoch frames, with raw frames.
+    node : our node number for NMT, 1 to 127; the default identifiers are derived from it.
+    heartbeat_ms : time between two of our heartbeats; 0 for none.
+    sync_ms : time between two SYNCs that we send as the bus's master; 0 for none.
+    sync_counter : True if our SYNC contains its counter.
+    time_ms : time between two SCETs that we send as the bus's master; 0 for none.
+    follow_time : set the camera's time by the SCET or TIME of the bus's master.
+    csp_address, csp_peer : CSP addresses of camera and computer, with CFP.
+    options : further options of python-can's interface, by its own names.
+    identifiers : identifiers of all frames.
+    redundancy : conditions for a change of the bus.
+    instrument : selection and rates of the camera's messages.
+    name : name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "can"

@@ -210,8 +210,7 @@ class CanReception(CountedReception):
 
     Attributes
     ----------
-    ended
-        True if the newest heartbeat reported a stopped camera, as it does at the end of its run.
+    ended : True if the newest heartbeat reported a stopped camera, as it does at the end of its run.
     """
 
     ended: bool = False

@@ -39,8 +39,7 @@ class BusClient(asyncio.BufferedProtocol):
 
     Attributes
     ----------
-    wants_frames
-        True when the client has requested all frames.
+    wants_frames : True when the client has requested all frames.
     """
 
     _transport: asyncio.Transport

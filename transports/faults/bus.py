@@ -104,8 +104,7 @@ class ReorderedFrames(HitFault):
 
     Attributes
     ----------
-    behind
-        Number of frames that overtake it.
+    behind : number of frames that overtake it.
     """
 
     kind: ClassVar[str] = "reordered_frames"
@@ -174,10 +173,8 @@ class BusStage(ItemStage[QueuedFrame]):
 
     Attributes
     ----------
-    bus
-        The bus that is off, dead or flooded.
-    off, dead
-        State of that bus.
+    bus : the bus that is off, dead or flooded.
+    off, dead : state of that bus.
     """
 
     off = dead = False
@@ -240,10 +237,8 @@ class BabblingIdiot(_OfBus):
 
     Attributes
     ----------
-    identifier
-        Identifier of its frames, 11 bits: a lower one delays other nodes more.
-    load
-        Share of the bus's time that it requests.
+    identifier : identifier of its frames, 11 bits: a lower one delays other nodes more.
+    load : share of the bus's time that it requests.
     """
 
     kind: ClassVar[str] = "babbling_idiot"

@@ -48,8 +48,7 @@ class LateDatagrams(HitFault):
 
     Attributes
     ----------
-    overtaken_by
-        Number of datagrams that pass each.
+    overtaken_by : number of datagrams that pass each.
     """
 
     kind: ClassVar[str] = "late_datagrams"
@@ -103,8 +102,7 @@ class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
 
     Attributes
     ----------
-    false
-        Number of datagrams that a receiver accepts although they were not sent in this form, or were repeated.
+    false : number of datagrams that a receiver accepts although they were not sent in this form, or were repeated.
     """
 
     carrier = DATAGRAMS

@@ -129,8 +129,7 @@ class WordPath:
 
     Attributes
     ----------
-    front
-        Words that are inserted before the next transfer.
+    front : words that are inserted before the next transfer.
     """
 
     def __init__(self, camera: Identity) -> None:
@@ -180,10 +179,8 @@ class FalseAnswers:
 
     Attributes
     ----------
-    serial
-        Its serial number; empty: its own.
-    versions
-        The faults that change its versions; the last one counts.
+    serial : its serial number; empty: its own.
+    versions : the faults that change its versions; the last one counts.
     """
 
     def __init__(self) -> None:

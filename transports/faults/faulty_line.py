@@ -31,8 +31,7 @@ class ReferenceReceiver:
 
     Attributes
     ----------
-    false
-        Number of messages that arrived but were not sent, or arrived again.
+    false : number of messages that arrived but were not sent, or arrived again.
     """
 
     def __init__(self) -> None:
@@ -92,12 +91,9 @@ class FaultyLine(Faulty[ByteStage]):
 
     Parameters
     ----------
-    profile
-        Packets and framing of the messages.
-    bytes_per_s
-        The line's capacity.
-    arrived
-        Called with each message that an intact receiver gets.
+    profile : packets and framing of the messages.
+    bytes_per_s : the line's capacity.
+    arrived : called with each message that an intact receiver gets.
     """
 
     carrier = SERIAL_LINE

@@ -45,21 +45,15 @@ class Stage:
 
     Parameters
     ----------
-    fault
-        The fault, whose attributes are the parameters of the effect.
-    random
-        Generator that draws the hits.
-    carrier
-        Property of the carrier on which the effect depends, if there is one.
+    fault : the fault, whose attributes are the parameters of the effect.
+    random : generator that draws the hits.
+    carrier : property of the carrier on which the effect depends, if there is one.
 
     Attributes
     ----------
-    hits
-        Number of times that it was applied.
-    touched
-        Number of bytes, words, frames or datagrams that it changed, removed, inserted or held.
-    over
-        True when it has no further effect.
+    hits : number of times that it was applied.
+    touched : number of bytes, words, frames or datagrams that it changed, removed, inserted or held.
+    over : True when it has no further effect.
     """
 
     def __init__(self, fault: Any, random: np.random.Generator, carrier: Any = None) -> None:
@@ -78,20 +72,13 @@ class Fault:
 
     Attributes
     ----------
-    kind
-        Its name in rigs.
-    carriers
-        Carriers that can have it, such as SERIAL_LINE; a link has one, `LinkKind.carrier`.
-    effect
-        Class of its effect.
-    disconnects
-        True: the host loses the camera, and must open it again.
-    link
-        Name of the link; "" if only one link can have this fault.
-    at_s
-        Stream time at which it begins.
-    for_s
-        Its duration, in stream time; 0: until it has hit `count` times.
+    kind : its name in rigs.
+    carriers : carriers that can have it, such as SERIAL_LINE; a link has one, `LinkKind.carrier`.
+    effect : class of its effect.
+    disconnects : True: the host loses the camera, and must open it again.
+    link : name of the link; "" if only one link can have this fault.
+    at_s : stream time at which it begins.
+    for_s : its duration, in stream time; 0: until it has hit `count` times.
     """
 
     kind: ClassVar[str] = ""
@@ -116,10 +103,8 @@ class HitFault(Fault):
 
     Attributes
     ----------
-    rate
-        Probability for each, above 0 to 1; by default the next one is hit, once.
-    count
-        Number of hits after which it ends; 0: no limit, then `for_s` sets its end.
+    rate : probability for each, above 0 to 1; by default the next one is hit, once.
+    count : number of hits after which it ends; 0: no limit, then `for_s` sets its end.
     """
 
     rate: Annotated[float, Meta(gt=0, le=1)] = 1.0

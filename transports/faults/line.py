@@ -24,12 +24,9 @@ class ByteStage(Stage, ABC):
 
     Attributes
     ----------
-    places
-        Places of its hits in the bytes of the last call, counted from their first.
-    holds
-        True if no byte can leave.
-    gone
-        True if it removes the port.
+    places : places of its hits in the bytes of the last call, counted from their first.
+    holds : True if no byte can leave.
+    gone : True if it removes the port.
     """
 
     holds = gone = False
@@ -162,10 +159,8 @@ class Overrun(HitFault):
 
     Attributes
     ----------
-    late_us
-        Time from the byte that is hit until the receiver reads again.
-    fifo_bytes
-        Number of bytes that it keeps until then: 16 in a 16550, 1 in a UART without a FIFO.
+    late_us : time from the byte that is hit until the receiver reads again.
+    fifo_bytes : number of bytes that it keeps until then: 16 in a 16550, 1 in a UART without a FIFO.
     """
 
     kind: ClassVar[str] = "overrun"
@@ -195,8 +190,7 @@ class Burst(HitFault):
 
     Attributes
     ----------
-    length
-        Bytes of one burst.
+    length : bytes of one burst.
     """
 
     kind: ClassVar[str] = "burst"
@@ -315,8 +309,7 @@ class WrongBaud(LastingFault):
 
     Attributes
     ----------
-    ratio
-        Baud rate of the receiver over that of the sender.
+    ratio : baud rate of the receiver over that of the sender.
     """
 
     kind: ClassVar[str] = "wrong_baud"

@@ -36,8 +36,7 @@ class FaultPlan:
 
     Attributes
     ----------
-    log
-        File to which lines are appended; None for none.
+    log : file to which lines are appended; None for none.
     """
 
     link: str = ""
@@ -52,12 +51,9 @@ class FaultRecord:
 
     Attributes
     ----------
-    number
-        Number of the fault on its link, from 1.
-    began_us, ended_us
-        Stream time; None while it has not ended.
-    log_trouble
-        Reason for an incomplete fault log; empty if it is complete, or if there is no log.
+    number : number of the fault on its link, from 1.
+    began_us, ended_us : stream time; None while it has not ended.
+    log_trouble : reason for an incomplete fault log; empty if it is complete, or if there is no log.
     events_lost, edges_lost
         Numbers that an intact receiver does not get because of it. If faults overlap, losses are attributed to the last
         one that was applied.
@@ -86,13 +82,11 @@ class Faults(Generic[S]):
 
     Parameters
     ----------
-    build
-        Function that makes a fault's stage; raises ValueError for a fault that this link cannot have.
+    build : function that makes a fault's stage; raises ValueError for a fault that this link cannot have.
 
     Attributes
     ----------
-    stages
-        Stages of the active faults, the oldest first.
+    stages : stages of the active faults, the oldest first.
     """
 
     def __init__(self, plan: FaultPlan, build: Callable[[Fault, np.random.Generator], S]) -> None:
@@ -207,15 +201,12 @@ class Faulty(Generic[S]):
 
     Parameters
     ----------
-    of_carrier
-        Property of the carrier for the effects, see `Stage`.
+    of_carrier : property of the carrier for the effects, see `Stage`.
 
     Attributes
     ----------
-    carrier
-        Name of the carrier, see `Fault.carriers`.
-    withholds
-        True while a fault withholds data from the host, and the camera's buffer is not emptied.
+    carrier : name of the carrier, see `Fault.carriers`.
+    withholds : True while a fault withholds data from the host, and the camera's buffer is not emptied.
     """
 
     carrier: ClassVar[str]

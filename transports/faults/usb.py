@@ -34,14 +34,10 @@ class UsbStage(Stage):
 
     Attributes
     ----------
-    fault
-        The fault as requested.
-    endpoint
-        Number of the IN endpoint; that of the data if the camera's FIFO is to overflow.
-    empty
-        Indices of the transfers that arrive empty.
-    overflow
-        Number of events that the camera is to drop.
+    fault : the fault as requested.
+    endpoint : number of the IN endpoint; that of the data if the camera's FIFO is to overflow.
+    empty : indices of the transfers that arrive empty.
+    overflow : number of events that the camera is to drop.
     """
 
     fault: Fault
@@ -71,8 +67,7 @@ class UsbSilence(LastingFault):
 
     Attributes
     ----------
-    endpoint
-        Number of the IN endpoint; 2 carries a DAVIS346's data, 1 an EVK4's.
+    endpoint : number of the IN endpoint; 2 carries a DAVIS346's data, 1 an EVK4's.
     """
 
     kind: ClassVar[str] = "usb_silence"
@@ -90,10 +85,8 @@ class UsbStall(Fault):
 
     Attributes
     ----------
-    endpoint
-        Number of the IN endpoint.
-    count
-        Number of halts: it halts again when the host has cleared a halt.
+    endpoint : number of the IN endpoint.
+    count : number of halts: it halts again when the host has cleared a halt.
     """
 
     kind: ClassVar[str] = "usb_stall"
@@ -112,10 +105,8 @@ class ShortTransfers(LastingFault):
 
     Attributes
     ----------
-    endpoint
-        Number of the IN endpoint.
-    most_bytes
-        Largest size of a transfer.
+    endpoint : number of the IN endpoint.
+    most_bytes : largest size of a transfer.
     """
 
     kind: ClassVar[str] = "short_transfers"
@@ -141,8 +132,7 @@ class EmptyTransfers(HitFault):
 
     Attributes
     ----------
-    endpoint
-        Number of the IN endpoint.
+    endpoint : number of the IN endpoint.
     """
 
     kind: ClassVar[str] = "empty_transfers"
@@ -160,8 +150,7 @@ class FifoOverflow(LastingFault):
 
     Attributes
     ----------
-    events
-        Lowest number of dropped events at which it ends.
+    events : lowest number of dropped events at which it ends.
     """
 
     kind: ClassVar[str] = "fifo_overflow"
@@ -180,8 +169,7 @@ class UsbUnplugged(LastingFault):
 
     Attributes
     ----------
-    serial
-        Serial number with which it returns, as if another camera were plugged in; empty: its own.
+    serial : serial number with which it returns, as if another camera were plugged in; empty: its own.
     """
 
     kind: ClassVar[str] = "usb_unplugged"
@@ -205,12 +193,9 @@ class WrongVersion(Fault):
 
     Attributes
     ----------
-    firmware
-        Low byte of bcdDevice: drivers require 6.
-    logic_version, logic_patch
-        Drivers require 18, and at least 1.
-    chip
-        Chip identifier: 5 is a DAVIS346B.
+    firmware : low byte of bcdDevice: drivers require 6.
+    logic_version, logic_patch : drivers require 18, and at least 1.
+    chip : chip identifier: 5 is a DAVIS346B.
     """
 
     kind: ClassVar[str] = "wrong_version"
@@ -231,10 +216,8 @@ class RegisterFlip(Fault):
 
     Attributes
     ----------
-    module, parameter
-        Address of the register; see the list of registers.
-    bit
-        0 to 31.
+    module, parameter : address of the register; see the list of registers.
+    bit : 0 to 31.
     """
 
     kind: ClassVar[str] = "register_flip"
@@ -270,8 +253,7 @@ class ControlStall(Fault):
     ----------
     request
         bRequest of the refused requests; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
-    count
-        Number of refused requests.
+    count : number of refused requests.
     """
 
     kind: ClassVar[str] = "control_stall"
@@ -303,8 +285,7 @@ class SlowControl(LastingFault):
 
     Attributes
     ----------
-    delay_ms
-        Time from each request to its answer, in stream time.
+    delay_ms : time from each request to its answer, in stream time.
     """
 
     kind: ClassVar[str] = "slow_control"

@@ -41,8 +41,7 @@ class SentWords:
         (n,) uint16.
     origin
         (n,) index of the word among those that the camera sent; INSERTED: it did not send this word.
-    odd
-        A byte after the last word, or none.
+    odd : a byte after the last word, or none.
     """
 
     words: Words
@@ -215,8 +214,7 @@ class TimeAhead(Fault):
 
     Attributes
     ----------
-    wraps
-        Number of wraps, of 32.768 ms each.
+    wraps : number of wraps, of 32.768 ms each.
     """
 
     kind: ClassVar[str] = "time_ahead"
@@ -246,8 +244,7 @@ class TimeBack(LastingFault):
 
     Attributes
     ----------
-    by_us
-        Error of the timestamps.
+    by_us : error of the timestamps.
     """
 
     kind: ClassVar[str] = "time_back"
@@ -319,8 +316,7 @@ class StaleData(Fault):
 
     Attributes
     ----------
-    events
-        Number of events in them, each with its own time and row.
+    events : number of events in them, each with its own time and row.
     """
 
     kind: ClassVar[str] = "stale_data"

@@ -75,10 +75,8 @@ class ControlProcess:
 
     Attributes
     ----------
-    counts
-        Requests by their result.
-    port
-        Port of the control channel.
+    counts : requests by their result.
+    port : port of the control channel.
     """
 
     def __init__(self, setup: ControlSetup) -> None:

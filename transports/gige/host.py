@@ -75,17 +75,13 @@ class GigeHost:
 
     Parameters
     ----------
-    address, port
-        Address of the camera.
-    now_ns
-        Monotonic clock.
+    address, port : address of the camera.
+    now_ns : monotonic clock.
 
     Attributes
     ----------
-    identity
-        Identity that the camera reported.
-    assembly
-        Assembly of its blocks, with the missing packets.
+    identity : identity that the camera reported.
+    assembly : assembly of its blocks, with the missing packets.
     """
 
     def __init__(self, address: str, port: int = GVCP_PORT, *, now_ns: Now) -> None:
@@ -235,10 +231,8 @@ class GigeReception(Reception):
 
     Attributes
     ----------
-    blocks_lost
-        Number of incomplete blocks.
-    packets_requested, packets_repeated
-        Numbers of packets that were requested again, and that arrived more than once.
+    blocks_lost : number of incomplete blocks.
+    packets_requested, packets_repeated : numbers of packets that were requested again, and that arrived more than once.
     """
 
     blocks_lost: int = 0

@@ -103,8 +103,7 @@ class IpChange(LastingFault):
 
     Attributes
     ----------
-    for_s
-        Time without an address.
+    for_s : time without an address.
     address
         IPv4 address that it has afterwards, to the end of the run; one of this machine's, on loopback any 127.x.y.z.
     """

@@ -47,8 +47,7 @@ class PtpSockets:
 
     Attributes
     ----------
-    counts
-        Datagrams that were dropped, by reason. The kernel begins to stamp a moment after the sockets are opened.
+    counts : datagrams that were dropped, by reason. The kernel begins to stamp a moment after the sockets are opened.
     """
 
     def __init__(self, host: str, allow: Iterable[str]) -> None:

@@ -30,8 +30,7 @@ class ControlSockets:
 
     Attributes
     ----------
-    refused
-        Number of datagrams of senders that are not allowed.
+    refused : number of datagrams of senders that are not allowed.
     """
 
     def __init__(self, host: str, port: int, allow: Iterable[str]) -> None:
@@ -91,8 +90,7 @@ class StreamSocket:
 
     Parameters
     ----------
-    segmented
-        True if the kernel, or the network card, divides the data of `send_block` into packets.
+    segmented : True if the kernel, or the network card, divides the data of `send_block` into packets.
     """
 
     def __init__(self, host: str, *, segmented: bool = False) -> None:

@@ -22,8 +22,7 @@ class BackgroundWriter:
 
     Attributes
     ----------
-    dropped_bytes
-        Number of bytes dropped because the queue was full.
+    dropped_bytes : number of bytes dropped because the queue was full.
     """
 
     encoding = "utf-8"

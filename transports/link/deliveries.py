@@ -130,13 +130,11 @@ class DeliveredParts:
 
     Parameters
     ----------
-    imu_unit
-        Type of the inertial unit, for its temperature.
+    imu_unit : type of the inertial unit, for its temperature.
 
     Attributes
     ----------
-    frame_records
-        Number of readings of each frame, in the order in which the frames were completed.
+    frame_records : number of readings of each frame, in the order in which the frames were completed.
     """
 
     def __init__(self, imu_unit: int) -> None:
@@ -222,15 +220,12 @@ class Deliveries:
 
     Parameters
     ----------
-    device_clock
-        The camera's own clock, if its times are not stream time.
-    imu_unit
-        Type of the camera's inertial unit, for its temperature.
+    device_clock : the camera's own clock, if its times are not stream time.
+    imu_unit : type of the camera's inertial unit, for its temperature.
 
     Attributes
     ----------
-    clock
-        Clock of the link.
+    clock : clock of the link.
     """
 
     def __init__(

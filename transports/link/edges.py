@@ -46,14 +46,10 @@ class EdgeTiming:
 
     Attributes
     ----------
-    kind, channel
-        Kind of edge, and number of the input.
-    latency_us
-        Delay from the bus to the input.
-    jitter_us
-        Standard deviation of the latency; an edge is never early, and never comes before the preceding one.
-    seed
-        Seed of the jitter.
+    kind, channel : kind of edge, and number of the input.
+    latency_us : delay from the bus to the input.
+    jitter_us : standard deviation of the latency; an edge is never early, and never comes before the preceding one.
+    seed : seed of the jitter.
     """
 
     kind: EdgeKind = EdgeKind.PULSE
@@ -89,19 +85,14 @@ class EdgeSink:
 
     Parameters
     ----------
-    rings
-        One ring for each reader; all others are written before the last, so put the session's ring there.
-    run
-        Any event ring of the run; it contains the start of stream time.
-    lockstep_us
-        Above 0, the bus drives time: edge k is k periods after the start, independent of its arrival.
+    rings : one ring for each reader; all others are written before the last, so put the session's ring there.
+    run : any event ring of the run; it contains the start of stream time.
+    lockstep_us : above 0, the bus drives time: edge k is k periods after the start, independent of its arrival.
 
     Attributes
     ----------
-    last_us
-        Stream time of the last edge; 0 before the first.
-    early_triggers
-        Number of triggers before the start, for which no edge was made.
+    last_us : stream time of the last edge; 0 before the first.
+    early_triggers : number of triggers before the start, for which no edge was made.
     """
 
     def __init__(self, rings: Sequence[EdgeRing], run: EventRing, timing: EdgeTiming, lockstep_us: int = 0) -> None:

@@ -37,12 +37,9 @@ class LineUse:
 
     Attributes
     ----------
-    carried
-        Number of bytes or frames that were sent.
-    share
-        Share of the line's time used for sending, 0 to 1.
-    busiest
-        Share in the busiest second.
+    carried : number of bytes or frames that were sent.
+    share : share of the line's time used for sending, 0 to 1.
+    busiest : share in the busiest second.
     """
 
     carried: int = 0
@@ -60,18 +57,13 @@ class EndpointReport:
 
     Attributes
     ----------
-    address
-        Address at which a host finds the camera; None if there is no address.
+    address : address at which a host finds the camera; None if there is no address.
     attach_command
         Command that attaches a host to the camera that waits for one; empty if none waits, or none is known.
-    use
-        Load of the line; None if it has no limited capacity.
-    counts
-        Further counts by name, for the summary.
-    trouble
-        Reason for an incomplete output file, for people; empty if it is complete or there is none.
-    recording
-        Summary of the closed output file; None if there is none.
+    use : load of the line; None if it has no limited capacity.
+    counts : further counts by name, for the summary.
+    trouble : reason for an incomplete output file, for people; empty if it is complete or there is none.
+    recording : summary of the closed output file; None if there is none.
     """
 
     address: str | None = None
@@ -87,8 +79,7 @@ class Endpoint(ABC):
 
     Attributes
     ----------
-    faulty
-        Path of its data through the faults of the link; None: this kind of link has no faults.
+    faulty : path of its data through the faults of the link; None: this kind of link has no faults.
     """
 
     faulty: Faulty[Any] | None = None
@@ -191,15 +182,12 @@ class Reopening(Generic[T]):
 
     Parameters
     ----------
-    attempt
-        Coroutine that opens it and returns the opened object; an exception means that this attempt failed.
-    period_ns
-        Time from a loss, or from the end of a failed attempt, to the next attempt.
+    attempt : coroutine that opens it and returns the opened object; an exception means that this attempt failed.
+    period_ns : time from a loss, or from the end of a failed attempt, to the next attempt.
 
     Attributes
     ----------
-    why
-        Message of the last failed attempt.
+    why : message of the last failed attempt.
     """
 
     def __init__(self, clock: Clock, period_ns: int, attempt: Callable[[], Coroutine[Any, Any, T]]) -> None:

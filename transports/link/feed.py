@@ -33,14 +33,10 @@ class ReadingReport:
 
     Attributes
     ----------
-    taken
-        Readings offered to the device.
-    ignored
-        Readings offered to a device that does not use them.
-    refused
-        Readings for which the ring had no room.
-    left
-        Readings in the ring at the end of the run.
+    taken : readings offered to the device.
+    ignored : readings offered to a device that does not use them.
+    refused : readings for which the ring had no room.
+    left : readings in the ring at the end of the run.
     """
 
     taken: int = 0
@@ -115,20 +111,14 @@ class Timing:
 
     Attributes
     ----------
-    edges
-        Source of the edges at the device's external input; None if nothing is connected.
-    holdback_us
-        Delay between an event's time and its feeding, so that edges received late still enter in order.
-    clock, seed
-        Errors of the device's own clock; None: it shows stream time.
-    truth
-        File for the true readings of that clock: monotonic ns, stream us, device us, ten lines a second.
-    send_period_us
-        Above 0, the device sends a mark of its own when its time is a multiple of this.
+    edges : source of the edges at the device's external input; None if nothing is connected.
+    holdback_us : delay between an event's time and its feeding, so that edges received late still enter in order.
+    clock, seed : errors of the device's own clock; None: it shows stream time.
+    truth : file for the true readings of that clock: monotonic ns, stream us, device us, ten lines a second.
+    send_period_us : above 0, the device sends a mark of its own when its time is a multiple of this.
     sync_out, sync_in
         Cable between two cameras: the master writes its timestamp resets to `sync_out`, its slave reads `sync_in`.
-    syncs
-        Ring for the SYNCs of this link's bus to the session, when they drive the run.
+    syncs : ring for the SYNCs of this link's bus to the session, when they drive the run.
     """
 
     edges: EdgeSource | None = None
@@ -148,14 +138,10 @@ class EdgeReport:
 
     Attributes
     ----------
-    taken
-        Edges offered to the device.
-    late, worst_late_us
-        Number of taken edges whose time had passed in the device, and the largest delay.
-    left
-        Edges that were received and not offered at the end of the run, or found the ring full.
-    marks, marks_sent
-        Number of the device's own marks, and of those that its link could send.
+    taken : edges offered to the device.
+    late, worst_late_us : number of taken edges whose time had passed in the device, and the largest delay.
+    left : edges that were received and not offered at the end of the run, or found the ring full.
+    marks, marks_sent : number of the device's own marks, and of those that its link could send.
     """
 
     taken: int = 0
@@ -172,12 +158,9 @@ class ClockReport:
 
     Attributes
     ----------
-    offset_us
-        Clock reading less stream time, without any reset of the clock.
-    ppm
-        Rate error; positive if the clock is fast.
-    epoch_us
-        Clock reading, without resets, at the last reset by its host or by a restart.
+    offset_us : clock reading less stream time, without any reset of the clock.
+    ppm : rate error; positive if the clock is fast.
+    epoch_us : clock reading, without resets, at the last reset by its host or by a restart.
     """
 
     t_us: int
@@ -196,8 +179,7 @@ class Feed:
 
     Attributes
     ----------
-    readings
-        Feed of the readings.
+    readings : feed of the readings.
     """
 
     def __init__(

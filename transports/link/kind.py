@@ -77,18 +77,12 @@ class CameraFacts:
     ----------
     size
         (width, height) of the rig's sensor, pixels.
-    usb_size
-        Size of its model's USB device; None if there is none.
-    has_gige
-        True if it is a GigE Vision device.
-    usb_models
-        Function that returns the size of each camera model that has a USB device.
-    gige_models
-        Function that returns the camera models that have a GigE Vision device.
-    streams
-        Streams of the camera beside events, as `Facts.streams`.
-    imu_unit
-        Type of its inertial unit: 1 MPU-6050, 2 MPU-9250, 3 BMI160.
+    usb_size : size of its model's USB device; None if there is none.
+    has_gige : True if it is a GigE Vision device.
+    usb_models : function that returns the size of each camera model that has a USB device.
+    gige_models : function that returns the camera models that have a GigE Vision device.
+    streams : streams of the camera beside events, as `Facts.streams`.
+    imu_unit : type of its inertial unit: 1 MPU-6050, 2 MPU-9250, 3 BMI160.
     """
 
     model: str
@@ -109,8 +103,7 @@ class Unsuitable(ValueError):
 
     Attributes
     ----------
-    key
-        Path of the wrong key within the link's table.
+    key : path of the wrong key within the link's table.
     """
 
     def __init__(self, message: str, *key: str) -> None:
@@ -124,12 +117,9 @@ class Wiring:
 
     Attributes
     ----------
-    faults
-        The rig's faults of this link.
-    sink
-        Receiver of the time of each SYNC on the link's bus; None if SYNCs trigger nothing.
-    camera
-        The rig's camera.
+    faults : the rig's faults of this link.
+    sink : receiver of the time of each SYNC on the link's bus; None if SYNCs trigger nothing.
+    camera : the rig's camera.
     """
 
     faults: FaultPlan = field(default_factory=FaultPlan)
@@ -152,8 +142,7 @@ class LinkKind(Generic[P]):
 
     Attributes
     ----------
-    parameters
-        Type of its [[links]] table; its `kind` is the kind's name.
+    parameters : type of its [[links]] table; its `kind` is the kind's name.
     serves
         The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
         the camera without USB; "plain", no electronics: events go out as the sensor sends them.
@@ -161,19 +150,14 @@ class LinkKind(Generic[P]):
         Import path, "module:name", imported when a link is set up: of the class of its `Endpoint`, which is called with
         the parameters, a Wiring, the device and `Deliveries`; or of a function that returns an `EndpointFactory` for
         the parameters and a Wiring.
-    has_sync
-        True if its bus has a SYNC, which can trigger the camera.
-    carrier
-        Carrier of its data, which decides its faults, see `Fault.carriers`; "": it has none.
-    listener
-        Receiver of the link at the computer's side.
-    check
-        Function that raises Unsuitable for parameters that do not fit the camera.
+    has_sync : True if its bus has a SYNC, which can trigger the camera.
+    carrier : carrier of its data, which decides its faults, see `Fault.carriers`; "": it has none.
+    listener : receiver of the link at the computer's side.
+    check : function that raises Unsuitable for parameters that do not fit the camera.
     usb_model
         With "usb": the camera model in whose words it carries a camera that has no USB device of its size, and that
         then does not wait after its start; None: it carries none of these.
-    has_readings
-        With "plain": True if it accepts frames and samples of the inertial unit.
+    has_readings : with "plain": True if it accepts frames and samples of the inertial unit.
     """
 
     parameters: type[P]

@@ -93,8 +93,7 @@ class LinkLoop:
 
     Attributes
     ----------
-    turns
-        Number of turns so far.
+    turns : number of turns so far.
     """
 
     def __init__(self, link: Link, control: Connection, clock: Clock) -> None:

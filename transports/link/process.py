@@ -53,18 +53,13 @@ class LinkSetup(Generic[_Device]):
     device
         Factory of the device, called in the link's process: `partial(Davis346, settings)` and the like, which can be
         pickled.
-    timing
-        Triggers, and the device's own clock.
+    timing : triggers, and the device's own clock.
     recorder, facts
         Recorder of the delivered data, and the camera's properties for its file; None: nothing is recorded.
-    fifo_priority
-        Above 0, the process runs under SCHED_FIFO, so that other processes cannot delay it.
-    restart
-        True if the process is started again when it dies.
-    tally
-        Number of delivered events; the count remains after the process has ended.
-    readings
-        Rings of the readings of the device, one for each kind.
+    fifo_priority : above 0, the process runs under SCHED_FIFO, so that other processes cannot delay it.
+    restart : True if the process is started again when it dies.
+    tally : number of delivered events; the count remains after the process has ended.
+    readings : rings of the readings of the device, one for each kind.
     """
 
     name: str
@@ -86,10 +81,8 @@ class Link:
 
     Attributes
     ----------
-    ring
-        Ring of its events.
-    ticked_ns
-        Start of the last tick.
+    ring : ring of its events.
+    ticked_ns : start of the last tick.
     """
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:

@@ -37,12 +37,9 @@ class CameraSettings:
 
     Attributes
     ----------
-    t_us
-        Stream time that the camera had reached.
-    by
-        Origin: "register" or "telecommand"; or "restart", when the camera has its power-on settings again.
-    sensor_factors, without_effect
-        See `HostAdjusted`.
+    t_us : stream time that the camera had reached.
+    by : origin: "register" or "telecommand"; or "restart", when the camera has its power-on settings again.
+    sensor_factors, without_effect : see `HostAdjusted`.
     """
 
     t_us: int
@@ -57,14 +54,10 @@ class Occurrence:
 
     Attributes
     ----------
-    t_us
-        Stream time that the camera had reached.
-    by
-        Origin: "telecommand", or the user's name for the session's request, such as "evstim".
-    what
-        Description, such as "SetRegion(x=0, y=0, width=8, height=8)", "fault stall", "trigger pulse".
-    fault
-        Number of the fault on its link that begins or ends; 0 for none.
+    t_us : stream time that the camera had reached.
+    by : origin: "telecommand", or the user's name for the session's request, such as "evstim".
+    what : description, such as "SetRegion(x=0, y=0, width=8, height=8)", "fault stall", "trigger pulse".
+    fault : number of the fault on its link that begins or ends; 0 for none.
     """
 
     t_us: int
@@ -78,8 +71,7 @@ class ChangeWatch:
 
     Attributes
     ----------
-    waiting
-        Changes that have not been sent, the oldest first.
+    waiting : changes that have not been sent, the oldest first.
     """
 
     def __init__(self, device: EventDevice) -> None:
@@ -145,33 +137,21 @@ class LinkReport:
 
     Attributes
     ----------
-    attach_command
-        Command that attaches a host, while the link waits for one.
-    digest
-        Digest of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
-    error
-        Set when the link could not start or had to stop.
-    use
-        Load of the line, if it has a limited capacity.
-    counts
-        Further counts of this kind of link, by name.
-    edges
-        Counts of the edges before the camera took them.
-    clock
-        Error of the camera's own clock, if it is modelled.
+    attach_command : command that attaches a host, while the link waits for one.
+    digest : digest of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
+    error : set when the link could not start or had to stop.
+    use : load of the line, if it has a limited capacity.
+    counts : further counts of this kind of link, by name.
+    edges : counts of the edges before the camera took them.
+    clock : error of the camera's own clock, if it is modelled.
     faults
         Effects of each fault injected so far. Events that they destroyed are in `dropped`; the camera's own counters,
         which do not include faults of the link, have them as delivered.
-    file_troubles
-        Reasons for incomplete files of the link (record, truth, fault log), a sentence each.
-    sensor_factors
-        Factors on parameters of the sensor from the host's biases; see `HostAdjusted.sensor_factors`.
-    without_effect
-        Settings of the host that change nothing in the sensor, and why; see `HostAdjusted.without_effect`.
-    readings
-        Counts of frames and samples before the camera took them, by kind.
-    recordings
-        Summaries of the files that the link writes: its record, and its own.
+    file_troubles : reasons for incomplete files of the link (record, truth, fault log), a sentence each.
+    sensor_factors : factors on parameters of the sensor from the host's biases; see `HostAdjusted.sensor_factors`.
+    without_effect : settings of the host that change nothing in the sensor, and why; see `HostAdjusted.without_effect`.
+    readings : counts of frames and samples before the camera took them, by kind.
+    recordings : summaries of the files that the link writes: its record, and its own.
     """
 
     state: str

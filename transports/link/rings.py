@@ -73,15 +73,12 @@ class SharedRing:
 
     Parameters
     ----------
-    record
-        Dtype of the records, with a field `t`, us.
-    cells
-        Number of further values that the owner shares.
+    record : dtype of the records, with a field `t`, us.
+    cells : number of further values that the owner shares.
 
     Attributes
     ----------
-    cells
-        These values, (cells,) int64.
+    cells : these values, (cells,) int64.
     """
 
     def __init__(self, record: np.dtype[Any], capacity: int, cells: int = 0) -> None:
@@ -287,8 +284,7 @@ class ReadingRing(SharedRing):
 
     Parameters
     ----------
-    record
-        Dtype of the records, with a field `t`, us.
+    record : dtype of the records, with a field `t`, us.
     """
 
     def __init__(self, kind: ReadingKind, record: np.dtype[Any], capacity: int) -> None:

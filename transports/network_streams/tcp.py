@@ -109,10 +109,8 @@ class ClientTerms:
 
     Attributes
     ----------
-    greeting
-        First data for each client.
-    most_bytes
-        Limit of the data that wait for one client; one batch more may be in transit.
+    greeting : first data for each client.
+    most_bytes : limit of the data that wait for one client; one batch more may be in transit.
     """
 
     greeting: bytes
@@ -124,10 +122,8 @@ class Client(asyncio.Protocol):
 
     Attributes
     ----------
-    missed
-        Number of events for which it had no room.
-    sent_data
-        True if it was closed because it sent too much.
+    missed : number of events for which it had no room.
+    sent_data : True if it was closed because it sent too much.
     """
 
     def __init__(
@@ -250,10 +246,8 @@ class ClientGroup:
 
     Parameters
     ----------
-    coder
-        Makes the greeting; it is restarted when the last client has left.
-    changed
-        Called with True when the first client has connected, with False when the last one has left.
+    coder : makes the greeting; it is restarted when the last client has left.
+    changed : called with True when the first client has connected, with False when the last one has left.
     """
 
     def __init__(

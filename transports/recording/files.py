@@ -341,8 +341,7 @@ class OpenRecording:
 
     Attributes
     ----------
-    format, facts
-        Its format, and the facts available before its first event.
+    format, facts : its format, and the facts available before its first event.
     """
 
     def __init__(self, path: Path, size: Size | None = None, *, strict: bool = True) -> None:

@@ -29,34 +29,21 @@ class Format:
 
     Attributes
     ----------
-    name, title
-        Its name in commands, and its name for people.
-    suffixes
-        Ends of the names of its files, the usual one first.
+    name, title : its name in commands, and its name for people.
+    suffixes : ends of the names of its files, the usual one first.
     writer, reader
         "module:Class" of its writer (path, facts) and its reader (path).
-    signature
-        First bytes of all its files; empty: its files are recognised by their suffix.
-    holds
-        Streams that are written with it: "events", "edges", "imu", "frames".
-    ordered
-        Streams that share one order of time; each of the others has its own packets or list.
-    readers
-        Programs that open it, for people.
-    needs
-        The optional package that it needs, of the extra `files`; "" for none.
-    size_px
-        Largest (width, height) that it can number.
-    until_us
-        First time that it cannot represent.
-    is_folder
-        True if it is a folder of files.
-    piece_us
-        Time that is written at once, if events are few.
-    live
-        True if a file that was not closed can be read up to its last whole piece.
-    is_evt
-        True if it has words of EVT: rising and falling edges, and no record for a pulse that a camera reports.
+    signature : first bytes of all its files; empty: its files are recognised by their suffix.
+    holds : streams that are written with it: "events", "edges", "imu", "frames".
+    ordered : streams that share one order of time; each of the others has its own packets or list.
+    readers : programs that open it, for people.
+    needs : the optional package that it needs, of the extra `files`; "" for none.
+    size_px : largest (width, height) that it can number.
+    until_us : first time that it cannot represent.
+    is_folder : True if it is a folder of files.
+    piece_us : time that is written at once, if events are few.
+    live : True if a file that was not closed can be read up to its last whole piece.
+    is_evt : True if it has words of EVT: rising and falling edges, and no record for a pulse that a camera reports.
     """
 
     name: str

@@ -37,15 +37,12 @@ class PipeQueue:
 
     Parameters
     ----------
-    capacity_bytes
-        Size of the messages that may wait. A larger message is accepted by an empty queue.
+    capacity_bytes : size of the messages that may wait. A larger message is accepted by an empty queue.
 
     Attributes
     ----------
-    waiting_bytes
-        Size of those that wait now, or are being sent.
-    broken
-        True when nothing can be sent any more.
+    waiting_bytes : size of those that wait now, or are being sent.
+    broken : True when nothing can be sent any more.
     """
 
     def __init__(self, capacity_bytes: int) -> None:

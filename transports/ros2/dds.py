@@ -101,10 +101,8 @@ class TopicQos:
 
     Attributes
     ----------
-    reliable
-        True to send lost messages again. A reliable reader does not match a writer that is not reliable.
-    depth
-        Number of stored messages, the newest ones.
+    reliable : True to send lost messages again. A reliable reader does not match a writer that is not reliable.
+    depth : number of stored messages, the newest ones.
     """
 
     reliable: bool = True

@@ -99,8 +99,7 @@ class MessageBuffer:
 
     Parameters
     ----------
-    most_events
-        Number of events of a full message.
+    most_events : number of events of a full message.
     """
 
     def __init__(self, most_events: int, longest_ns: int) -> None:

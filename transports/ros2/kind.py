@@ -36,14 +36,10 @@ class DdsNetwork:
 
     Attributes
     ----------
-    domain
-        ROS_DOMAIN_ID.
-    interfaces
-        Names or addresses of network interfaces; empty: the loopback interface.
-    peers
-        Machines that are contacted by unicast, beside this one.
-    multicast
-        True if machines on the interfaces find each other by multicast, as ROS 2 does by default.
+    domain : ROS_DOMAIN_ID.
+    interfaces : names or addresses of network interfaces; empty: the loopback interface.
+    peers : machines that are contacted by unicast, beside this one.
+    multicast : True if machines on the interfaces find each other by multicast, as ROS 2 does by default.
     """
 
     domain: _Domain = 0
@@ -101,37 +97,24 @@ class Ros2Link(LinkParameters):
 
     Attributes
     ----------
-    topic
-        Topic of `event_camera_msgs/msg/EventPacket`.
-    encoding
-        Encoding: "evt3" (4 bytes an event, and triggers) or "mono" (8).
-    image_topic
-        Topic of `sensor_msgs/msg/Image`; "": none.
+    topic : topic of `event_camera_msgs/msg/EventPacket`.
+    encoding : encoding: "evt3" (4 bytes an event, and triggers) or "mono" (8).
+    image_topic : topic of `sensor_msgs/msg/Image`; "": none.
     image
         "display": coloured ("rgb8"). "event_image": channels ("32FC5" for five). See docs/streams.md.
-    frame_ms
-        Stream time of a picture.
-    pictures
-        Contents of a picture.
-    message_ms
-        Longest time that an event waits for others of its message.
-    frame_id
-        Name of the camera's frame in the header of each message.
-    reliable
-        True to send lost messages again. Readers of either kind match a reliable writer.
-    depth
-        Number of messages of each topic that are stored to be sent again; a slow reader misses older ones.
-    domain
-        ROS_DOMAIN_ID.
+    frame_ms : stream time of a picture.
+    pictures : contents of a picture.
+    message_ms : longest time that an event waits for others of its message.
+    frame_id : name of the camera's frame in the header of each message.
+    reliable : True to send lost messages again. Readers of either kind match a reliable writer.
+    depth : number of messages of each topic that are stored to be sent again; a slow reader misses older ones.
+    domain : ROS_DOMAIN_ID.
     interfaces
         Names or addresses of network interfaces; empty: this machine only. Without authentication: every
         machine there gets the events.
-    peers
-        Machines that are contacted by unicast.
-    multicast
-        True if machines on `interfaces` find each other by multicast, as ROS 2 does by default.
-    name
-        Name of the link, for reports, faults and triggers.
+    peers : machines that are contacted by unicast.
+    multicast : True if machines on `interfaces` find each other by multicast, as ROS 2 does by default.
+    name : name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "ros2"

@@ -58,8 +58,7 @@ class BaudClock:
 
     Parameters
     ----------
-    bits
-        Bits of a character on the line; may be half of one (1.5 stop bits).
+    bits : bits of a character on the line; may be half of one (1.5 stop bits).
     """
 
     def __init__(self, baud: int, bits: float) -> None:
@@ -139,10 +138,8 @@ class Transmitter(Generic[_Tag]):
     ----------
     pull
         Returns the next frame, or None when there is none.
-    left
-        Called with the tag of each frame whose last byte has left.
-    ahead_ns
-        Time before the line becomes idle at which the next frame is pulled: a little more than a tick.
+    left : called with the tag of each frame whose last byte has left.
+    ahead_ns : time before the line becomes idle at which the next frame is pulled: a little more than a tick.
     """
 
     def __init__(

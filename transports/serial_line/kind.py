@@ -24,22 +24,15 @@ class SerialLink(InstrumentLink):
     port
         "pty": a pair made for this run, whose other side is reported; or a device such as /dev/ttyUSB0; or any URL of
         pyserial (`socket://HOST:PORT`, `rfc2217://HOST:PORT`, `loop://`).
-    symlink
-        With "pty": path of a symbolic link to the other side, the same for each run; "" for none.
-    baud
-        Bits a second; kept by the pacing of evstim if the port does not keep it.
+    symlink : with "pty": path of a symbolic link to the other side, the same for each run; "" for none.
+    baud : bits a second; kept by the pacing of evstim if the port does not keep it.
     data_bits, parity, stop_bits
         Format of the character. Fewer than 8 data bits damage the telemetry: for tests of a receiver's reaction.
-    flow
-        Flow control, if the port supports it.
-    rs485
-        Drive RTS as the transmitter's enable, if the port supports it.
-    break_ms
-        Length of a break sent before the first byte, if the port supports it; 0 for none.
-    profile
-        Packets and framing.
-    name
-        Name of the link, for reports, faults and triggers.
+    flow : flow control, if the port supports it.
+    rs485 : drive RTS as the transmitter's enable, if the port supports it.
+    break_ms : length of a break sent before the first byte, if the port supports it; 0 for none.
+    profile : packets and framing.
+    name : name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "serial"

@@ -18,19 +18,14 @@ class UdpPacketsLink(InstrumentLink):
 
     Attributes
     ----------
-    host, port
-        Destination of the packets, one in each datagram.
-    elsewhere
-        Must be true if `host` is not on this machine, which then gets events even unrequested.
-    command_host, command_port
-        Address for telecommands, whole packets in each datagram; port 0: a free one.
+    host, port : destination of the packets, one in each datagram.
+    elsewhere : must be true if `host` is not on this machine, which then gets events even unrequested.
+    command_host, command_port : address for telecommands, whole packets in each datagram; port 0: a free one.
     allow
         Addresses and networks whose telecommands are accepted; required if other machines can reach `command_host`.
         There is no authentication.
-    mbit_s
-        Highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read.
-    name
-        Name of the link, for reports, faults and triggers.
+    mbit_s : highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read.
+    name : name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "udp_packets"

@@ -67,8 +67,7 @@ class CameraReception(Reception):
 
     Attributes
     ----------
-    faults
-        Number of words that an intact stream never contains.
+    faults : number of words that an intact stream never contains.
     """
 
     faults: int = 0

@@ -99,19 +99,14 @@ class Fx3Host(CameraHost[Fx3Info]):
 
     Parameters
     ----------
-    host
-        The device; it is closed with the driver, and when it cannot be used.
+    host : the device; it is closed with the driver, and when it cannot be used.
 
     Attributes
     ----------
-    family
-        Name of the cameras with this product number.
-    product
-        Product number of USB.
-    firmware, patch
-        Least versions of firmware and logic that the known drivers accept.
-    stop_writes, start_writes
-        Register writes that end and begin the stream.
+    family : name of the cameras with this product number.
+    product : product number of USB.
+    firmware, patch : least versions of firmware and logic that the known drivers accept.
+    stop_writes, start_writes : register writes that end and begin the stream.
 
     Raises
     ------

@@ -127,14 +127,10 @@ class StreamSettings:
     reset_timestamps
         Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it events have
         the time since the start of the camera's clock.
-    early_packet_us
-        Time after which a buffer that is not full leaves the camera; libcaer's default is 1 ms.
-    edges
-        Enable rising edges, falling edges and pulses of the external input; see `CameraHost.take_edges`.
-    imu
-        Enable the inertial unit, if there is one; see `CameraHost.take_imu`.
-    frames
-        Enable the APS, with its current registers; see `CameraHost.take_frames`.
+    early_packet_us : time after which a buffer that is not full leaves the camera; libcaer's default is 1 ms.
+    edges : enable rising edges, falling edges and pulses of the external input; see `CameraHost.take_edges`.
+    imu : enable the inertial unit, if there is one; see `CameraHost.take_imu`.
+    frames : enable the APS, with its current registers; see `CameraHost.take_frames`.
     """
 
     transfer_bytes: int = 131_072
@@ -154,10 +150,8 @@ class CameraHost(ABC, Generic[_Info]):
 
     Attributes
     ----------
-    model
-        Name of the camera's model.
-    info
-        Identity that the camera reports.
+    model : name of the camera's model.
+    info : identity that the camera reports.
     """
 
     model: str

@@ -36,14 +36,10 @@ class UsbipLink(LinkParameters):
 
     Attributes
     ----------
-    host, port
-        Address to listen on. USB/IP has no authentication: use 127.0.0.1 or a private network.
-    allow
-        Addresses and networks that may connect; required if other machines can reach `host`.
-    busid
-        Bus id under which the camera is exported.
-    name
-        Name of the link, for reports, faults and triggers.
+    host, port : address to listen on. USB/IP has no authentication: use 127.0.0.1 or a private network.
+    allow : addresses and networks that may connect; required if other machines can reach `host`.
+    busid : bus id under which the camera is exported.
+    name : name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "usbip"
@@ -90,12 +86,9 @@ class UsbGadgetLink(LinkParameters):
 
     Attributes
     ----------
-    udc
-        The USB device controller, as named in /sys/class/udc; may be omitted if there is only one.
-    gadget
-        Name of the gadget, made for the run unless `evstim gadget up` made it.
-    name
-        Name of the link, for reports, faults and triggers.
+    udc : the USB device controller, as named in /sys/class/udc; may be omitted if there is only one.
+    gadget : name of the gadget, made for the run unless `evstim gadget up` made it.
+    name : name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "usb_gadget"
@@ -126,8 +119,7 @@ class LoopbackLink(LinkParameters):
 
     Attributes
     ----------
-    name
-        Name of the link, for reports, faults and triggers.
+    name : name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "loopback"

@@ -46,10 +46,8 @@ class PyusbHost:
 
     Parameters
     ----------
-    device
-        A pyusb device.
-    timeout_s
-        Timeout of a control request.
+    device : a pyusb device.
+    timeout_s : timeout of a control request.
     """
 
     def __init__(self, device: usb.core.Device, timeout_s: float = 1.0) -> None:

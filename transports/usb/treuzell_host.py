@@ -85,8 +85,7 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
 
     Parameters
     ----------
-    host
-        The device; it is closed with the driver, and when it cannot be used.
+    host : the device; it is closed with the driver, and when it cannot be used.
 
     Raises
     ------

@@ -30,27 +30,19 @@ class Regolith:
 
     Attributes
     ----------
-    seed
-        Seed of all random numbers.
-    boulders_km2
-        Boulders larger than 5 m on a square kilometre; 0: none. 949 on Itokawa (Michikami et al. 2008).
-    boulder_power
-        Their number goes with this power of their size: -3.1 on Itokawa.
+    seed : seed of all random numbers.
+    boulders_km2 : boulders larger than 5 m on a square kilometre; 0: none. 949 on Itokawa (Michikami et al. 2008).
+    boulder_power : their number goes with this power of their size: -3.1 on Itokawa.
     craters
         N(> D) D^2, craters larger than D per m2 times D^2: 0.046 where they are 3 % of geometric saturation; 0: none.
-    crater_depth
-        Depth over diameter of a fresh crater; old ones are shallower, to a quarter of it.
-    slope_deg
-        Root mean square slope that roughness adds to facets of rough ground.
-    albedo_rms
-        Root mean square variation of albedo, relative; its mean is that of the body's reflectance.
+    crater_depth : depth over diameter of a fresh crater; old ones are shallower, to a quarter of it.
+    slope_deg : root mean square slope that roughness adds to facets of rough ground.
+    albedo_rms : root mean square variation of albedo, relative; its mean is that of the body's reflectance.
     smooth_share
         Share of the surface, low by its gravity and even, without boulders and nearly without roughness and
         variation of albedo: 0.2 on Itokawa; 0: none, and roughness comes in patches.
-    smallest_m
-        Boulders and craters are not smaller.
-    facet_px
-        Facets made here are not smaller than about this, pixels at the camera's closest.
+    smallest_m : boulders and craters are not smaller.
+    facet_px : facets made here are not smaller than about this, pixels at the camera's closest.
     most_facets
         Only as many boulders and craters are made, the largest first, as make about so many facets of the body.
     """
@@ -78,12 +70,9 @@ class Clouds:
 
     Attributes
     ----------
-    seed
-        Seed of continents and clouds.
-    cloud_cover
-        Share of the surface under clouds, about.
-    facet_px
-        Facets are made about this large, pixels at the camera's closest.
+    seed : seed of continents and clouds.
+    cloud_cover : share of the surface under clouds, about.
+    facet_px : facets are made about this large, pixels at the camera's closest.
     """
 
     kind: ClassVar[str] = "clouds"
@@ -105,30 +94,21 @@ class BodyTable:
 
     Attributes
     ----------
-    name
-        Name by which other bodies refer to it in `fixed_to`.
+    name : name by which other bodies refer to it in `fixed_to`.
     shape
         A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152'; a part of the
         rendezvous target, 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks'; 'globe',
         of radius 1. Each node with a mesh of a glTF or USD file becomes a body.
-    units_m
-        The shape's unit of length in metres; 1000 for kilometres.
-    path
-        Its path, in the world or in the frame of `fixed_to`.
-    fixed_to
-        Name of the body that it is fixed to; empty: the world.
-    reflectance
-        Its law of reflection.
-    detail
-        Detail that is added to the shape model.
+    units_m : the shape's unit of length in metres; 1000 for kilometres.
+    path : its path, in the world or in the frame of `fixed_to`.
+    fixed_to : name of the body that it is fixed to; empty: the world.
+    reflectance : its law of reflection.
+    detail : detail that is added to the shape model.
     smooth
         True: normals are interpolated over facets, as for ground; false: each facet is flat, as for foil and boxes.
-    throws_shadow
-        True: it casts shadows on itself and on others.
-    animation
-        Name of the one animation of a glTF file that moves its nodes; empty: all of them.
-    repeat
-        True: the animation begins again at its end.
+    throws_shadow : True: it casts shadows on itself and on others.
+    animation : name of the one animation of a glTF file that moves its nodes; empty: all of them.
+    repeat : True: the animation begins again at its end.
     """
 
     name: str = ""
@@ -155,22 +135,14 @@ class BodiesParameters:
 
     Attributes
     ----------
-    camera
-        The camera's path in the world.
-    sun
-        Direction and distance of the Sun.
-    ambient_w_m2
-        Light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
-    samples
-        With run.painter = "gl", light is averaged over samples x samples points of each pixel, 1 to 4.
-    detail_px
-        Facets smaller than this are merged into larger ones, pixels; 0 keeps every facet.
-    shadows
-        True: bodies cast shadows.
-    time_scale
-        Speed of all motion relative to reality.
-    bodies
-        The bodies.
+    camera : the camera's path in the world.
+    sun : direction and distance of the Sun.
+    ambient_w_m2 : light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
+    samples : with run.painter = "gl", light is averaged over samples x samples points of each pixel, 1 to 4.
+    detail_px : facets smaller than this are merged into larger ones, pixels; 0 keeps every facet.
+    shadows : True: bodies cast shadows.
+    time_scale : speed of all motion relative to reality.
+    bodies : the bodies.
     """
 
     kind: ClassVar[str] = "bodies"

@@ -17,16 +17,11 @@ class CheckerboardParameters:
 
     Attributes
     ----------
-    square_px
-        Side of a square, pixels; at least 0.1.
-    speed_px_s
-        Speed of the board over the sensor, px/s, >= 0.
-    direction_deg
-        Direction of motion: 0 to the right, 90 down.
-    rotation_deg
-        Rotation of the board itself, clockwise in the light frame.
-    bright, dark
-        Light of the squares relative to the sensor's reference level, linear: 0 <= dark <= bright.
+    square_px : side of a square, pixels; at least 0.1.
+    speed_px_s : speed of the board over the sensor, px/s, >= 0.
+    direction_deg : direction of motion: 0 to the right, 90 down.
+    rotation_deg : rotation of the board itself, clockwise in the light frame.
+    bright, dark : light of the squares relative to the sensor's reference level, linear: 0 <= dark <= bright.
     """
 
     kind: ClassVar[str] = "checkerboard"

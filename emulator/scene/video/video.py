@@ -189,20 +189,14 @@ class VideoParameters:
 
     Attributes
     ----------
-    path
-        A folder of images, a .npy array, an animation or a video, beside the rig file.
-    frames_per_s
-        Frame rate, used where the file gives no times of its own.
+    path : a folder of images, a .npy array, an animation or a video, beside the rig file.
+    frames_per_s : frame rate, used where the file gives no times of its own.
     levels
         "srgb": decoded by the sRGB curve; "linear": proportional to light, as floats always are.
-    light_at_white
-        Light of white relative to the sensor's reference level.
-    floor
-        Light of black, as a share of white.
-    time_scale
-        Speed relative to the recording.
-    loop
-        True: the video starts again at its end; false: the last frame stays.
+    light_at_white : light of white relative to the sensor's reference level.
+    floor : light of black, as a share of white.
+    time_scale : speed relative to the recording.
+    loop : True: the video starts again at its end; false: the last frame stays.
     """
 
     kind: ClassVar[str] = "video"

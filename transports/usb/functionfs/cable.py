@@ -127,10 +127,8 @@ class InThread(threading.Thread):
 
     Parameters
     ----------
-    pipe
-        The endpoint.
-    done
-        Called in this thread at each transfer's end: with None, or with the error that ended it.
+    pipe : the endpoint.
+    done : called in this thread at each transfer's end: with None, or with the error that ended it.
     """
 
     def __init__(self, pipe: EndpointFile, done: Callable[[InThread, OSError | None], None]) -> None:
@@ -238,17 +236,13 @@ class Cable:
 
     Parameters
     ----------
-    device
-        The device behind the port.
-    function
-        The port; its descriptors must have been accepted, and its controller be bound after `start`.
-    grace_s
-        Time in which the host may still read a transfer of an ended stream.
+    device : the device behind the port.
+    function : the port; its descriptors must have been accepted, and its controller be bound after `start`.
+    grace_s : time in which the host may still read a transfer of an ended stream.
 
     Attributes
     ----------
-    attend
-        Function that is called before a request is processed.
+    attend : function that is called before a request is processed.
     """
 
     def __init__(self, device: UsbDevice, function: FunctionFiles, grace_s: float = _GRACE_S) -> None:

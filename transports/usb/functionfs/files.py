@@ -132,10 +132,8 @@ class EndpointFile:
 
     Parameters
     ----------
-    fd
-        The file, opened O_RDWR and O_NONBLOCK.
-    address
-        The camera's own address of the endpoint, with the direction bit.
+    fd : the file, opened O_RDWR and O_NONBLOCK.
+    address : the camera's own address of the endpoint, with the direction bit.
     """
 
     def __init__(self, fd: int, address: int) -> None:
@@ -208,10 +206,8 @@ class FunctionFiles:
 
     Parameters
     ----------
-    mount
-        Folder in which it is mounted.
-    blocks
-        Descriptors and strings, see `firmware_protocol.usb.functionfs`.
+    mount : folder in which it is mounted.
+    blocks : descriptors and strings, see `firmware_protocol.usb.functionfs`.
     addresses
         The camera's own addresses of endpoints, with the direction bit, by the index of their descriptors, from 1.
 

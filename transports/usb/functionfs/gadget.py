@@ -82,12 +82,9 @@ class Gadget:
 
     Parameters
     ----------
-    name
-        Name of the gadget, its function and the folder of its mount.
-    places
-        Folders of the machine.
-    mount, unmount
-        Functions that mount the function's files, and unmount them.
+    name : name of the gadget, its function and the folder of its mount.
+    places : folders of the machine.
+    mount, unmount : functions that mount the function's files, and unmount them.
 
     Raises
     ------

@@ -116,12 +116,9 @@ class UsbipHost:
 
     Parameters
     ----------
-    sock
-        A connected stream socket to a USB/IP server; it is closed with the host.
-    busid
-        The device to import.
-    timeout_s
-        Timeout of the import and of each control request.
+    sock : a connected stream socket to a USB/IP server; it is closed with the host.
+    busid : the device to import.
+    timeout_s : timeout of the import and of each control request.
 
     Raises
     ------

@@ -101,10 +101,8 @@ class ConnectionSettings:
 
     Attributes
     ----------
-    limits
-        Longest transfers.
-    pending_urbs
-        Number of URBs that may wait at once; drivers have 8 to 40.
+    limits : longest transfers.
+    pending_urbs : number of URBs that may wait at once; drivers have 8 to 40.
     operation_timeout_s
         A connection that has not requested a device by then is closed, so that idle sockets cannot accumulate.
     silence_timeout_s

@@ -35,21 +35,15 @@ class UsbipServer:
 
     Parameters
     ----------
-    devices
-        The devices by bus id, such as "1-1".
-    settings
-        Limits and time limits of each connection.
-    places
-        Number of simultaneous connections, in all and of one address. Each device needs one.
-    allow
-        Addresses and networks that may connect; without any, only this machine.
-    observer
-        Observer of every URB.
+    devices : the devices by bus id, such as "1-1".
+    settings : limits and time limits of each connection.
+    places : number of simultaneous connections, in all and of one address. Each device needs one.
+    allow : addresses and networks that may connect; without any, only this machine.
+    observer : observer of every URB.
 
     Attributes
     ----------
-    attend
-        Function that is called before the bytes of a host are processed, and before a host is lost.
+    attend : function that is called before the bytes of a host are processed, and before a host is lost.
 
     Raises
     ------

@@ -80,14 +80,10 @@ class UrbTrace:
 
     Parameters
     ----------
-    path
-        FILE of FILE.txt and FILE.pcap. If those already have contents, FILE-restart1 and so on are used.
-    device
-        The camera, from which the descriptors are read.
-    now_ns
-        Unix time.
-    capacity_bytes
-        Number of bytes that may wait for the disk.
+    path : FILE of FILE.txt and FILE.pcap. If those already have contents, FILE-restart1 and so on are used.
+    device : the camera, from which the descriptors are read.
+    now_ns : unix time.
+    capacity_bytes : number of bytes that may wait for the disk.
 
     Raises
     ------
