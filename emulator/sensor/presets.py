@@ -3,9 +3,8 @@
 Light is relative to the sensor's reference level: 1.0 is the light at which `corner_hz_at_reference` holds. Thresholds
 are in natural-log units of photocurrent. Leak and dark current are those at 20 degrees Celsius.
 
-Sources of the presets' values: *estimate* marks values without a source: such a value is not calibrated, is typical of
-the family and is meant to be overridden by a rig. *one recording* marks values that were measured on one public
-recording of one camera, in unknown light.
+Sources of the values: *estimate* marks values without a source, not calibrated, typical of the family and meant to be
+overridden by a rig; *one recording* values measured on one public recording of one camera, in unknown light.
 
     parameter                  davis346                     dvxplorer_micro              imx636
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]

@@ -31,7 +31,7 @@ count = {runs}
 [set]
 links = []
 run = {{seconds = {seconds}, pace = "free"}}
-camera.sensor = {{width = 32, height = 32}}
+camera.sensor = {{width = {side_px}, height = {side_px}}}
 [[parameters]]
 key = "scene.speed_px_s"
 kind = "log-uniform"
@@ -44,7 +44,7 @@ def cost(runs: int, seconds: float, workers: int) -> tuple[float, float, float]:
     """Return the CPU time of a campaign, that of its runs, and its wall time; s."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "overhead.toml")
-        file.write_text(OVERHEAD.format(runs=runs, seconds=seconds))
+        file.write_text(OVERHEAD.format(runs=runs, seconds=seconds, side_px=32))
         begun_s = time.monotonic()
         process = subprocess.Popen([*EVSTIM, str(file), "--workers", str(workers)], stdout=subprocess.DEVNULL)
         _, code, used = os.wait4(process.pid, 0)
@@ -71,18 +71,7 @@ def overhead(runs: int = 1000, ms: int = 100, workers: int = 2) -> None:
     print(f"paid once: {once_s - few_s:.1f} s; for each run: {each_ms:.2f} ms; wall {wall_s:.0f} s")
 
 
-SHORT = """
-rig = "checkerboard"
-count = {runs}
-[set]
-links = []
-run = {{seconds = 0.02, pace = "free"}}
-camera.sensor = {{width = 16, height = 16}}
-[[parameters]]
-key = "scene.speed_px_s"
-kind = "log-uniform"
-low = 30
-high = 600
+SHORT = f"""{OVERHEAD}
 [[parameters]]
 key = "camera.sensor.threshold_on"
 kind = "uniform"
@@ -107,8 +96,6 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
     (folder / "cluster.py").write_text(CLUSTER)
     command = [sys.executable, str(folder / "cluster.py"), str(workers)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=folder) as process:
-        assert process.stdout is not None
-        assert process.stdin is not None
         yield process.stdout.readline().strip()
         process.stdin.close()
 
@@ -148,7 +135,7 @@ def on_cluster(runs: int = 10_000, workers: int = 3) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = folder / "short.toml"
-        file.write_text(SHORT.format(runs=runs))
+        file.write_text(SHORT.format(runs=runs, seconds=0.02, side_px=16))
         campaign(file, folder / "local", "--workers", "2")
         local_s = children_s()
         with cluster(folder, workers) as address:

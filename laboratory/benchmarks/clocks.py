@@ -37,20 +37,12 @@ app = App(name="clocks")
 ADDRESS = "127.0.0.17"
 LATCH = 1 << 1
 LATCH_RIG = f"""
-[scene]
-kind = "checkerboard"
-square_px = 40.0
-speed_px_s = 0.5
+scene = {{kind = "checkerboard", square_px = 40.0, speed_px_s = 0.5}}
+run.step_us = 5000
 [camera]
 model = "triton2"
-[camera.clock]
-drift_ppm = 20.0
-[camera.sensor]
-width = 64
-height = 48
-leak_hz = 0.0
-[run]
-step_us = 5000
+clock.drift_ppm = 20.0
+sensor = {{width = 64, height = 48, leak_hz = 0.0}}
 [[links]]
 kind = "gige"
 host = "{ADDRESS}"
@@ -131,8 +123,7 @@ def _show(name: str, values: Numbers) -> None:
     print(f"{name}: least, 5 %, median, 95 %, most of {len(values)}: {shares} us")
 
 
-SLAVE = "10.78.1.1"
-MASTER = "10.78.1.2"
+SLAVE, MASTER = "10.78.1.1", "10.78.1.2"
 SETTINGS = """[global]
 free_running 1
 masterOnly 1
@@ -195,18 +186,11 @@ def follow(seconds: float) -> None:
 
 
 SYNC_RIG = """
-[scene]
-kind = "checkerboard"
-square_px = 40.0
-speed_px_s = 0.5
-[camera.clock]
-[camera.sensor]
-width = 64
-height = 48
-leak_hz = 0.0
-[trigger]
-source = "can"
-kind = "rising"
+scene = {{kind = "checkerboard", square_px = 40.0, speed_px_s = 0.5}}
+trigger = {{source = "can", kind = "rising"}}
+[camera]
+clock = {{}}
+sensor = {{width = 64, height = 48, leak_hz = 0.0}}
 [run]
 seconds = {seconds}
 step_us = 5000
@@ -230,8 +214,7 @@ def normal_policy() -> None:
 def free_port() -> int:
     """Return a TCP port that is not in use."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        port: int = listener.getsockname()[1]
-    return port
+        return int(listener.getsockname()[1])
 
 
 def joined(port: int, deadline_s: float = 60.0) -> Any:
@@ -286,10 +269,9 @@ def measure(folder: Path, seconds: float, priority: int) -> dict[str, Any]:
     rising = edges[edges["kind"] == EdgeKind.RISING]["t"].astype(np.int64)
     error = errors_us(sent_ns, rising * 1000 + int(monotonic_ns - stream_us * 1000))
     link = json.loads(said.splitlines()[-1])["links"]["loopback"]["edges"]
-    quantiles = dict(
-        zip(("least", "p50", "p90", "p99", "worst"), np.percentile(error, [0, 50, 90, 99, 100]), strict=True)
-    )
-    return {"edges": len(rising), "late": link["late"], **{name: round(value) for name, value in quantiles.items()}}
+    names = ("least", "p50", "p90", "p99", "worst")
+    quantiles = zip(names, np.percentile(error, [0, 50, 90, 99, 100]), strict=True)
+    return {"edges": len(rising), "late": link["late"], **{name: round(value) for name, value in quantiles}}
 
 
 @app.command

@@ -167,9 +167,8 @@ def images_a_second(count: int, *, shared: bool, lit: bool) -> float:
     """Return the rate of `count` images."""
     p = ExternalParameters(period_ms=PERIOD_NS * 1e-6)
     server = RendererServer("127.0.0.1", 0)
-    drawing = multiprocessing.get_context("spawn").Process(
-        target=draw, args=(server.address[1],), kwargs={"shared": shared}
-    )
+    spawning = multiprocessing.get_context("spawn")
+    drawing = spawning.Process(target=draw, args=(server.address[1],), kwargs={"shared": shared})
     drawing.start()
     connection = server.accept(Camera(SIZE, 1000.0, PERIOD_NS, p.slots, 0), 60.0)
     assert connection is not None

@@ -72,16 +72,15 @@ def measure_steps(what: str, phase: float) -> None:
     tell(f"step, {what} ({fired / STEPS / sensor.width / sensor.height:.1%} a step)", statistics.median(took_s[1:]))
 
 
-def main() -> int:
-    """Print the times; returns 0."""
+def main() -> None:
+    """Print the times."""
     import numba  # noqa: F401
 
     tell("import of numpy and numba", time.process_time() - _STARTED_S)
     measure_encoder()
     measure_steps("nothing fires", 1e-4)
     measure_steps("pixels fire", 0.05)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -22,19 +22,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from laboratory.bench.links import paced_run
+from laboratory.benchmarks.streams import say
 
 _ONE = "--one"
 _NAMES = (
-    "p50",
-    "p99",
-    "p999",
-    "max",
-    "late steps",
-    "longer steps",
-    "worst lateness",
-    "lead p50",
-    "lead p99",
-    "lead p999",
+    *("p50", "p99", "p999", "max"),
+    *("late steps", "longer steps", "worst lateness"),
+    *("lead p50", "lead p99", "lead p999"),
 )
 _LIMITS = {"p50": 1000.0, "p99": 3000.0, "p999": 10_000.0, "late steps": 0.0}
 _LIMITS_BESIDE_OTHERS = {"p99": 10_000.0}
@@ -69,30 +63,24 @@ def busy_programs(count: int) -> Iterator[None]:
 def main(runs: int = 10, seconds: float = 10.0, busy: int = 0) -> int:
     """Measure and print a table; return the exit code."""
     limits, good = _LIMITS_BESIDE_OTHERS if busy else _LIMITS, 0
-    _print(f"| run | {' | '.join(_NAMES)} |\n|{'---|' * (len(_NAMES) + 1)}")
+    say(f"| run | {' | '.join(_NAMES)} |\n|{'---|' * (len(_NAMES) + 1)}")
     for run in range(1, runs + 1):
         with busy_programs(busy):
-            process = subprocess.run(
-                [sys.executable, __file__, _ONE, str(seconds)], stdout=subprocess.PIPE, text=True, check=False
-            )
+            command = [sys.executable, __file__, _ONE, str(seconds)]
+            process = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
         if process.returncode:
-            _print(f"| {run} | failed, the reason is above |")
+            say(f"| {run} | failed, the reason is above |")
             continue
         values: dict[str, float] = json.loads(process.stdout.splitlines()[-1])
         met = all(values[name] <= limit for name, limit in limits.items())
         good += met
-        _print(f"| {run} | {' | '.join(f'{values[name]:.0f}' for name in _NAMES)} |{' missed' * (not met)}")
-    _print(f"{good} of {runs} runs meet {limits}, {busy} busy programs beside them, load {os.getloadavg()[0]:.1f}")
+        say(f"| {run} | {' | '.join(f'{values[name]:.0f}' for name in _NAMES)} |{' missed' * (not met)}")
+    say(f"{good} of {runs} runs meet {limits}, {busy} busy programs beside them, load {os.getloadavg()[0]:.1f}")
     return int(good < runs)
-
-
-def _print(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == [_ONE]:
-        _print(json.dumps(one(float(sys.argv[2]))))
+        say(json.dumps(one(float(sys.argv[2]))))
         sys.exit(0)
     sys.exit(main(*map(int, sys.argv[1:2]), *map(float, sys.argv[2:3]), *map(int, sys.argv[3:4])))

@@ -33,6 +33,7 @@ from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import Events, empty_events
 from laboratory.bench.streams import saturated_stream
+from laboratory.benchmarks.streams import say
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
 
@@ -196,14 +197,13 @@ def _received(process: subprocess.Popen[str]) -> int:
     """End a host, and return the number of events that it has received."""
     process.send_signal(signal.SIGINT)
     lines = (process.stdout.read() if process.stdout else "").splitlines()
-    events: int = json.loads(lines[-1])["events"]
-    return events
+    return int(json.loads(lines[-1])["events"])
 
 
 def main(seconds: float = 5.0, *names: str) -> int:
     """Measure each kind of link and print a table."""
     good = True
-    _print("| link | host | events | % of a core | sleeps a second | delivered, Mev/s |\n|---|---|---|---|---|---|")
+    say("| link | host | events | % of a core | sleeps a second | delivered, Mev/s |\n|---|---|---|---|---|---|")
     for name in names or KINDS:
         for has_host in (False, True)[: 2 if KINDS[name].host else 1]:
             for has_events in (False, True):
@@ -211,14 +211,9 @@ def main(seconds: float = 5.0, *names: str) -> int:
                 good &= not trouble
                 cells = name, "reads" if has_host else "none", "1.5 Mev/s" if has_events else "none"
                 numbers = f"{100 * used.core:.1f}", f"{used.sleeps_hz:.0f}", f"{used.delivered_hz * 1e-6:.2f}"
-                _print(f"| {' | '.join((*cells, *numbers))} |{f' {trouble}' * bool(trouble)}")
-    _print(f"load {os.getloadavg()[0]:.1f}")
+                say(f"| {' | '.join((*cells, *numbers))} |{f' {trouble}' * bool(trouble)}")
+    say(f"load {os.getloadavg()[0]:.1f}")
     return int(not good)
-
-
-def _print(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -141,9 +141,8 @@ def sines(scale: float) -> Iterator[Line]:
     """Measure sines of all receptors and poles at all steps, with some 10 000 events each or more."""
     pixels = GROUPS * max(1, round(4 * scale))
     for receptor, poles in itertools.product(get_args(Receptor), (1, 2)):
-        for light, amplitude, hz in (
-            SINES if receptor == "one_pole" else SINES[3:]
-        ):  # the others do not distinguish them
+        settings = SINES if receptor == "one_pole" else SINES[3:]  # the others do not distinguish them
+        for light, amplitude, hz in settings:
             seconds = 2.0 * math.ceil(40 / (4 + 4 * amplitude * hz / THETA))
             p = sensor(light * math.exp(amplitude), poles, receptor, pixels)
             case = Case("sine", LogSine(pixels, amplitude, hz, light), p, seconds)

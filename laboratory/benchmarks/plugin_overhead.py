@@ -39,9 +39,8 @@ def measured(count: int, folder: Path) -> dict[str, float]:
     (folder / "test_overhead.py").write_text(TEST.format(count=count), encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--durations=0", "--durations-min=0"]
     plugin = ["-p", "evstim.testing.plugin"] if os.environ.get("PYTEST_DISABLE_PLUGIN_AUTOLOAD") else []
-    done = subprocess.run(
-        [*command, *plugin, "test_overhead.py"], cwd=folder, stdout=subprocess.PIPE, text=True, check=False
-    )
+    command += [*plugin, "test_overhead.py"]
+    done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
         raise SystemExit(done.stdout)
     found = re.findall(r"([\d.]+)s (setup|call|teardown) +\S*test_with_the_rig\[(\d+)\]", done.stdout)

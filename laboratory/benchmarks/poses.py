@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -34,22 +34,16 @@ LIVE_RIG = """
 [scene]
 kind = "stars"
 faintest_v = 6.5
+sun.direction = [0.0, -1.0, 0.2]
 [scene.camera]
 kind = "live"
 port = {poses}
 hold_ms = 1.0
 q_world_from_body = [0.7071067811865476, -0.7071067811865476, 0.0, 0.0]  # to Orion
-[scene.sun]
-direction = [0.0, -1.0, 0.2]
 [camera]
 model = "ideal"
-[camera.sensor]
-width = {width}
-height = {height}
-[camera.lens]
-field_of_view_deg = 25.0
-f_number = 1.4
-blur_px = 0.6
+sensor = {{width = {width}, height = {height}}}
+lens = {{field_of_view_deg = 25.0, f_number = 1.4, blur_px = 0.6}}
 [run]
 step_us = {step_us}
 lead_us = {lead_us}
@@ -116,8 +110,7 @@ def free_port() -> int:
     """Return a UDP port that was free just now."""
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
         probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
+        return int(probe.getsockname()[1])
 
 
 def wait_for_motion(process: subprocess.Popen[str], address: tuple[str, int], link: socket.socket) -> None:
@@ -128,11 +121,9 @@ def wait_for_motion(process: subprocess.Popen[str], address: tuple[str, int], li
             if process.poll() is not None:
                 raise SystemExit("evstim run has ended")
             poses.sendto(pose(2**20 + k), address)
-            try:
+            with suppress(TimeoutError):
                 link.recv(65536)
-            except TimeoutError:
-                continue
-            return
+                return
     raise SystemExit("no event came")
 
 
@@ -169,8 +160,7 @@ BASILISK_RIG = """
 [scene]
 kind = "stars"
 camera = {{kind = "basilisk", camera = 1}}
-[scene.sun]
-direction = [0.0, 0.0, -1.0]
+sun.direction = [0.0, 0.0, -1.0]
 [camera.lens]
 field_of_view_deg = 40.0
 f_number = 1.4
@@ -234,8 +224,7 @@ def vizard(updates: int = 200) -> None:
             link.bind(("127.0.0.1", 0))
             rig = Path(folder, "rig.toml")
             rig.write_text(BASILISK_RIG.format(step_us=step_us, port=link.getsockname()[1]))
-            start = "from emulator.cli import main; main()"
-            command = [sys.executable, "-c", start, "--quiet", "vizard", rig, "--at", "127.0.0.1:5599", "--json"]
+            command = [sys.executable, "-c", START, "--quiet", "vizard", rig, "--at", "127.0.0.1:5599", "--json"]
             with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
                 peer.connect("tcp://127.0.0.1:5599")
                 times_ms = 1000 * update_times_s(peer, link, updates)
@@ -274,11 +263,10 @@ def flight_of(python: str, rig: Path, seconds: float) -> dict[str, object]:
             while "Basilisk is here" not in camera.stderr.readline():
                 pass
             begun_s, before_s = time.monotonic(), (cpu_so_far_s(camera.pid), cpu_so_far_s(dynamics.pid))
-            told = json.loads(camera.stdout.read().splitlines()[-1])
+            counts = json.loads(camera.stdout.read().splitlines()[-1])["basilisk"]
             wall_s = time.monotonic() - begun_s
             used_s = spent_s(camera, before_s[0]), spent_s(dynamics, before_s[1])
         known = json.loads(Path(folder, "simulation.json").read_text())
-    counts = told["basilisk"]
     each_ms = [1000 * cpu_s / counts["updates"] for cpu_s in used_s]
     return {
         "updates": counts["updates"],

@@ -40,15 +40,13 @@ def measured(hours: float, folder: Path) -> dict[str, int]:
     """Run for so long, print what was run, and return the bytes of each file of its report."""
     rig, report = folder / "long.toml", folder / f"report-{hours:g}"
     rig.write_text(RIG, encoding="utf-8")
-    seconds = f"{hours * 3600:g}"
+    command = [*RUN, str(rig), "--seconds", f"{hours * 3600:g}", "--report", str(report), "--json"]
     start_s = time.monotonic()
-    command = [*RUN, str(rig), "--seconds", seconds, "--report", str(report), "--json"]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     summary = json.loads(done.stdout.splitlines()[-1])
     sizes = {path.name: path.stat().st_size for path in sorted(report.iterdir())}
     took_s, load = time.monotonic() - start_s, os.getloadavg()[0]
-    line = f"{hours:g} h of device time in {took_s:.0f} s, load {load:.1f}: {summary['events']}; {sizes}"
-    sys.stdout.write(f"{line}\n")
+    sys.stdout.write(f"{hours:g} h of device time in {took_s:.0f} s, load {load:.1f}: {summary['events']}; {sizes}\n")
     sys.stdout.flush()
     return sizes
 

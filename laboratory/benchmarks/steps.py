@@ -43,10 +43,9 @@ def events_at(rig: Rig, seconds: float, step_us: int) -> tuple[Stream, float]:
     """
     camera = dataclasses.replace(rig.camera, sensor=quiet(rig.camera.sensor))
     run = dataclasses.replace(rig.run, step_us=step_us, lead_us=2 * step_us)
+    alone = dataclasses.replace(rig, links=(), camera=camera, run=run)
     batches, first_s, first_us = [], None, 0
-    with evstim.run(
-        dataclasses.replace(rig, links=(), camera=camera, run=run), seconds=seconds, seed=7, pace="free"
-    ) as events:
+    with evstim.run(alone, seconds=seconds, seed=7, pace="free") as events:
         for batch in events:
             if first_s is None:
                 first_s, first_us = time.process_time(), int(batch["t"][0])

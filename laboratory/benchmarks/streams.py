@@ -4,11 +4,10 @@
 
 NAME is one or more of aedat4, evt3, dv and jaer (all by default), EVENTS 10^7 by default. The events are those of a
 saturated read-out (12.5 Mev/s), but for jaer, which sends 1 Mev/s in real time; the others go as fast as the link takes
-them. Files are read back by faery (AEDAT 4.0) and evt3, the stream of dv by dv_processing in another process, that of
-jaer by a receiver in another process with twice the receive buffer that jAER requests. Seconds are those from the first
-event to the whole file, or to the last event at the reader; beside them the processor time of the link and of the
-process that writes the file. Exit code 1 where an event is missing or wrong, or where fewer than 10 million (jaer: all
-of its million) a second arrive.
+them. Files are read back by faery (AEDAT 4.0) and evt3, streams in another process: that of dv by dv_processing, that
+of jaer by a receiver with twice the receive buffer that jAER requests. Seconds count from the first event to the whole
+file, or to the reader's last event; beside them the processor time of the link and of the process that writes the file.
+Exit code 1 where an event is missing or wrong, or where fewer than 10 million (jaer: all of its million) a second come.
 """
 
 from __future__ import annotations

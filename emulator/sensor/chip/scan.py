@@ -1,8 +1,7 @@
 """The read-out of a scanned sensor, which reads one column after another, over and over.
 
-A pixel that fires holds a request until its column is read, which sends it; a crossing of a pixel whose request still
-waits is lost, and counted. So a pixel sends at most one event a scan, at the time at which its column is read, and the
-time within a scan sweeps over the columns.
+A pixel that fires holds a request until its column is read, which sends it; crossings until then are lost, and counted.
+So a pixel sends at most one event a scan, when its column is read, and the time within a scan sweeps over the columns.
 
 A column takes 1 / width of the scan, or the time of its events on the bus where these are longer: scans become slower
 under load. Scans follow each other without a pause from stream time 0 on. A read at time T finds the requests raised up

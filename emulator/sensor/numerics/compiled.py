@@ -2,8 +2,7 @@
 
     kernel                  plain loops over arrays that the caller owns
     vector_kernel           the same, for loops that must become vectors
-    lane                    arithmetic on numbers, for use inside such loops; always inlined, because one call that is
-                            left in a loop prevents vectors
+    lane                    arithmetic on numbers inside such loops; always inlined: one call in a loop prevents vectors
     kernel_that_allocates   loops that may allocate arrays
     inlined                 index arithmetic that callers take over before types are known; never compiled alone
 
@@ -17,8 +16,7 @@ Two options decide whether a loop is fast; without them loops here were 20 to 40
 - _nrt=False: no reference counting. Otherwise passing an array to a helper counts a reference up and down with atomic
   operations, and numba leaves them in the loop when the helper has more than one way out: 80 ns a call instead of 2.
 
-fastmath contracts a*b + c to one rounding and does nothing else: NaN and infinity keep their meaning, and sums their
-order.
+fastmath only contracts a*b + c to one rounding: NaN and infinity keep their meaning, and sums their order.
 
 Only the functions that Python calls, the entries, are cached on disk, as long as no source of the sensor changes. An
 entry must not have an optional argument. numba compares omitted numbers by identity: of several functions with such an

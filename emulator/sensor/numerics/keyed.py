@@ -18,9 +18,8 @@ Fast because a draw is two multiplications and some shifts, without a state; `no
 
 The second half draws random points of a pixel in time and hazard. A process of hazard h(t) fires, as anywhere in a
 Poisson process, at the first point (t, u) of a field of unit density with u < h(t). The points are keyed by the pixel,
-so they are the same whatever the steps, the order and the thread of the work: an event cannot move because a step was
-cut in two, and pixels whose events have differed for any reason come back to the same ones. An integral of the hazard
-would depend on its summation.
+so they are the same for all steps, orders and threads of the work: an event cannot move because a step was cut, and
+pixels whose events differed come back to the same ones. An integral of the hazard would depend on its summation.
 
 The field is drawn in bands of u, each in cells of time that begin at whole multiples of their length:
 

@@ -133,9 +133,8 @@ class PixelArray(PixelMethod):
     def adjust(self, name: str, value: float) -> None:
         """Set one of `adjustable` from the array's time on; raises ValueError where the value is not allowed.
 
-        The comparators' levels do not jump: a new threshold is compared with the same stored level, and the reference
-        moves with the leak. A refractory period that has begun ends at its time. Resting pixels are computed again,
-        because a changed parameter may fire them.
+        The comparators' levels do not jump: a new threshold meets the same stored level, and the reference moves with
+        the leak. A refractory period that has begun keeps its end. Resting pixels are computed again: they may fire.
         """
         before = self.parameters
         if name == "source_follower_hz" and not (before.source_follower_hz > 0 and value > 0):
@@ -207,10 +206,7 @@ class PixelArray(PixelMethod):
         return layout.Levels(self)
 
     def kill(self, pixel: npt.NDArray[np.int64]) -> None:
-        """Make pixels, (n,), dead.
-
-        A dead pixel leaks in units of its threshold, so the parasitic leak still fires it.
-        """
+        """Make pixels, (n,), dead; they leak in units of their thresholds, so the parasitic leak still fires them."""
         flat = self.state.fields.reshape(-1)
         flat[layout.field_index(pixel, Field.ON)] = layout.DEAD_THRESHOLD
         flat[layout.field_index(pixel, Field.OFF)] = layout.DEAD_THRESHOLD
@@ -331,9 +327,8 @@ class PixelArray(PixelMethod):
         Log light follows the cubic through its values and time derivatives at both ends; the parabola where only one
         derivative is known; the straight line without derivatives, or in steps longer than an epoch.
 
-        If its time equals the last one, the step is empty, and this frame takes the place of the last one: the light
-        jumps there, and the next step begins with it. With light between frames and the time derivative, undersampled
-        steps are refined.
+        If its time equals the last one, the step is empty, and this frame replaces the last one: the light jumps there,
+        and the next step begins with it. With light between frames and its derivative, undersampled steps are refined.
 
         Raises
         ------

@@ -88,9 +88,8 @@ def select(
 ) -> tuple[int, int]:
     """Select the candidates of a block, whose parts begin at `firsts`, that are to be solved, in place.
 
-    Three kinds are left out: smooth ones whose refractory period covers the step, pixels whose light is unreadable, and
-    pixels whose light was unreadable at the last step, where the filter starts again. Returns the numbers of selected
-    and of unreadable pixels.
+    Three kinds are left out: smooth ones whose refractory period covers the step, and pixels whose light is unreadable,
+    or was at the last step, where the filter starts again. Returns the numbers of selected and unreadable pixels.
     """
     selected = unreadable = NONE
     for place in flagged:

@@ -1,7 +1,6 @@
 """Threshold crossings: packed for sorting, unpacked to lists, concatenated, or merged by time.
 
-The crossings of one step are packed in one number each: fast, because numpy sorts 64-bit numbers with vectors, and
-their order is that of time and pixel.
+A step's crossings are packed in 64 bits each, in the order of time and pixel: fast, as numpy sorts these with vectors.
 """
 
 from __future__ import annotations
@@ -74,10 +73,7 @@ class EventBuffers:
     on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
 
     def add(self, lists: list[Keys], t0_ns: int, pixel_bits: int, n: int) -> int:
-        """Add the events of one or two sorted lists, packed with times from `t0_ns` on, to the first n.
-
-        Returns the new number.
-        """
+        """Add one or two sorted lists, packed with times from `t0_ns`, to the first n events; return the new number."""
         total = n + sum(keys.size for keys in lists)
         if total == n:
             return n

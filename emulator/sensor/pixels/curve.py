@@ -23,10 +23,9 @@ a curve through these ends exists if |delta| < g / 2. In between the bend has th
 No rule helps where a whole plateau lies between two frames: the frames do not show it. There the straight line may have
 more right sequences than any curve that follows the slopes.
 
-The second half of the module solves the photoreceptor's low-pass over an interval of time, in warped time; float32, for
-loops that become vectors. Log light u goes from u0 to u1 with given slopes at both ends; the filter follows it at the
-rate lambda, which depends on the light. In warped time s, the integral of lambda dt, the filter's time constant is one
-at any light:
+The second half of the module solves the photoreceptor's low-pass over an interval of time; float32, for loops that
+become vectors. Log light u goes from u0 to u1 with given slopes at both ends; the filter follows it at the rate lambda,
+which depends on the light. In warped time s, the integral of lambda dt, the filter's time constant is one at any light:
 
     dv/ds = u - v,    u(s) = the cubic through u0, u1 with the slopes w0, w1 (per whole interval S) at the ends
     v(s)  = u - u' + u'' - u''' + B e^-s                    (primes: d/ds), B such that v(0) = v0
@@ -282,10 +281,7 @@ def passed_by_second_pole(s: Real, r0: Real, second: Real) -> Real:
 
 @lane
 def rise_behind_second_pole(q: Real, behind: Real, second: Real, u: Course, v: Filtered) -> Real:
-    """Return w1 - w0, with behind = v0 - w0, and q = 1 - e^-second.
-
-    `second` is the pole's rate times the length of the interval.
-    """
+    """Return w1 - w0, with behind = v0 - w0, q = 1 - e^-second and second, the pole's rate times the interval."""
     # Up to S = 1 the cubic through v's own values and slopes; beyond, that of its steady part, and b e^-s apart.
     t = transient(v.behind0, u, _ZERO)
     slow = u.s < _ONE

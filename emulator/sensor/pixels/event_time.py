@@ -12,10 +12,9 @@ makes nanoseconds of them.
 A pixel that fires MOST_EVENTS times in a step is not followed further: `levels_passed` and `pass_over` count what is
 left in closed form, as lost in the pixel. No light and no leak can make a step endless.
 
-The law of the delay. The comparator of a pixel is one transistor, driven by the amplified change of log light, against
-a bias current. At the threshold both currents are equal. When the signal is beyond it by y, in ln units, the input
-transistor's current is e^(-y/F) or e^(y/F) of the bias current, in subthreshold, and their difference drives the
-output's capacitance:
+The law of the delay. A pixel's comparator is one transistor, driven by the amplified change of log light, against a
+bias current. At the threshold both currents are equal. With the signal y ln units beyond it, the input transistor's
+current is e^(-y/F) or e^(y/F) of the bias current, in subthreshold; the difference drives the output's capacitance:
 
     ON    the input transistor pulls:     C dV/dt = I_on (e^(y/F) - 1)
     OFF   the bias current pulls:         C dV/dt = I_off (1 - e^(-y/F))

@@ -15,10 +15,9 @@ at the speed of the memory. Otherwise it is a copy.
 
 `Touched` is the changed region of a frame, as the blocks and parts of blocks that lie in it.
 
-A pack holds active parts of several blocks, moved together as one block. Where few parts of a block are active, as
-where a star passes, only these are copied to one scratch block (gather), moved by the kernels that move a whole one,
-and copied back (scatter). Of a sky of stars at 1280x720, 1.3 % of the pixels change in a step, which lie in 53 % of the
-blocks and in 10 % of the parts.
+A pack holds active parts of several blocks, moved as one block. Where few parts of a block are active, as where a star
+passes, these are copied to a scratch block (gather), moved by the kernels of a whole one, and copied back (scatter). Of
+a sky of stars at 1280x720, 1.3 % of the pixels change in a step, in 53 % of the blocks and 10 % of the parts.
 
 Fast because light is compared bit for bit, two pixels in a word, in loops without an early end; and because a block
 outside the changed region costs three comparisons.

@@ -4,9 +4,8 @@ A round takes every column over one substep (`substeps`), and within it from eve
 over a substep is a cubic, whose turning points are known in closed form. Between them it is monotone, so its values at
 the ends decide whether a level is met, and no crossing is missed; `event_time` finds where.
 
-Fast because each loop does one thing for all columns: those over numbers only become vectors, and the few columns that
-bisect, fire or end are handled one by one in loops of their own. Finished columns are filled from behind, so that later
-rounds are short.
+Fast because a loop does one thing for all columns: loops over numbers only become vectors; the few columns that bisect,
+fire or end go one by one in their own loops. Finished columns are filled from behind: later rounds are short.
 """
 
 from __future__ import annotations
@@ -187,8 +186,7 @@ def _fire(
         keys[n_keys] = pack(dt_ns, pixel, level > rows[row.LEVEL + j], c.pixel_bits)
         n_keys += 1
         rows[row.COUNT + j] += _ONE
-        # The reset: without a refractory period the level that was crossed is the new reference; else it is read when
-        # the period ends.
+        # The reset: the crossed level is the new reference, or with a refractory period the level at its end.
         state.count_reset(pixels, pixel, c.reset.noise)
         offset = state.reset_offset(pixels, pixel, _LAST, rows[row.ON + j], rows[row.OFF + j], c.reset)
         rows[row.X + j] = rows[row.HIT + j]

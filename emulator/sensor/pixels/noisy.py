@@ -1,11 +1,9 @@
 """Candidates of a sensor with noise: the pieces of their curves, along which `passage` finds their events; its start.
 
-The curves are those of pixels without noise: one cubic where the step is smooth (`candidates`), else one a substep
-(`substeps`). The junction's leak is left out of them, and added in float64 by time, so that still light gives the same
-values whatever the steps.
+The curves are those without noise: one cubic where the step is smooth (`candidates`), else one a substep (`substeps`).
+The junction's leak is left out, and added in float64 by time: still light gives the same values whatever the steps.
 
-Fast because filters are solved for all columns at once; a pixel's events follow one by one, with its state in
-registers.
+Fast because filters are solved for all columns at once, and a pixel's events one by one with its state in registers.
 """
 
 from __future__ import annotations

@@ -13,19 +13,17 @@ The equations (photocurrent i relative to the reference light, u = ln i, natural
 Between two frames u is the cubic through its values and time derivatives at both; the filter is solved over S, the
 integral of lambda dt, as in `curve`, and so is the second pole.
 
-The step of a pixel is *quiet* when bounds show that it cannot fire: v stays between v0 and v0 + q (U - v0), with
-q = 1 - e^-S and U the highest (lowest) of u, which the cubic's Bernstein coefficients bound. Most steps are quiet and
-cost one pass of plain arithmetic. A step is *smooth* when the cubic describes its light well: known slopes, less than
-0.5 of change in log light, no sign of an unseen change between the frames. A step that is not quiet or not smooth goes
-to `candidates`.
+A pixel's step is *quiet* when by bounds it cannot fire: v stays between v0 and v0 + q (U - v0), with q = 1 - e^-S and U
+the highest (lowest) of u, which the cubic's Bernstein coefficients bound. Most are quiet and cost one pass of plain
+arithmetic. A step is *smooth* when the cubic describes its light well: known slopes, less than 0.5 of change in log
+light, no sign of unseen change between frames. One that is not quiet or not smooth goes to `candidates`.
 
 These measures make it fast, as measured:
 
 - State is kept in blocks of 512 pixels, field after field within a block (see `Field`), in one flat array. A block
   stays in the nearest caches with its scratch, and all its fields lie at distances known when compiled: LLVM gives up
   on a loop with many separate arrays, because it would have to check each pair for overlap.
-- Loops run from 0 over BLOCK, a constant: no test for negative indices, no remainder, and a pixel's arithmetic does not
-  depend on its place in the frame.
+- Loops run from 0 over BLOCK, a constant: no test for negative indices, no remainder, the same arithmetic at any place.
 - Short loops instead of one long: their constants stay in registers.
 - No integer arithmetic in vector loops (numba widens it to 64 bits); logarithm and exponential are polynomials
   (`elementary`), and `compiled` lists the compiler options that matter.

@@ -19,9 +19,8 @@ The law is solved by w = e^-V, for which it is linear. In warped time s, the int
     dw/ds = e^-u - w
 
 so w follows e^-u as the filter of `curve` follows u, and the same closed forms hold: constant light is exact, and e^-u
-is the cubic through its values and slopes at both ends otherwise. All values are relative to w at the start of the
-interval, which keeps float32 exact for any light: with P = e^(V0 - u), w runs from 1 to 1 + rise, and V falls by
-ln(1 + rise).
+is the cubic through its values and slopes at both ends otherwise. All values are relative to w at the interval's start,
+which keeps float32 exact for any light: with P = e^(V0 - u), w runs from 1 to 1 + rise, and V falls by ln(1 + rise).
 
 The comparator's curve is again the cubic in time through V and its slopes at both ends. It misses a part of the
 exponential in w, as in `curve`, and a part of the logarithm, at most x^4 / 64 where the slopes and the change of V per

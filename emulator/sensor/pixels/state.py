@@ -1,7 +1,6 @@
 """State of the pixels: memory layout, constants of a step, the drawn parameters of each pixel, and packed events.
 
-Thresholds, leak rates and leak phases of each pixel are drawn here in float64, for all methods and the truth, so that
-with one seed all have the same pixels.
+Each pixel's thresholds, leak and leak phase are drawn here in float64: methods and truth share the pixels of a seed.
 
 The reference is stored with leak times the time since the epoch added (see `array`). When the leak changes, the
 reference moves by the change of leak times that time, and the comparator's level stays.

@@ -14,8 +14,7 @@ events are the same to the last bit. The number of threads follows from the work
 Fast because pixels that cannot fire cost one pass of vector code (`quiet_pass`), those in still light nothing, and
 because the table of candidates is large enough for long loops and small enough for the caches.
 
-The undersampled pixels of a step are copied to a `Subset` instead of being solved, where `refinement` can solve them
-again with more light.
+Undersampled pixels of a step are copied, unsolved, to a `Subset`, where `refinement` can solve them with more light.
 """
 
 from __future__ import annotations

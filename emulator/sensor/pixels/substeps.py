@@ -369,8 +369,7 @@ def _add_parasitic(rows: _Float32s, n: int, c: StepConstants) -> None:
 def _find_turns(rows: _Float32s, n: int) -> None:
     """Write the turning points of each column's cubic within (0, 1), in ascending order; 1 where there is none."""
     for j in range(n):
-        # Zeros of the slope 3 c3 x^2 + 2 c2 x + c1. The larger root first, without cancellation; the other one from
-        # the product of both.
+        # Zeros of the slope 3 c3 x^2 + 2 c2 x + c1: the larger first, without cancellation, the other by their product.
         a = _THREE * rows[C3 + j]
         half = rows[C2 + j]
         first = rows[C1 + j]
