@@ -219,10 +219,10 @@ def _nearer(c_ahead: float, nu: float) -> float:
     The hazard is bounded by that at the window's end, e^(-c^2 / 2) times `steep` for each deviation travelled: to the
     c where the field has some _POINTS below it. Where it is large already, its exponent grows by _EXPONENT.
     """
+    c_ahead, c = min(c_ahead, _INFINITE), 2.0
     least = _EXPONENT / (abs(c_ahead) + 1)
     if c_ahead < 1:
         return least
-    c_ahead, c = min(c_ahead, _INFINITE), 2.0
     steep = (0.4 + nu) / (nu * _POINTS)
     for _ in range(2):
         c = math.sqrt(2 * math.log(max(steep * max(c_ahead - c, 0.3), 1.0)))
