@@ -103,7 +103,7 @@ def test_lines_come_as_json_too(checkout, monkeypatch, capsys):
 
 
 def test_pixels_of_a_rig_are_those_of_the_preset_with_and_without_noise():
-    found = stepped("rendezvous", (160, 120))
-    assert 0.8 < found.events / found.events_without < 1.5
+    found = stepped("rendezvous", (64, 48))
+    assert found.events > found.events_without > 0  # the imx636 has noise events in the dark around the spacecraft
     line = str(found._replace(noise_s=0.02, without_s=0.004, events=1000.0, events_without=900.0))
     assert line == "rendezvous   20.0 ms a step (1000 events), without noise 4.0 ms (900)"
