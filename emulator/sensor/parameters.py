@@ -422,17 +422,17 @@ class ImuParameters:
     ----------
     unit : "mpu_9250", also for the MPU-6500 of a DAVIS346, "mpu_6050", or "bmi160" of a DVXplorer: its filters and its
         thermometer.
-    q_camera_from_imu : Rotation against the camera (x right, y down, z along the boresight): unit quaternion, scalar
+    q_camera_from_imu : rotation against the camera (x right, y down, z along the boresight): unit quaternion, scalar
         first.
-    gravity_m_s2 : Gravity in the world, the same everywhere. Without it and `gm_m3_s2`: the Moon's above a terrain, in
+    gravity_m_s2 : gravity in the world, the same everywhere. Without it and `gm_m3_s2`: the Moon's above a terrain, in
         -z; the central body's on an "orbit"; the Earth's, down in the image, for a camera without a path; else none.
-    gm_m3_s2 : Above 0: gravity of a point mass at the world's origin instead.
-    gyroscope_noise_deg_s, accelerometer_noise_ug : Noise density, one-sided, a root of hertz.
-    gyroscope_walk_deg_s, accelerometer_walk_g : Random walk of the bias, a root of second.
-    gyroscope_bias_deg_s, accelerometer_bias_g : Bias at the start; without it one is drawn from the seed, with a
+    gm_m3_s2 : above 0: gravity of a point mass at the world's origin instead.
+    gyroscope_noise_deg_s, accelerometer_noise_ug : noise density, one-sided, a root of hertz.
+    gyroscope_walk_deg_s, accelerometer_walk_g : random walk of the bias, a root of second.
+    gyroscope_bias_deg_s, accelerometer_bias_g : bias at the start; without it one is drawn from the seed, with a
         standard deviation of 0.4 deg/s and of 20 mg.
-    temperature_c : Temperature of the unit.
-    clock_ppm : Rate error of its own clock, positive when it runs too fast.
+    temperature_c : temperature of the unit.
+    clock_ppm : rate error of its own clock, positive when it runs too fast.
     """
 
     unit: Literal["mpu_9250", "mpu_6050", "bmi160"] = "mpu_9250"

@@ -425,10 +425,8 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     a = _state_of(pixels, pixel, c)
     if a.reset >= end:
         return n_keys, fired, 0
-    rms, leak = (
-        c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE]),
-        np.float64(pixels.fields[state.slot(pixel) + _LEAK]),
-    )
+    rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE])
+    leak = np.float64(pixels.fields[state.slot(pixel) + _LEAK])
     curve = _Curve(p, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
     t = max(p.begin_ns, a.reset)
     if a.reference != a.reference:
