@@ -85,8 +85,9 @@ overridden by a rig; *one recording* values measured on one public recording of 
         0.6 Hz in the dark, 1.8 Hz at light 0.1 and 0.16 Hz at 1, by simulation. Rigs of the night sky are colder.
     [25] Noise2Params (Root, Mujo and Xu, arXiv 2605.16317): a model that was fitted to another EVK4.
 
-Two units of the IMX636, which differ from it in these alone:
+Noisier and quieter units, which differ in these alone:
 
+    davis346_noisy  leak of 0.2 Hz; noise of 0.1, at most 10 Hz in dim light: as stated for the DAVIS346 of DND21 [9]
     imx636_quiet    no leak; noise of 0.032, an estimate: at most 0.003 Hz in any light, so that the background is that
                     of recording [12] whatever its light; 10 000 s before the start, in which so rare noise settles
     imx636_noisy    leak of 0.0014 Hz, 0.0096 Hz at 45 degrees, and a background of 0.0318 Hz, all OFF: fitted to the
@@ -254,18 +255,9 @@ IMX636_W_M2 = 0.1644
 """Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
 
 _QUIET_BACKGROUND = effects.BackgroundParameters(
-    hz=0.00334,
-    off_share=0.83,
-    pair_share=0.036,
-    on_pair_factor=4.0,
-    again_share=0.4,
-    pair_us=2_100_000.0,
-    on_wait_factor=4.0,
-    hot_share=1e-4,
-    hot_hz=4.0,
-    hot_spread=1.6,
-    hot_pair_share=0.9,
-)
+    hz=0.00334, off_share=0.83, pair_share=0.036, on_pair_factor=4.0, again_share=0.4, pair_us=2_100_000.0,
+    on_wait_factor=4.0, hot_share=1e-4, hot_hz=4.0, hot_spread=1.6, hot_pair_share=0.9,
+)  # fmt: skip
 
 _IMX636 = SensorParameters(
     width=1280,
@@ -287,19 +279,27 @@ _IMX636 = SensorParameters(
     background=_QUIET_BACKGROUND,
 )
 
+_DAVIS346 = SensorParameters(
+    width=346,
+    height=260,
+    threshold_on=0.283,
+    threshold_off=0.262,
+    leak_hz=0.0007,
+    parasitic_hz_at_reference=0.0018,
+    source_follower_hz=286.0,
+    refractory_us=3.4,
+    readout=ReadoutParameters(event_ns=80.0, row_ns=80),
+    noise=effects.NoiseParameters(rms=0.01, history_s=100.0),
+)
+
 PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
     {
-        "davis346": SensorParameters(
-            width=346,
-            height=260,
-            threshold_on=0.283,
-            threshold_off=0.262,
-            leak_hz=0.0007,
-            parasitic_hz_at_reference=0.0018,
-            source_follower_hz=286.0,
-            refractory_us=3.4,
-            readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=effects.NoiseParameters(rms=0.01, history_s=100.0),
+        "davis346": _DAVIS346,
+        "davis346_noisy": dataclasses.replace(
+            _DAVIS346,
+            leak_hz=0.2,
+            parasitic_hz_at_reference=0.0,
+            noise=effects.NoiseParameters(rms=0.1, history_s=100.0),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,

@@ -57,7 +57,8 @@ def davis346(seed: int) -> Findings:
         seconds = float(table["seconds"])
     ours = still_events(PRESETS["davis346"], seen, seconds, seed)
     ours = ours[seen.still[ours["y"], ours["x"]]]
-    kicked, emulated = (_in_kick(kick_lags(events, seen)) / max(len(events), 1) for events in (real, ours))
+    lags = [(kick_lags(events, seen), max(len(events), 1)) for events in (real, ours)]
+    kicked, emulated = (float(((us >= -1) & (us < _KICK_US)).sum()) / n for us, n in lags)
     what = f"still events within {_KICK_US} us of a kick, share"
     data = [
         *_rates(real, ours, seen, seconds),
@@ -111,10 +112,9 @@ def _rates(real: Events, ours: Events, seen: StillLight, seconds: float) -> list
         Datum("events", len(real), len(ours), "", "difference", _chance(len(real)), True),
         Datum("ON share", float(real["on"].mean()), float(ours["on"].mean()), "", "difference", 0.02, True),
     ]
-    levels = seen.level[seen.still]
+    levels = seen.level[seen.still], _levels(real, seen), _levels(ours, seen)
     for low, high in pairwise(_LEVELS):
-        pixels = int(((levels >= low) & (levels < high)).sum())
-        recorded, emulated = (_between(_levels(events, seen), low, high) for events in (real, ours))
+        pixels, recorded, emulated = (int(((level >= low) & (level < high)).sum()) for level in levels)
         unit = 1000 / (pixels * seconds)
         bound = unit * _chance(recorded)
         what = f"rate at level {low} to {high} ({pixels} pixels)"
@@ -125,10 +125,6 @@ def _rates(real: Events, ours: Events, seen: StillLight, seconds: float) -> list
 def _chance(real: int) -> float:
     """Return 2.6 deviations of the difference of two numbers of events like this one."""
     return 2.6 * math.sqrt(_FANO * max(2 * real, 3))
-
-
-def _between(values: npt.NDArray[np.float32], low: int, high: int) -> int:
-    return int(np.count_nonzero((values >= low) & (values < high)))
 
 
 def _levels(events: Events, seen: StillLight) -> npt.NDArray[np.float32]:
@@ -250,10 +246,6 @@ def kick_lags(events: Events, seen: StillLight) -> npt.NDArray[np.float64]:
     return np.concatenate([(since - start + half_us) % seen.interval_us - half_us for start in starts])
 
 
-def _in_kick(lags_us: npt.NDArray[np.float64]) -> int:
-    return int(np.count_nonzero((lags_us >= -1) & (lags_us < _KICK_US)))
-
-
 _LIKE = 0.1
 _QUIET_LIGHT, _QUIET_STEP_NS = 10.0, 100_000_000
 _TAIL = 8
@@ -304,7 +296,8 @@ def evk4(seed: int) -> Findings:
     with np.load(DATA / "evk4_quiet.npz") as table:
         halves = [{name: table[f"{name}_{half}"] for name in (*_KINDS, "runs", "counts", "events")} for half in _HALVES]
         seconds = float(table["seconds"])
-        real = {side: _stored_tiles(table[f"tiles_{side}"]) for side in QUIET_TILES}
+        stored = {side: table[f"tiles_{side}"] for side in QUIET_TILES}  # columns: row, column, quantities
+    real = {side: Samples(one[:, 2:], *one[:, :2].T.astype(np.int64)) for side, one in stored.items()}
     p = PRESETS["imx636_quiet"]
     events, quiet = _quiet(p, seconds, seed)
     ours = sequences(events, p.width, int(quiet.sum()))
@@ -356,12 +349,6 @@ def _quiet(p: SensorParameters, seconds: float, seed: int) -> tuple[Events, npt.
 def quiet_tiles(events: Events, quiet: npt.NDArray[np.bool_], side: int, seconds: float) -> Samples:
     """Return the tiles of quiet pixels alone, with `classifier.QUANTITIES`; times count from the recording's start."""
     return tiles(events, quiet, side, seconds, 1.0)
-
-
-def _stored_tiles(table: npt.NDArray[np.float32]) -> Samples:
-    """Return the tiles of a table, (n, 2 + quantities): row, column, quantities."""
-    rows, columns = (table[:, k].astype(np.int64) for k in (0, 1))
-    return Samples(table[:, 2:], rows, columns)
 
 
 def _quiet_areas(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
 from emulator.light import MachineLacks
-from laboratory.validation.background import background, noise2params
+from laboratory.validation.background import background, dnd21, noise2params
 from laboratory.validation.findings import Experiment, over_seeds
 from laboratory.validation.latency import latency, opposite, region, spread
 from laboratory.validation.page import within, write
@@ -23,6 +23,7 @@ EXPERIMENTS: dict[str, Experiment] = {  # in the order of the page
     "davis346_street": davis346,
     "evk4_quiet": evk4,
     "background": background,
+    "dnd21": dnd21,
     "stars": stars,
 }
 
@@ -64,6 +65,5 @@ def validate(*names: str, out: Path, seeds: int = 8, json: Json = False) -> int:
     if json:
         print_json({"within": alike, "files": files})
     else:
-        lines = [f"{name}: {count} within the bound" for name, count in alike.items()]
-        console.print("\n".join([*lines, *map(str, files)]))
+        console.print("\n".join([*(f"{name}: {n} within the bound" for name, n in alike.items()), *map(str, files)]))
     return GOOD

@@ -11,7 +11,7 @@ from scipy.stats import norm, poisson
 from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import PRESETS
 from laboratory.validation import background
-from laboratory.validation.background import counts, noise2params
+from laboratory.validation.background import counts, dnd21, noise2params
 from laboratory.validation.recordings import DATA
 
 
@@ -46,3 +46,11 @@ def test_rates_and_shares_at_thirteen_lights(monkeypatch):
     assert data[0].real == pytest.approx(0.1997 + 0.377)
     assert data[1].ours == pytest.approx(0.25)
     assert {datum.bound for datum in data} == {2.0, 0.1}
+
+
+def test_the_most_over_light_and_the_rate_in_bright_light(monkeypatch):
+    monkeypatch.setattr(background, "counts", lambda p, light, seed: np.array([9600 * 20 * (2.0 - light), 9600 * 20.0]))
+    most, leak = dnd21(1).data
+    assert (most.ours, leak.ours) == (pytest.approx(3.0, abs=1e-3), pytest.approx(2.0))
+    assert most.fitted
+    assert leak.fitted
