@@ -31,6 +31,10 @@ class ThreadPool:
         self.threads = max(threads, 1)
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
+    def __deepcopy__(self, memo: object) -> ThreadPool:
+        """Return the pool itself: copies of an object that uses it share the threads."""
+        return self
+
     def each(self, work: Callable[[int, int], object], count: int) -> None:
         """Call work(item, thread) for items 0 to count - 1, each once, in any order; an error of one is raised."""
         left = itertools.count()  # its next() is one step for the interpreter, so no item is taken twice

@@ -3,6 +3,7 @@
     evstim.Sensor                   light frames in, events out
     evstim.events_from_frames       an array of frames in, events out, in one call
     evstim.run                      a whole rig: scene, sensor, camera and links; its events while it runs
+    evstim.Simulation               a rig in step with your program, which gives the poses
     evstim.read_events              a recording in any format that is written: its events
     evstim.SerialReceiver, ...      the ground side of a link: bytes in, events out
     evstim.Rig                      a rig made in Python, of the parts below
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from emulator.run.assembly import build_scene
     from emulator.run.link_process import LinkFailed
     from emulator.run.outcome import RunResult, RunStatus
+    from emulator.run.simulation import SceneTruth, Simulation, SimulationState, SimulationStep
     from emulator.scene.bodies.table import Bare, Clouds, Regolith
     from emulator.scene.bodies.table import BodiesParameters as BodiesScene
     from emulator.scene.bodies.table import BodyTable as Body
@@ -72,6 +74,7 @@ if TYPE_CHECKING:
         SpicePath,
         SpinPath,
     )
+    from emulator.trajectory.pose import Pose
     from emulator.trajectory.pose import from_basilisk as attitude_from_basilisk
     from emulator.trajectory.pose import from_opengl as attitude_from_opengl
     from emulator.trajectory.pose import from_scalar_last as attitude_from_scalar_last
@@ -159,17 +162,18 @@ __all__ = [
     "KickParameters", "Lambert", "LateDatagrams", "LensParameters", "LinkDown", "LinkFailed", "LivePath", "LiveRun",
     "LommelSeeliger", "LoopbackLink", "LostBytes", "LostDatagrams", "LostFrames", "LostHeartbeat", "LunarLambert",
     "MachineLacks", "MissedWraps", "MovingPoint", "NoiseParameters", "OddBytes", "OrbitPath", "Overrun",
-    "PictureSettings", "Profile", "RadiationParameters", "ReadoutParameters", "RecordingError", "RecordingScene",
-    "RefusedResends", "RegisterFlip", "Regolith", "ReorderedFrames", "RepeatedDatagrams", "RepeatedEvents",
-    "RepeatedFrames", "ResetParameters", "Ridge", "Rig", "RigError", "Ros2Link", "Ros2Scene", "RunParameters",
-    "RunResult", "RunStatus", "Scene", "SceneError", "SecondCamera", "SelectorSettings", "Sensor", "SensorOptions",
-    "SensorParameters", "SerialLink", "SerialReceiver", "ShortTransfers", "SlowControl", "SpicePath", "SpinPath",
-    "StaleData", "Stall", "StarsScene", "StuckLine", "Sun", "TcpLink", "TemperatureParameters", "TerrainScene",
-    "TimeAhead", "TimeBack", "TimeFrozen", "Trigger", "TriggerEdges", "UdpLink", "UdpPacketsLink", "Unplugged",
-    "UsbGadgetLink", "UsbSilence", "UsbStall", "UsbUnplugged", "UsbipLink", "Verdict", "VideoScene", "WrongBaud",
-    "WrongVersion", "attitude_from_basilisk", "attitude_from_opengl", "attitude_from_scalar_last",
-    "attitude_from_spice", "build_scene", "events_from_frames", "events_from_video", "iter_events", "load_record",
-    "load_rig", "parse_rig", "read_events", "reconstruct", "run", "shipped_rigs",
+    "PictureSettings", "Pose", "Profile", "RadiationParameters", "ReadoutParameters", "RecordingError",
+    "RecordingScene", "RefusedResends", "RegisterFlip", "Regolith", "ReorderedFrames", "RepeatedDatagrams",
+    "RepeatedEvents", "RepeatedFrames", "ResetParameters", "Ridge", "Rig", "RigError", "Ros2Link", "Ros2Scene",
+    "RunParameters", "RunResult", "RunStatus", "Scene", "SceneError", "SceneTruth", "SecondCamera", "SelectorSettings",
+    "Sensor", "SensorOptions", "SensorParameters", "SerialLink", "SerialReceiver", "ShortTransfers", "Simulation",
+    "SimulationState", "SimulationStep", "SlowControl", "SpicePath", "SpinPath", "StaleData", "Stall", "StarsScene",
+    "StuckLine", "Sun", "TcpLink", "TemperatureParameters", "TerrainScene", "TimeAhead", "TimeBack", "TimeFrozen",
+    "Trigger", "TriggerEdges", "UdpLink", "UdpPacketsLink", "Unplugged", "UsbGadgetLink", "UsbSilence", "UsbStall",
+    "UsbUnplugged", "UsbipLink", "Verdict", "VideoScene", "WrongBaud", "WrongVersion", "attitude_from_basilisk",
+    "attitude_from_opengl", "attitude_from_scalar_last", "attitude_from_spice", "build_scene", "events_from_frames",
+    "events_from_video", "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct", "run",
+    "shipped_rigs",
 ]  # fmt: skip
 
 __version__: str

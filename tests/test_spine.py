@@ -79,7 +79,7 @@ FEATURES = {  # folders of what only some users need, and the modules that may i
     "the live page": (["emulator.live_page"], ["emulator.cli.run", "emulator.cli.run_display"]),
     "Basilisk": (
         ["firmware_protocol.vizard", "transports.vizard"],
-        ["emulator.cli.vizard", "emulator.run.basilisk", "emulator.trajectory.basilisk"],
+        ["emulator.cli.vizard", "emulator.run.basilisk"],
     ),
     "ROS 2": (["firmware_protocol.ros2", "transports.ros2"], ["emulator.scene.video.ros2_images"]),
     "streams": (

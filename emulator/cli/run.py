@@ -48,7 +48,7 @@ from emulator.run.assembly import build_scene, build_session, link_setups, sched
 from emulator.run.control import ReadySignal, fault_injection
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
-from emulator.run.pacing import Simulation
+from emulator.run.pacing import SimulationDrive
 from emulator.run.session import Operator, Session
 from firmware_protocol.events import Events
 from transports.link.deliveries import LatencySummary
@@ -164,7 +164,7 @@ def _repeats(files: Files) -> Repeats | None:
 
 
 def run_with_files(
-    rig: Rig, files: Files, simulation: Simulation | None = None, *, show: bool, repeats: Repeats | None = None
+    rig: Rig, files: Files, simulation: SimulationDrive | None = None, *, show: bool, repeats: Repeats | None = None
 ) -> tuple[RunResult, Truth]:
     """Check that the files can be written, compile the kernels, run a rig and report; raises Failure."""
     _check_record(rig, files.record)
@@ -213,7 +213,7 @@ class RunParts:
 
     reporting: RunReporter | None = None
     truth: Truth | None = None
-    simulation: Simulation | None = None
+    simulation: SimulationDrive | None = None
     repeats: Repeats | None = None
 
 

@@ -31,7 +31,7 @@ from emulator.report.pictures import check_png, grey_png
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.basilisk import BasiliskRun, camera_differs, connected
 from emulator.run.outcome import RunResult, good, judge
-from emulator.trajectory.basilisk import ConnectedPath
+from emulator.trajectory.live import GivenPath
 from firmware_protocol.vizard import Update
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
@@ -158,8 +158,8 @@ def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator
         other.close()
 
 
-def _simulation(rig: Rig, paths: Sequence[ConnectedPath], server: Server, connection: ConnectionOptions) -> BasiliskRun:
-    numbers = [path.camera for path in paths if path.camera is not None]
+def _simulation(rig: Rig, paths: Sequence[GivenPath], server: Server, connection: ConnectionOptions) -> BasiliskRun:
+    numbers = [driven.table.camera for driven in paths if driven.table.camera is not None]
 
     def greet(update: Update) -> None:
         status.print(f"Basilisk is here, at {update.time_ns * 1e-9:g} s of its time", markup=False)

@@ -55,7 +55,7 @@ def _paths(rig: Rig) -> Iterator[str]:
 
     scale = getattr(rig.scene, "time_scale", 1.0)
     for where, table in _tables(rig.scene, "scene"):
-        if type(table) is BasiliskPath:  # one that is connected has a type of its own
+        if isinstance(table, BasiliskPath):
             yield f"{where} stays where the rig puts it: only `evstim vizard` meets a Basilisk simulation"
         if not isinstance(table, FilePath):
             continue
@@ -142,11 +142,13 @@ def _open(where: str, path: Path) -> int | None:
 
 
 def _tables(value: object, where: str) -> Iterator[tuple[str, object]]:
-    """Yield a table of a rig and those in it, with their keys."""
+    """Yield a table of a rig and those in it, with their keys; without paths that a program gives."""
+    from emulator.trajectory.live import GivenPath
+
     if isinstance(value, tuple):
         for number, table in enumerate(value):
             yield from _tables(table, f"{where}[{number}]")
-    elif dataclasses.is_dataclass(value):
+    elif dataclasses.is_dataclass(value) and not isinstance(value, GivenPath):
         yield where, value
         for field in dataclasses.fields(value):
             yield from _tables(getattr(value, field.name), f"{where}.{field.name}")

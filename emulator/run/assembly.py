@@ -173,11 +173,18 @@ _DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also wh
 
 
 def build_session(
-    rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], clock: Clock, truth: TruthFile | None = None
+    rig: Rig,
+    scene: Scene,
+    setups: Sequence[LinkSetup[Any]],
+    clock: Clock,
+    truth: TruthFile | None = None,
+    *,
+    has_host: bool = True,
 ) -> Session:
     """Return a session of the rig; with a tolerance, its plan selects the effects, and the steps are controlled.
 
-    `truth` records the truth beside the events; raises OSError where its file cannot be written.
+    `truth` records the truth beside the events; raises OSError where its file cannot be written. Without a host, frames
+    and samples have a driver's default settings.
     """
     parameters, frames = planned_sensor(rig, scene), build_frames(rig, scene)
     steps = build_steps(rig, frames, parameters)
@@ -189,7 +196,8 @@ def build_session(
         sensor = build_sensor(rig, parameters, TruthSensor)
         truth.begin(sensor, scene)
     first_setups = [setup for setup in setups if not carries_second(rig, setup.name)]
-    readings = ReadingSources(reading_sources(rig, scene, sensor), first_setups)
+    settings = None if has_host else _driver_settings(rig)
+    readings = ReadingSources(reading_sources(rig, scene, sensor), first_setups, settings)
     session = Session(frames, sensor, steps, setups, clock, readings)
     if rig.second_camera is not None:
         second = second_rig(rig)

@@ -10,6 +10,19 @@
 Stream time is simulated time less that of the first update, so the two clocks cannot drift apart. Every request gets a
 reply, because Basilisk waits for it without a limit: an invalid request is refused with the reason, and Basilisk then
 raises an error. When the run ends before the simulation, the update that waits is refused too.
+
+Poses in the rig's world, from Basilisk's cameras, spacecraft and celestial bodies:
+
+    q_world_from_camera = q(sigma_BN) q(sigma_CB)
+    camera              = r_BN_N + R(q(sigma_BN)) r_CB_B
+    world               = N, moved to the celestial body `origin`
+
+The matrix [BN] turns coordinates of N into those of B, so the quaternion q(sigma_BN), of Hamilton's product, turns
+those of B into those of N. The camera's frame C is that of evstim: z out along the boresight, x right, y down. On the
+wire a camera's attitude has a third of a turn into Unity's axes added to sigma_CB, which is undone here.
+
+Sources: CameraConfigMsg, the pages on vizInterface and `vizInterface.cpp` of AVSLab/basilisk; Schaub and Junkins,
+Analytical Mechanics of Space Systems, section 3.5.
 """
 
 from __future__ import annotations
@@ -23,11 +36,13 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from emulator.geometry.attitude import Matrix, Quaternion, Vector, multiply
 from emulator.light import Light
 from emulator.rig.loading import Rig, RigError
-from emulator.trajectory.basilisk import ConnectedPath, pose_of, simulated_path
+from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.live import GivenPath, SimulatedPath
 from emulator.trajectory.parameters import BasiliskPath
-from emulator.trajectory.pose import TrajectoryError
+from emulator.trajectory.pose import Pose, TrajectoryError, from_basilisk
 from firmware_protocol import vizard
 from firmware_protocol.events import Events
 from transports.link.deliveries import LatencyHistogram
@@ -82,7 +97,7 @@ class BasiliskRun:
     def __init__(
         self,
         server: Server,
-        paths: Sequence[ConnectedPath],
+        paths: Sequence[GivenPath],
         images: Callable[[Light], bytes],
         clock: Clock,
         on_first: Callable[[vizard.Update], None] = lambda _: None,
@@ -92,7 +107,7 @@ class BasiliskRun:
         self._images = images
         self._clock = clock
         self._on_first = on_first
-        self._cameras = {path.camera for path in paths if path.camera is not None}
+        self._cameras = {driven.table.camera for driven in paths} - {None}
         self._light: Callable[[], Light] | None = None
         self._waiting_since_ns: int | None = None  # an update that has no reply yet
         self._without_event = False  # and none of its events has gone out
@@ -166,14 +181,13 @@ class BasiliskRun:
                 f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: restart evstim "
                 "for a simulation that begins again"
             )
-        poses = [pose_of(path, update) for path in self._paths]
+        poses = [pose_of(driven.table, update) for driven in self._paths]
         if self.first_ns is None:
             self.first_ns = update.time_ns
             self._on_first(update)
         self.last_ns = update.time_ns
-        for path, pose in zip(self._paths, poses, strict=True):
-            assert path.simulated is not None
-            path.simulated.add(self.limit_ns, pose)
+        for driven, pose in zip(self._paths, poses, strict=True):
+            driven.path.add(self.limit_ns, pose)
         self.counters.updates += 1
         self._waiting_since_ns, self._without_event = self._clock.now_ns(), True
 
@@ -201,13 +215,13 @@ T = TypeVar("T")
 _FOCAL_WITHIN = 0.01
 
 
-def connected(rig: Rig) -> tuple[Rig, tuple[ConnectedPath, ...]]:
+def connected(rig: Rig) -> tuple[Rig, tuple[GivenPath, ...]]:
     """Return the rig in step with a simulation, and its paths that the simulation drives; raises RigError."""
     if rig.run.lockstep_us:
         raise RigError(f"{rig.name}: run.lockstep_us: the simulation drives this run, so no bus can")
     if getattr(rig.scene, "time_scale", 1.0) != 1.0:
         raise RigError(f"{rig.name}: scene.time_scale: it must be 1, because the simulation gives the time")
-    paths: list[ConnectedPath] = []
+    paths: list[GivenPath] = []
     scene = _connected(rig.scene, paths)
     if not paths:
         raise RigError(f'{rig.name}: no path is driven by Basilisk: give a path with kind = "basilisk"')
@@ -229,10 +243,10 @@ def camera_differs(rig: Rig, camera: vizard.CameraState) -> str:
     )
 
 
-def _connected(value: T, paths: list[ConnectedPath]) -> T:
+def _connected(value: T, paths: list[GivenPath]) -> T:
     """Return a table of a rig with all Basilisk paths in it connected; they are added to `paths`."""
     if isinstance(value, BasiliskPath):
-        paths.append(ConnectedPath(**_fields(value), simulated=simulated_path(value)))
+        paths.append(GivenPath(value, SimulatedPath(build_trajectory(value))))
         return paths[-1]  # type: ignore[return-value]
     if isinstance(value, tuple):
         return tuple(_connected(element, paths) for element in value)  # type: ignore[return-value]
@@ -245,3 +259,57 @@ def _connected(value: T, paths: list[ConnectedPath]) -> T:
 
 def _fields(value: Any) -> dict[str, Any]:
     return {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+
+
+_CAMERA_FROM_UNITY: Quaternion = np.array([0.5, -0.5, -0.5, 0.5])
+_ROTATION_WITHIN = 1e-3
+_LARGEST_MRP = 1e6  # of one part; within a millionth of a whole turn
+
+
+def pose_of(path: BasiliskPath, update: vizard.Update) -> Pose:
+    """Return the pose of the object that `path` names; raises TrajectoryError with the error in the update."""
+    try:
+        pose = _pose_in_n(path, update)
+        origin_m = np.array(update.body(path.origin).position_m) if path.origin else np.zeros(3)
+        return Pose(pose.position_m - origin_m, pose.q_world_from_body)
+    except (vizard.UpdateError, ValueError) as error:
+        raise TrajectoryError(f"simulated time {update.time_ns * 1e-9:g} s: {error}") from error
+
+
+def _pose_in_n(path: BasiliskPath, update: vizard.Update) -> Pose:
+    if path.camera is not None:
+        camera = update.camera(path.camera)
+        q_parent_from_camera = multiply(_from_mrp(camera.direction), _CAMERA_FROM_UNITY)
+        mounted = Pose(np.array(camera.position_m), q_parent_from_camera)
+        return _spacecraft(update, camera.parent).after(mounted)
+    if path.spacecraft:
+        return _spacecraft(update, path.spacecraft)
+    body = update.body(path.body)
+    return Pose(_vector(body.position_m), _from_matrix(np.reshape(body.rotation, (3, 3)), path.body))
+
+
+def _spacecraft(update: vizard.Update, name: str) -> Pose:
+    state = update.spacecraft(name)
+    return Pose(_vector(state.position_m), _from_mrp(state.rotation))
+
+
+def _from_mrp(sigma: tuple[float, ...]) -> Quaternion:
+    if max(map(abs, sigma)) > _LARGEST_MRP:
+        raise ValueError(f"the Modified Rodrigues Parameters {sigma} are too large for an attitude")
+    return from_basilisk(sigma)
+
+
+def _from_matrix(body_from_n: Matrix, name: str) -> Quaternion:
+    from scipy.spatial.transform import (
+        Rotation,  # loaded where it is used: it takes longer than the rest of a short run's imports
+    )
+
+    small = bool((np.abs(body_from_n) < 1 + _ROTATION_WITHIN).all())  # so that nothing below overflows
+    off = np.abs(body_from_n @ body_from_n.T - np.eye(3)).max() if small else np.inf
+    if off > _ROTATION_WITHIN or np.linalg.det(body_from_n) < 0:
+        raise ValueError(f"the matrix of celestial body {name!r} is no rotation")
+    return np.asarray(Rotation.from_matrix(body_from_n.T).as_quat(scalar_first=True))
+
+
+def _vector(numbers: tuple[float, ...]) -> Vector:
+    return np.array(numbers)

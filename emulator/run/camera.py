@@ -11,6 +11,7 @@ receive its frames.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -59,10 +60,16 @@ class ReadingSources:
     Parameters
     ----------
     setups : of the run's links; each with the rings that `new_rings` made for it.
+    settings : of each kind, where no host has switched it on; none: there are no readings then.
     """
 
-    def __init__(self, sources: Sequence[ReadingSource], setups: Sequence[LinkSetup[Any]]) -> None:
-        self._sources = sources
+    def __init__(
+        self,
+        sources: Sequence[ReadingSource],
+        setups: Sequence[LinkSetup[Any]],
+        settings: Mapping[ReadingKind, tuple[int, ...]] | None = None,
+    ) -> None:
+        self._sources, self._without_host = sources, settings or {}
         self._rings = {
             source.kind: [ring for setup in setups for ring in setup.readings if ring.kind == source.kind]
             for source in sources
@@ -80,11 +87,12 @@ class ReadingSources:
 
     def read(self, frame: LightFrame) -> list[tuple[ReadingKind, Readings]]:
         """Move all to the time of `frame` and return the readings of each until then."""
-        return [(source.kind, source.read(frame, self._settings(self._rings[source.kind]))) for source in self._sources]
+        return [(source.kind, source.read(frame, self._settings(source.kind))) for source in self._sources]
 
-    def _settings(self, rings: Sequence[ReadingRing]) -> tuple[int, ...]:
+    def _settings(self, kind: ReadingKind) -> tuple[int, ...]:
         """Return the settings of the first link whose first number, `run`, is not zero."""
-        return next((settings for ring in rings if (settings := ring.settings) and settings[0]), ())
+        switched_on = (settings for ring in self._rings[kind] if (settings := ring.settings) and settings[0])
+        return next(switched_on, self._without_host.get(kind, ()))
 
 
 @dataclass(frozen=True)
@@ -148,6 +156,11 @@ class CameraView:
         frame = self.frames.draw(t_ns)
         readings = self.readings.read(frame)
         return StepOutput(self.sensor.expose(frame), readings)
+
+    def copied(self) -> CameraView:
+        """Return a camera in the same state; both draw the one scene."""
+        sensor, readings = copy.deepcopy((self.sensor, self.readings))
+        return CameraView(self.frames.copied(), sensor, readings, self.links)
 
     def record_in(self, changes: Changes) -> None:
         """Record the changes that its hosts make to its sensor."""

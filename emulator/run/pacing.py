@@ -147,7 +147,7 @@ class Drive(Protocol):
         """
 
 
-class Simulation(Drive, Protocol):
+class SimulationDrive(Drive, Protocol):
     """A drive that gives the poses too, so nothing can be drawn before it has begun."""
 
     def begin(self, light: Callable[[], Light], goes_on: Callable[[], bool]) -> None:

@@ -19,11 +19,12 @@ A part of the start that takes long is reported in the log.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import gc
 import logging
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -34,7 +35,7 @@ from emulator.run.camera import CameraView, ReadingSources, StepOutput
 from emulator.run.changes import Change, Changes
 from emulator.run.link_process import LinkProcess
 from emulator.run.outcome import Ledger, RunResult, RunStatus
-from emulator.run.pacing import Drive, Lateness, Lockstep, Simulation, StepRule
+from emulator.run.pacing import Drive, Lateness, Lockstep, SimulationDrive, StepRule
 from emulator.sensor.sensor import AdjustableSource, EventSource, ThresholdSource
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
@@ -93,7 +94,16 @@ class Schedule:
     lockstep_ns: int = 0
     max_late_us: float = 0.0
     max_late_share: float = 1.0
-    simulation: Simulation | None = None
+    simulation: SimulationDrive | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SessionState:
+    """State of a session without links between two steps: its time, its camera, and what selects its steps."""
+
+    t_ns: int
+    camera: CameraView
+    steps: Mapping[str, Any]
 
 
 class _StepInterrupted(KeyboardInterrupt):
@@ -171,6 +181,15 @@ class Session:
     def light(self) -> Light:
         """The light that the sensor sees, (height, width) float32; the next step draws over it."""
         return self._first.frames.last.light
+
+    def saved(self) -> SessionState:
+        """Return a copy of the state, between two steps of a run without links and with one camera."""
+        return SessionState(self.t_ns, self._first.copied(), copy.deepcopy(vars(self._step_source)))
+
+    def restore(self, state: SessionState) -> None:
+        """Go to a state of this session, between two steps."""
+        self.t_ns, self._first = state.t_ns, state.camera.copied()
+        vars(self._step_source).update(copy.deepcopy(dict(state.steps)))
 
     @property
     def changes(self) -> tuple[Change, ...]:

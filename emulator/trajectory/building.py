@@ -51,12 +51,18 @@ import numpy.typing as npt
 from emulator.geometry.attitude import quaternion_of
 from emulator.geometry.camera import Cycle
 from emulator.tables.toml_text import TextFileError, read_text, shortened
-from emulator.trajectory.basilisk import simulated_path
 from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.joints import Jointed, JointPath
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Orbit
-from emulator.trajectory.live import LivePoses, PoseReceiver, ReceivedPath, close_receivers
+from emulator.trajectory.live import (
+    GivenPath,
+    LivePoses,
+    PoseReceiver,
+    ReceivedPath,
+    SimulatedPath,
+    close_receivers,
+)
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt, looking_along
 from emulator.trajectory.parameters import (
     BasiliskPath,
@@ -310,7 +316,7 @@ _Triple = tuple[float, float, float]
 _MEASURED = 1024  # instants at which a path's turning is measured
 
 
-def build_trajectories(paths: Sequence[TrajectoryParameters | JointPath]) -> list[Trajectory]:
+def build_trajectories(paths: Sequence[TrajectoryParameters | JointPath | GivenPath]) -> list[Trajectory]:
     """Return the trajectories of a scene's camera and bodies, in this order; raises as `build_trajectory`."""
     receivers: dict[tuple[str, int], PoseReceiver] = {}
     built: list[Trajectory] = []
@@ -323,7 +329,7 @@ def build_trajectories(paths: Sequence[TrajectoryParameters | JointPath]) -> lis
     return built
 
 
-def build_trajectory(p: TrajectoryParameters | MountedPath | JointPath) -> Trajectory:
+def build_trajectory(p: TrajectoryParameters | MountedPath | JointPath | GivenPath) -> Trajectory:
     """Return the trajectory of a rig's table; raises TrajectoryError, and OSError where a port is not available."""
     match p:
         case FixedPath():
@@ -344,18 +350,20 @@ def build_trajectory(p: TrajectoryParameters | MountedPath | JointPath) -> Traje
             return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
             return _received(p, 0, {})
-        case MountedPath() | BasiliskPath() | SpicePath() | JointPath():
+        case MountedPath() | BasiliskPath() | SpicePath() | JointPath() | GivenPath():
             return _derived(p)
 
 
-def _derived(p: MountedPath | BasiliskPath | SpicePath | JointPath) -> Trajectory:
+def _derived(p: MountedPath | BasiliskPath | SpicePath | JointPath | GivenPath) -> Trajectory:
+    if isinstance(p, GivenPath):
+        return p.path
     if isinstance(p, JointPath):
         return Jointed(p)
     if isinstance(p, SpicePath):
         path = read_spice(p)
         return path if p.camera_frame else Looking(path, (0.0, 0.0, 0.0), p.up, _spread(*path.span_ns))
     if isinstance(p, BasiliskPath):
-        return simulated_path(p)
+        return SimulatedPath(Fixed(Pose(np.array(p.position_m), np.array(p.q_world_from_body))))
     mounting = Pose(np.array(p.offset_m), np.array(p.q_path_from_body))
     return Mounted(build_trajectory(p.path), mounting)
 

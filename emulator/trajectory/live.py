@@ -1,6 +1,7 @@
 """Poses that come from outside while the run goes on, and their reception: the closed loop.
 
-The pose of a light frame of time t:
+A `GivenPath` gets its poses from a program that waits for the run, such as a simulation; all below is of poses in real
+time. The pose of a light frame of time t:
 
     between two known poses     the pose is interpolated: straight line, great circle
     up to 1 ms after a pose     the motion to this pose goes on, also where the next pose is known already
@@ -38,7 +39,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -245,6 +246,70 @@ def _second_derivative(poses: Sequence[TimedPose]) -> Vector:
     first = (b.position_m - a.position_m) / (t1 - t0)
     second = (c.position_m - b.position_m) / (t2 - t1)
     return np.asarray(2e18 * (second - first) / (t2 - t0))
+
+
+class SimulatedPath(ComingPoses):
+    """A path whose poses come step by step from a program that waits for each step.
+
+    It follows `start` until the first pose has come. Between two poses it is a straight line and a great circle. After
+    the newest one the last motion goes on, as rates of change are taken a moment around a light frame. Copies of
+    objects that use the path share it.
+    """
+
+    def __init__(self, start: Trajectory) -> None:
+        self._start = start
+        self._known: deque[TimedPose] = deque(maxlen=_KNOWN)
+
+    def __deepcopy__(self, memo: object) -> SimulatedPath:
+        return self
+
+    @property
+    def known(self) -> tuple[TimedPose, ...]:
+        """The poses that have come, at most the last 64; they can be set."""
+        return tuple(self._known)
+
+    @known.setter
+    def known(self, poses: Iterable[TimedPose]) -> None:
+        self._known = deque(poses, maxlen=_KNOWN)
+
+    def add(self, t_ns: int, pose: Pose) -> None:
+        """Add the pose at `t_ns`, later than all before; raises TrajectoryError where it is not."""
+        if self._known and t_ns <= self._known[-1].t_ns:
+            raise TrajectoryError(f"a pose at {t_ns} ns came after the one at {self._known[-1].t_ns} ns")
+        self._known.append(TimedPose(t_ns, pose))
+
+    def go_on(self, t0_ns: int, t1_ns: int, pose: Pose | None) -> None:
+        """Go from `t0_ns`, where the path is now, to a pose at `t1_ns`; without one rest, or go on with `start`."""
+        if pose is not None and not self._known:
+            self.add(t0_ns, self._start.pose(t0_ns))
+        if self._known:
+            self.add(t1_ns, self._known[-1].pose if pose is None else pose)
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at `t_ns`, as far as it is known by now."""
+        poses = self._known
+        if not poses:
+            return self._start.pose(t_ns)
+        if t_ns <= poses[0].t_ns or len(poses) == 1:
+            return poses[0].pose
+        after = next((k for k, (at_ns, _) in enumerate(poses) if at_ns >= t_ns), len(poses) - 1)
+        return between(poses[after - 1], poses[after], t_ns)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the motion at `t_ns` from the poses known now, see `known_motion`."""
+        if not self._known:
+            return self._start.motion(t_ns)
+        if len(self._known) < 2 or t_ns < self._known[0].t_ns:
+            return AT_REST
+        return known_motion(list(self._known), t_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPath:
+    """A path of a rig that a program gives, in place of that of `table`; no rig file has it."""
+
+    table: Any
+    path: SimulatedPath
 
 
 _MOST_A_FRAME = 256

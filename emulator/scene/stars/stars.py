@@ -32,7 +32,6 @@ from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.live import close_receivers, live_counts
-from emulator.trajectory.parameters import BasiliskPath, LivePath
 from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError
 from emulator.truth.surfaces import Instants, instants, motion_of, write_depth_and_flow
 
@@ -146,7 +145,7 @@ class StarField(Scene):
     @property
     def motion_bound_px_s(self) -> float:
         """Bound from the camera's turning; infinite where points or live poses move."""
-        if self._paths or isinstance(self._p.camera, LivePath | BasiliskPath):
+        if self._paths:
             return math.inf
         stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
         return self.camera_path.turn_bound_rad_s * self.path_time.factor * self._pinhole.focal_px * stretch

@@ -19,8 +19,6 @@ Undersampled pixels of a step are copied, unsolved, to a `Subset`, where `refine
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numba
@@ -38,7 +36,7 @@ from emulator.sensor.pixels.idle import Idle, Touched
 from emulator.sensor.pixels.noisy import solve_noisy
 from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, PART, Field, FlatLight, Pixels, StepConstants
-from emulator.threads import available_threads
+from emulator.threads import ThreadPool, available_threads
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -417,7 +415,7 @@ class Workers:
         self._fixed, self._most = threads, threads or available_threads()
         self._buffers: list[Buffers] = []
         self._keys: list[Keys] = []
-        self._pool: ThreadPoolExecutor | None = None
+        self._pool = ThreadPool(self._most)
         self._last = 0
         self._reserve(1)
 
@@ -430,14 +428,17 @@ class Workers:
         n = self._wanted(frame.light.size)
         self._reserve(n)
 
-        def move(number: int) -> tuple[Keys, Tally]:
+        shares: list[tuple[Keys, Tally]] = [(self._keys[0], Tally(0, 0, 0, 0, 0, 0))] * n
+
+        def move(number: int, _: int) -> None:
             share = Share(number, n, self.idle, touched)
             keys, n_keys, tally = advance(frame, pixels, self._buffers[number], self._keys[number], share, c)
             self._keys[number] = keys
             keys[:n_keys].sort()
-            return keys[:n_keys], tally
+            shares[number] = keys[:n_keys], tally
 
-        lists, tally = _merged(self._each(move, n))
+        self._pool.each(move, n)
+        lists, tally = _merged(shares)
         self._last = tally.moved + _CANDIDATE * tally.candidates
         return lists, tally
 
@@ -451,15 +452,6 @@ class Workers:
         while len(self._buffers) < threads:
             self._buffers.append(Buffers(new_table(), new_subset(0), new_scratch()))
             self._keys.append(np.empty(4096, np.uint64))
-
-    def _each(self, move: Callable[[int], tuple[Keys, Tally]], n: int) -> list[tuple[Keys, Tally]]:
-        """Return the results of all shares; the first is this thread's."""
-        if n == 1:
-            return [move(0)]
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(max(self._most, n) - 1, thread_name_prefix="pixels")
-        futures = [self._pool.submit(move, number) for number in range(1, n)]
-        return [move(0), *(future.result() for future in futures)]
 
 
 def _merged(shares: list[tuple[Keys, Tally]]) -> tuple[list[Keys], Tally]:

@@ -17,8 +17,9 @@ from emulator.run.session import Schedule, Session
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
-from emulator.trajectory.basilisk import ConnectedPath, SimulatedPath
-from emulator.trajectory.pose import STILL
+from emulator.trajectory.live import GivenPath, SimulatedPath
+from emulator.trajectory.parameters import BasiliskPath
+from emulator.trajectory.pose import Fixed
 from firmware_protocol.events import EVENT
 from firmware_protocol.vizard import CameraState
 from transports.link.pacing import FakeClock
@@ -89,10 +90,10 @@ class Seen(Scene):
 
 
 def run(peer, *, seconds=None, step_ms=10, stop_after=None):
-    path, clock = SimulatedPath(STILL), FakeClock()
+    path, clock = SimulatedPath(Fixed()), FakeClock()
     scene, simulation = Seen(path), None
     simulation = BasiliskRun(
-        peer, [ConnectedPath(camera=1, simulated=path)], lambda light: b"png" + bytes(light[0, :1]), clock
+        peer, [GivenPath(BasiliskPath(camera=1), path)], lambda light: b"png" + bytes(light[0, :1]), clock
     )
     session = Session(SceneFrames(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ms * MS), [], clock)
 
@@ -127,10 +128,10 @@ def test_the_run_goes_as_far_as_each_update_and_no_further():
 def test_an_update_is_answered_when_its_last_picture_is_drawn():
     peer = Peer(state(0), state(30))
     drawn_at_reply, send = [], peer.send
-    path, clock = SimulatedPath(STILL), FakeClock()
+    path, clock = SimulatedPath(Fixed()), FakeClock()
     scene = Seen(path)
     peer.send = lambda parts: (drawn_at_reply.append(scene.drawn[-1][0]), send(parts))
-    simulation = BasiliskRun(peer, [ConnectedPath(camera=1, simulated=path)], lambda light: b"", clock)
+    simulation = BasiliskRun(peer, [GivenPath(BasiliskPath(camera=1), path)], lambda light: b"", clock)
     session = Session(SceneFrames(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(10 * MS), [], clock)
     session.run(Schedule(paced=False, simulation=simulation))
     assert drawn_at_reply == [0, 30]
@@ -165,8 +166,8 @@ def test_what_cannot_be_used_is_refused_and_the_run_goes_on(request_, why):
 
 
 def test_the_time_from_an_update_to_its_first_event_is_measured():
-    clock, path = FakeClock(), SimulatedPath(STILL)
-    simulation = BasiliskRun(Peer(state(0)), [ConnectedPath(camera=1, simulated=path)], lambda light: b"", clock)
+    clock, path = FakeClock(), SimulatedPath(Fixed())
+    simulation = BasiliskRun(Peer(state(0)), [GivenPath(BasiliskPath(camera=1), path)], lambda light: b"", clock)
     some = np.zeros(1, EVENT)
     simulation.take(some)  # before any update
     simulation.begin(lambda: None, lambda: True)
@@ -219,10 +220,10 @@ field_of_view_deg = 21.0
 
 def test_the_paths_of_a_rig_are_connected_wherever_they_are():
     rig, paths = connected(parse_rig(RIG, "a.toml", "a"))
-    assert [(path.camera, path.body) for path in paths] == [(3, ""), (None, "moon")]
+    assert [(given.table.camera, given.table.body) for given in paths] == [(3, ""), (None, "moon")]
     assert rig.scene.camera is paths[0]
     assert rig.scene.bodies[0].path is paths[1]
-    assert paths[1].simulated.pose(0).position_m[2] == 9.0
+    assert paths[1].path.pose(0).position_m[2] == 9.0
     assert rig.run.pace == "free"
 
 

@@ -8,11 +8,10 @@ import pytest
 
 from emulator.geometry.attitude import quaternion_of_vector
 from emulator.geometry.camera import Cycle
-from emulator.trajectory.basilisk import SimulatedPath
 from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Elements, Orbit
-from emulator.trajectory.live import LivePoses, known_motion
+from emulator.trajectory.live import LivePoses, SimulatedPath, known_motion
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
 
@@ -140,7 +139,7 @@ def test_known_poses_of_constant_acceleration_and_rate_give_both():
 
 
 def test_a_simulated_path_is_at_rest_until_it_is_known_to_move():
-    path = SimulatedPath(STILL)
+    path = SimulatedPath(Fixed())
     assert not path.motion(0).velocity_m_s.any()
     for t_ns, pose in _samples(10_000_000, 4, np.array([0, 0, 3.0])):
         path.add(t_ns, pose)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from emulator.geometry.attitude import matrix_of
-from emulator.trajectory.basilisk import pose_of
+from emulator.run.basilisk import pose_of
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import TrajectoryError

@@ -1,0 +1,400 @@
+"""A rig in step with the program that runs it: the program gives poses, and gets events, light, samples and frames.
+
+    program                                                thread
+    step(20_000, camera=pose) --poses, end of the step---> paths of the scene; `Session` goes as far as the end
+               SimulationStep <--events, light, frames---- and waits for the next step
+
+Nothing depends on the time that the program takes, and the same poses and seed give the same bits on any machine, with
+links or without, on any number of threads: the run is one that is not paced. In a step the light is drawn each
+`run.step_us` of the rig and at the step's end; between two poses of a program the camera moves on a straight line and a
+great circle. Without links there is no process and no socket.
+"""
+
+from __future__ import annotations
+
+import atexit
+import copy
+import dataclasses
+import threading
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NoReturn, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.camera import SceneGeometry, ScenePoses, Seen
+from emulator.light import Light, Scene, SceneError
+from emulator.rig.kinds import IMU_UNITS
+from emulator.rig.loading import Rig, load_rig, with_options
+from emulator.run import fill_standard_descriptors
+from emulator.run.assembly import build_scene, build_session, link_setups, schedule
+from emulator.run.kernels import parts_of, prepare, uncompiled
+from emulator.run.outcome import RunResult, RunStatus
+from emulator.run.session import Session, SessionState
+from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.live import GivenPath, SimulatedPath, TimedPose
+from emulator.trajectory.parameters import FixedPath, LivePath, TrajectoryParameters
+from emulator.trajectory.pose import Fixed, Pose, Timescale
+from firmware_protocol.device.items import Reading, ReadingKind
+from firmware_protocol.events import Events, empty_edges, join_events
+from firmware_protocol.recordings.part import Frame, ImuRecords
+from transports.link.deliveries import DeliveredParts
+from transports.link.pacing import MonotonicClock
+
+LONGEST_US = 3_600_000_000
+"""The longest step, us of stream time."""
+
+_LOOK_S = 0.1  # between two looks of a session that waits, whether it was stopped
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTruth:
+    """The geometry of a scene at an instant; None for what the scene does not have.
+
+    Attributes
+    ----------
+    poses : of the camera and of all bodies, in the world.
+    depth : (height, width) float32, m along the boresight, infinite for the sky.
+    flow : (height, width, 2) float32, motion of the visible points, px/s, to the right and down.
+    labels : (height, width) uint16: 0 is the sky, k is names[k - 1].
+    names : of the objects.
+    """
+
+    poses: ScenePoses | None = None
+    depth: npt.NDArray[np.float32] | None = None
+    flow: npt.NDArray[np.float32] | None = None
+    labels: npt.NDArray[np.uint16] | None = None
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationStep:
+    """Output of a step of a `Simulation`.
+
+    Attributes
+    ----------
+    t_us : end of the step, us of stream time.
+    events : (n,) EVENT that the sensor has read out in the step, sorted by t.
+    light : (height, width) float32 at the end of the step, relative to the sensor's reference.
+    imu : (k,) IMU, samples of the inertial unit of a rig that has one.
+    frames : frames of the active pixels that ended in the step, of a rig that has them.
+    truth : geometry at the end of the step, where it was requested.
+    """
+
+    t_us: int
+    events: Events
+    light: Light
+    imu: ImuRecords
+    frames: tuple[Frame, ...]
+    truth: SceneTruth | None
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationState:
+    """State of a `Simulation` between two steps, for `Simulation.restore`, as often as it is needed."""
+
+    session: SessionState
+    poses: Mapping[str | None, tuple[TimedPose, ...]]
+    parts: DeliveredParts
+
+
+class _Program:
+    """Drive of a session by the program; see `emulator.run.pacing.SimulationDrive`."""
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.limit_ns, self.reached_ns = 0, -1
+        self.ended = False
+
+    def begin(self, light: Callable[[], Light], goes_on: Callable[[], bool]) -> None:
+        """Begin at once: the first pose is there."""
+
+    def take(self, events: Events) -> None:
+        """Take no note of events."""
+
+    def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
+        """Wait for the next step of the program, in the session's thread."""
+        with self.changed:
+            if self.limit_ns <= t_ns:
+                self.reached_ns = t_ns
+                self.changed.notify_all()
+            while self.limit_ns <= self.reached_ns and goes_on():  # the program may have gone back meanwhile
+                self.changed.wait(_LOOK_S)
+        return self.limit_ns
+
+    def go_to(self, t_ns: int) -> bool:
+        """Let the session go on to `t_ns` and wait for it there; return False where it ends before."""
+        with self.changed:
+            self.limit_ns = t_ns
+            self.changed.notify_all()
+            self.changed.wait_for(lambda: self.reached_ns >= t_ns or self.ended)
+            return self.reached_ns >= t_ns
+
+    def end(self) -> None:
+        """Note that the session has ended."""
+        with self.changed:
+            self.ended = True
+            self.changed.notify_all()
+
+
+class Simulation:
+    """A rig in step with this program. A context manager; `close` ends the run as well.
+
+    The camera, and each body with a name that the rig moves or that `bodies` contains, follows the rig's path until
+    `step` gives it a pose; from then on it stands still in a step without one. Where the rig's path comes from outside
+    (kinds "live" and "basilisk") it stays at the pose of the rig's table until then.
+
+    Parameters
+    ----------
+    rig : path of a rig file, name of a shipped rig, or a Rig. Its pace, duration and lockstep are not used.
+    seed : seed of everything random. By default the rig's.
+    links : True: the links of the rig are served as well, in step. False: no link, fault, trigger or second camera.
+    camera : pose of the camera at time 0. By default that of the rig.
+    bodies : names of bodies that stand still in the rig and that `step` is to move; a mapping has poses for time 0.
+
+    Raises
+    ------
+    RigError, SceneError
+        The rig cannot be used.
+    ValueError
+        `seed` is out of its range, or the scene has no body of a name.
+    LinkFailed
+        A link cannot be opened.
+    """
+
+    def __init__(
+        self,
+        rig: str | Path | Rig,
+        *,
+        seed: int | None = None,
+        links: bool = False,
+        camera: Pose | None = None,
+        bodies: Collection[str] | Mapping[str, Pose] = (),
+    ) -> None:
+        fill_standard_descriptors()
+        loaded = with_options(rig if isinstance(rig, Rig) else load_rig(str(rig)), seed=seed)
+        run = dataclasses.replace(loaded.run, pace="free", lockstep_us=0, seconds=0.0)
+        loaded = dataclasses.replace(loaded, run=run)
+        if not links:
+            loaded = dataclasses.replace(loaded, links=(), faults=(), trigger=None, second_camera=None)
+        self.rig, self._paths = _driven(loaded, bodies)
+        self._time = Timescale(getattr(self.rig.scene, "time_scale", 1.0))
+        for name, pose in self._checked(camera, bodies if isinstance(bodies, Mapping) else {}).items():
+            self._paths[name].add(0, pose)
+        imu = self.rig.camera.imu
+        self._parts = DeliveredParts(0 if imu is None else IMU_UNITS[imu.unit])
+        self._program = _Program()
+        self._session: Session | None = None
+        self._scene: Scene | None = None
+        self._geometry: SceneGeometry | None = None
+        self._status: RunStatus | None = None
+        self._result: RunResult | None = None
+        self._error: BaseException | None = None
+        self._events: list[Events] = []
+        self._readings: list[Reading] = []
+        self._thread = threading.Thread(target=self._work, name=f"evstim {self.rig.name}", daemon=True)
+        self._thread.start()
+        atexit.register(self._stop)  # of a program that does not close it: links would not let it end
+        try:
+            if not self._program.go_to(0):
+                self._refuse()
+        except BaseException:
+            self._stop()
+            raise
+
+    @property
+    def t_us(self) -> int:
+        """End of the last step, us of stream time."""
+        return self._program.limit_ns // 1000
+
+    @property
+    def light(self) -> Light:
+        """The light now, (height, width) float32, relative to the sensor's reference; a copy."""
+        return self._running().light.copy()
+
+    @property
+    def addresses(self) -> Mapping[str, str | None]:
+        """Address of each link by its name."""
+        return {} if self._status is None else {name: link.address for name, link in self._status.links.items()}
+
+    @property
+    def result(self) -> RunResult:
+        """Counts, ledger and link reports of the run; raises RuntimeError before its end."""
+        if self._result is None:
+            raise RuntimeError("the run has no result before the end of its `with` block, or `close`")
+        return self._result
+
+    def step(
+        self, us: int, camera: Pose | None = None, bodies: Mapping[str, Pose] | None = None, *, truth: bool = False
+    ) -> SimulationStep:
+        """Go on by `us` of stream time, and return the output of this step.
+
+        Parameters
+        ----------
+        us : length of the step, 1 to LONGEST_US.
+        camera : pose of the camera in the world at the end of the step (x right, y down, z along the boresight).
+        bodies : poses of bodies at the end of the step, in the world or in the frame that the body is fixed to.
+        truth : True: with the geometry at the end of the step.
+
+        Raises
+        ------
+        ValueError
+            `us` is out of its range, or a pose is none, or for something without a path. Nothing has happened.
+        SceneError
+            The scene cannot be drawn with these poses; the run has ended.
+        RuntimeError
+            The run has ended.
+        """
+        session = self._running()
+        if not 1 <= us <= LONGEST_US:
+            raise ValueError(f"a step of {us} us: it must be 1 to {LONGEST_US}; take several")
+        poses = self._checked(camera, bodies or {})
+        t0_ns, t1_ns = self._program.limit_ns, self._program.limit_ns + int(us) * 1000
+        for name, path in self._paths.items():
+            path.go_on(self._time.scene_ns(t0_ns), self._time.scene_ns(t1_ns), poses.get(name))
+        self._events, self._readings = [], []
+        if not self._program.go_to(t1_ns):
+            self._refuse()
+        part = self._parts.part(join_events(self._events), empty_edges(), self._readings, 0)
+        geometry = self._look(t1_ns) if truth else None
+        return SimulationStep(t1_ns // 1000, part.events, session.light.copy(), part.imu, part.frames, geometry)
+
+    def save(self) -> SimulationState:
+        """Return a copy of the whole state, so that a program can try what follows and come back.
+
+        Raises RuntimeError where the run has links: what has left a camera does not come back.
+        """
+        poses = {name: path.known for name, path in self._paths.items()}
+        return SimulationState(self._alone().saved(), poses, copy.deepcopy(self._parts))
+
+    def restore(self, state: SimulationState) -> None:
+        """Go to a state of this simulation; raises RuntimeError where the run has links."""
+        self._alone().restore(state.session)
+        for name, poses in state.poses.items():
+            self._paths[name].known = poses
+        self._parts = copy.deepcopy(state.parts)
+        self._program.limit_ns = self._program.reached_ns = state.session.t_ns
+
+    def close(self) -> None:
+        """End the run; a second call does nothing. Raises the error by which it ends."""
+        was_ended = self._program.ended
+        self._stop()
+        if self._error is not None and not was_ended:
+            raise self._error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _stop(self) -> None:
+        atexit.unregister(self._stop)
+        with self._program.changed:
+            if self._session is not None:
+                self._session.stop()
+            self._program.changed.notify_all()
+        self._thread.join()
+
+    def _running(self) -> Session:
+        """Return the session; raises the reason where it has ended."""
+        if self._session is None or self._program.ended:
+            self._refuse()
+        return self._session
+
+    def _alone(self) -> Session:
+        if self.rig.links:
+            raise RuntimeError("a run with links cannot be saved and restored: its events have left the camera")
+        return self._running()
+
+    def _refuse(self) -> NoReturn:
+        """Raise the reason for which the run has ended."""
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        if self._result is not None and self._result.scene_trouble:
+            raise SceneError(self._result.scene_trouble)
+        raise RuntimeError(f"the run of {self.rig.name} has ended")
+
+    def _checked(self, camera: Pose | None, bodies: Mapping[str, Pose]) -> dict[str | None, Pose]:
+        """Return the poses by the name of a body, None for the camera; raises ValueError."""
+        poses: dict[str | None, Pose] = {} if camera is None else {None: camera}
+        poses.update(bodies.items())
+        for name, pose in poses.items():
+            what = "the camera" if name is None else f"body {name!r}"
+            if not isinstance(pose, Pose):
+                raise ValueError(f"{what}: a pose is an evstim.Pose, got {type(pose).__name__}")
+            if name not in self._paths:
+                movable = ", ".join(body or "the camera" for body in self._paths) or "nothing"
+                raise ValueError(f"{what} takes no poses in {self.rig.name}, where {movable} does; see `bodies`")
+        return poses
+
+    def _look(self, t_ns: int) -> SceneTruth:
+        assert self._scene is not None
+        self._geometry = geometry = self._geometry or self._scene.geometry()
+        if geometry is None:
+            return SceneTruth()
+        seen = Seen.of(*self._scene.size)
+        geometry.look(t_ns, seen)
+        layers: dict[str, Any] = {name: getattr(seen, name) for name in geometry.gives - {"poses"}}
+        return SceneTruth(geometry.places(t_ns), names=tuple(geometry.names), **layers)
+
+    def _work(self) -> None:
+        """Run the session, in a thread, where the scene may hold a GL context."""
+        try:
+            prepare(uncompiled(parts_of(self.rig)))
+            with build_scene(self.rig) as self._scene:
+                setups = link_setups(self.rig)
+                self._session = build_session(self.rig, self._scene, setups, MonotonicClock(), has_host=bool(setups))
+                plan = dataclasses.replace(schedule(self.rig), simulation=self._program)
+                self._result = self._session.run(plan, self._renew, self._take)
+        except BaseException as error:  # noqa: BLE001 - raised again in the program's thread
+            self._error = error
+        self._program.end()
+
+    def _renew(self, status: RunStatus) -> None:
+        self._status = status
+
+    def _take(self, events: Events) -> None:
+        """Store the output of a part of a step, in the session's thread while the program waits."""
+        self._events.append(events)
+        for kind, records in self._session.last_readings if self._session is not None else ():
+            parts = [records] if kind is ReadingKind.IMU else [records[k : k + 1] for k in range(len(records))]
+            self._readings += [Reading(kind, part) for part in parts]
+
+
+def _driven(rig: Rig, bodies: Collection[str]) -> tuple[Rig, dict[str | None, SimulatedPath]]:
+    """Return the rig with paths for a program's poses, and these: of bodies by name, of the camera by None."""
+    scene: Any = rig.scene
+    paths: dict[str | None, SimulatedPath] = {}
+    if getattr(scene, "camera", None) is not None:
+        scene = dataclasses.replace(scene, camera=_driven_path(None, scene.camera, paths))
+    tables = getattr(scene, "bodies", ())
+    if unknown := sorted({*bodies} - {table.name for table in tables}):
+        names = ", ".join(table.name for table in tables if table.name) or "none with a name"
+        raise ValueError(f"bodies: {rig.name} has no body {unknown[0]!r}; it has {names}")
+    moving = {table.name for table in tables if table.name and not isinstance(table.path, FixedPath)} | {*bodies}
+    if moving:
+        tables = tuple(
+            dataclasses.replace(table, path=_driven_path(table.name, table.path, paths))
+            if table.name in moving
+            else table
+            for table in tables
+        )
+        scene = dataclasses.replace(scene, bodies=tables)
+    return dataclasses.replace(rig, scene=scene), paths
+
+
+def _driven_path(name: str | None, table: TrajectoryParameters, paths: dict[str | None, SimulatedPath]) -> GivenPath:
+    """Return a path for a program's poses, which begins as that of `table`, and add it to `paths`."""
+    if isinstance(table, LivePath):
+        start = Fixed(Pose(np.array(table.position_m), np.array(table.q_world_from_body)))
+        paths[name] = SimulatedPath(start)
+    else:
+        paths[name] = SimulatedPath(build_trajectory(table))
+    return GivenPath(table, paths[name])
