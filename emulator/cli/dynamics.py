@@ -1,15 +1,21 @@
-"""`evstim dynamics FMU`: simulate an FMU, and send its poses to a running rig."""
+"""`evstim dynamics FMU`: simulate an FMU, and send its poses to a running rig, or run a rig in lockstep with it."""
 
 from __future__ import annotations
 
 import dataclasses
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_address
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, console, print_json
+from emulator.cli.run import print_summary, summary
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
     DynamicsError,
@@ -22,6 +28,10 @@ from emulator.dynamics.flight import (
     wall_clock,
 )
 from emulator.dynamics.fmu import Fmu
+from emulator.run.outcome import good, judge
+from emulator.run.simulation import Simulation
+from emulator.trajectory.pose import Pose
+from firmware_protocol.pose_message import PoseMessage
 
 
 class _Stop:
@@ -34,10 +44,61 @@ class _Stop:
         self.requested = True
 
 
+class _Lockstep:
+    """A rig, its links included, that goes on with each pose of its camera; both wait for each other."""
+
+    def __init__(self, rig: str, step_s: float) -> None:
+        self._rig, self._step_s = rig, step_s
+        self.simulation: Simulation | None = None
+
+    def send(self, message: PoseMessage) -> None:
+        """Begin with the first pose, go on to each of the others."""
+        pose = Pose(np.array(message.position_m), np.array(message.q_world_from_body))
+        if self.simulation is None:
+            self.simulation = Simulation(self._rig, links=True, camera=pose)
+        else:
+            self.simulation.step(round(message.counter * self._step_s * 1e6) - self.simulation.t_us, camera=pose)
+
+    def close(self) -> None:
+        """End the run."""
+        if self.simulation is not None:
+            self.simulation.close()
+
+
+@dataclass(frozen=True)
+class Target:
+    """Receiver of the poses.
+
+    Attributes
+    ----------
+    to
+        HOST:PORT at which a running rig receives poses.
+    stamped
+        Give poses the FMU's time as stream time. Default: each holds from its arrival.
+    rig
+        Run this rig in lockstep instead, its links included: the FMU moves its camera, and both wait for each other.
+    """
+
+    to: str = "127.0.0.1:10364"
+    stamped: Flag = False
+    rig: str | None = None
+
+
+_RUNNING_RIG = Target()
+
+
 def dynamics(
-    fmu: Path, /, *, map: Path, seconds: float, to: str = "127.0.0.1:10364", stamped: Flag = False, json: Json = False
+    fmu: Path,
+    /,
+    *,
+    map: Path,
+    seconds: float,
+    target: Annotated[Target, Parameter(name="*")] = _RUNNING_RIG,
+    json: Json = False,
 ) -> int:
-    """Fly an FMU in real time, and send its poses to a rig with a path of kind "live". See docs/loops.md.
+    """Fly an FMU in real time, and send its poses to a rig with a path of kind "live"; or run a rig in lockstep.
+
+    See docs/loops.md.
 
     Parameters
     ----------
@@ -47,37 +108,45 @@ def dynamics(
         TOML file that names the variables of the pose and the sources of its inputs.
     seconds
         How long it flies.
-    to
-        HOST:PORT at which the rig receives poses.
-    stamped
-        Give poses the FMU's time as stream time. Default: each holds from its arrival.
     """
     with failures(), _dynamics_failures():
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
-        flown, complete = _flown(fmu, map, Pace(seconds, stamped, lambda _: True), to)
+        flown, run, complete = _flown(fmu, map, Pace(seconds, target.stamped, lambda _: True), target)
     ignore_stop_signals()
-    result = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
+    result: dict[str, object] = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
     result["q_world_from_body"] = flown.last.q_world_from_body
+    if run is not None:
+        complete = complete and good(judge(run.rig.verdict, run.result))
+        result["run"] = summary(run.rig, run.result)
     if json:
         print_json(result)
     else:
         x, y, z = flown.last.position_m
         ending = f"{flown.steps} steps, {flown.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m"
         console.print(f"{fmu.name}: {ending}", markup=False)
+        if run is not None:
+            print_summary(run.rig, run.result)
     return GOOD if complete else BAD_VERDICT
 
 
-def _flown(file: Path, map_file: Path, pace: Pace, to: str) -> tuple[FlightResult, bool]:
-    address = parsed_address("--to", to)
-    mapping, ending = load_mapping(map_file), _Stop()
+def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> tuple[FlightResult, Simulation | None, bool]:
+    """Return the flight, the rig's run in lockstep, which has ended, and whether the flight was complete."""
+    address, mapping, ending = parsed_address("--to", target.to), load_mapping(map_file), _Stop()
+    if target.rig is not None and mapping.body:
+        raise Failure(f"{map_file}: body = {mapping.body}: with --rig the FMU moves the camera, body 0", WRONG_USE)
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         names = tuple(name for source in inputs for name in source.names)
         with Fmu(file, mapping, names) as unit:
             stop_on_signals(ending.stop)
-            pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.requested))
-            flown = fly(unit, mapping, inputs, pace, lambda data: out.sendto(data, address))
-    return flown, not ending.requested
+            if target.rig is None:
+                pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.requested))
+                flown = fly(unit, mapping, inputs, pace, lambda pose: out.sendto(bytes(pose), address))
+                return flown, None, not ending.requested
+            pace = dataclasses.replace(pace, waiting=lambda _: not ending.requested)
+            with closing(_Lockstep(target.rig, mapping.step_s)) as lockstep:
+                flown = fly(unit, mapping, inputs, pace, lockstep.send)
+            return flown, lockstep.simulation, not ending.requested
 
 
 @contextmanager

@@ -283,19 +283,19 @@ class FlightResult:
 
 
 def fly(
-    unit: Stepping, mapping: Mapping, inputs: Sequence[Inputs], pace: Pace, send: Callable[[bytes], object]
+    unit: Stepping, mapping: Mapping, inputs: Sequence[Inputs], pace: Pace, send: Callable[[PoseMessage], object]
 ) -> FlightResult:
     """Step the FMU until the time is over or `pace` ends the flight; raises FlightEnded."""
     steps, number = round(pace.seconds / mapping.step_s), 0
     pose = _pose(unit, mapping, number, pace)
-    send(bytes(pose))
+    send(pose)
     while number < steps and pace.waiting((number + 1) * mapping.step_s):
         t_s = number * mapping.step_s
         values = {name: value for source in inputs for name, value in source.at(t_s).items()}
         unit.step(t_s, mapping.step_s, values)
         number += 1
         pose = _pose(unit, mapping, number, pace)
-        send(bytes(pose))
+        send(pose)
     return FlightResult(number, number * mapping.step_s, pose)
 
 

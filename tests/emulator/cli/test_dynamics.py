@@ -84,3 +84,32 @@ def test_an_fmu_moves_the_camera_of_a_rig(falling, tmp_path):
     assert told["events"]["read_out"] - 20 * told["sim_seconds"] > 500  # a camera that stands gives 17 a second
     poses = told["scene"]
     assert (poses["poses taken"], poses["poses refused"], poses["poses lost"], poses["poses stale"]) == (41, 0, 0, 0)
+
+
+def test_in_lockstep_the_same_flight_gives_the_same_events(falling, evstim, tmp_path):
+    """Ten metres a second down for a second, then to rest; twice, with a link that delivers to a file."""
+    runs = []
+    for name in ("first", "again"):
+        rig_file = tmp_path / f"{name}.toml"
+        file_link = f'kind = "file"\npath = "{tmp_path / name}.raw"'
+        rig_file.write_text((EXAMPLE / "lander.toml").read_text().replace('kind = "loopback"', file_link))
+        options = ["--map", EXAMPLE / "lander.map.toml", "--seconds", "2", "--rig", rig_file, "--json"]
+        run = evstim("dynamics", falling(3), *options)
+        assert run.code == 0, run.err
+        runs.append(json.loads(run.out.splitlines()[-1]))
+    first, again = (run["run"] for run in runs)
+    assert runs[0]["position_m"] == [0.0, 0.0, pytest.approx(85.0)]
+    assert first["sim_seconds"] == 2.0
+    assert first["events"]["read_out"] > 500
+    assert first["events"] == again["events"]
+    assert first["links"]["file"]["digest"] == again["links"]["file"]["digest"]
+    assert (tmp_path / "first.raw").read_bytes()[-10_000:] == (tmp_path / "again.raw").read_bytes()[-10_000:]
+
+
+def test_in_lockstep_the_fmu_moves_the_camera_alone(falling, evstim, tmp_path):
+    (tmp_path / "map.toml").write_text(
+        MAP.replace('[file]\npath = "in.csv"\n', "").replace("step_s", "body = 1\nstep_s")
+    )
+    options = ["--map", tmp_path / "map.toml", "--seconds", "1", "--rig", EXAMPLE / "lander.toml"]
+    run = evstim("dynamics", falling(2), *options)
+    assert (run.code, "body = 1: with --rig the FMU moves the camera" in _told(run)) == (2, True)

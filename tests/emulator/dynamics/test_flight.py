@@ -33,7 +33,7 @@ MAPPING = Mapping(position_m=("x", 0.0, 5.0), step_s=0.5, body=2)
 def flown(body, pace, mapping=MAPPING):
     sent = []
     told = fly(body, mapping, [Commands()], pace, sent.append)
-    return told, [PoseMessage.parse(data) for data in sent]
+    return told, [PoseMessage.parse(bytes(message)) for message in sent]
 
 
 def test_each_step_is_a_pose_with_its_time():
