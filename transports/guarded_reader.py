@@ -104,12 +104,7 @@ _OWN = ("evstim", "emulator", "transports", "firmware_protocol")
 
 
 class ForeignFileError(Exception):
-    """Error: a file cannot be read; the message gives the reason, without the file's name.
-
-    Attributes
-    ----------
-    lacks : True if this machine lacks the library that reads it.
-    """
+    """Error: a file cannot be read, with the reason, not its name; `lacks`: this machine lacks the library for it."""
 
     def __init__(self, text: str, *, lacks: bool = False) -> None:
         super().__init__(text)
