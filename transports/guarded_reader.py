@@ -188,19 +188,16 @@ class GuardedReader:
         """Return the next bytes of the pipe; fewer at its end."""
         data = bytearray(size)
         view, count = memoryview(data), 0
+        poll = select.poll()
+        poll.register(self._input)
         while count < size:
-            self._wait()
+            if not poll.poll(1000 * _WALL_FACTOR * self._limits.cpu_s):
+                raise ForeignFileError(self._death(-signal.SIGXCPU))
             got = os.readv(self._input, [view[count : count + _READ_BYTES]])
             if not got:
                 return data[:count]
             count += got
         return data
-
-    def _wait(self) -> None:
-        poll = select.poll()
-        poll.register(self._input)
-        if not poll.poll(1000 * _WALL_FACTOR * self._limits.cpu_s):
-            raise ForeignFileError(self._death(-signal.SIGXCPU))
 
     def _death(self, code: int) -> str:
         if -code in (signal.SIGXCPU, signal.SIGKILL):
