@@ -106,18 +106,13 @@ def kernel(function: _Function) -> _Function:
 def entry_of(*sources: str, **options: Any) -> Callable[[_Function], _Function]:
     """Return the decorator that compiles functions for Python callers, and caches them on disk.
 
-    With NUMBA_DISABLE_JIT it returns them unchanged.
+    With NUMBA_DISABLE_JIT it returns them unchanged. Raises ValueError for a name of no module and no package.
 
     Parameters
     ----------
     sources : names of modules, and of packages with everything below them: "emulator.raster". The code on disk is valid
         while none of them changes.
     options : of numba.njit, beside nogil=True and error_model="numpy".
-
-    Raises
-    ------
-    ValueError
-        There is no module or package with such a name.
     """
     checksum = _checksum(*sources, *RULE)
 

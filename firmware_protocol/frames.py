@@ -92,8 +92,7 @@ class WholeFrame:
     Attributes
     ----------
     first_column, first_row : first pixel of its region in the array.
-    reset, signal
-        (rows, columns) uint16, ADC values.
+    reset, signal : (rows, columns) uint16, ADC values.
     records : number of its lines and moments.
     """
 

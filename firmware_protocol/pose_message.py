@@ -37,7 +37,7 @@ class PoseMessageError(ValueError):
 
 @dataclass(frozen=True)
 class PoseMessage:
-    """One pose of one body.
+    """One pose of one body; raises PoseMessageError for a value that cannot be sent, or that is not a pose.
 
     Attributes
     ----------
@@ -46,11 +46,6 @@ class PoseMessage:
     q_world_from_body : unit quaternion, scalar first.
     body : 0 the camera, 1 the first body, ...
     counter : of the sender, modulo 2^32.
-
-    Raises
-    ------
-    PoseMessageError
-        A value that cannot be sent, or that is not a pose.
     """
 
     t_ns: int

@@ -162,7 +162,7 @@ def _require_length(name: str, octets: bytes, length: int) -> None:
 
 @dataclass(frozen=True)
 class Hello:
-    """The images that a renderer gives.
+    """The images that a renderer gives; raises MessageError if the values do not belong together.
 
     Attributes
     ----------
@@ -170,11 +170,6 @@ class Hello:
     levels, response, white : numbers of light, their relation to light, and the level of white; 0 for floats.
     shared : True: the pixels come through shared memory.
     name : the renderer's name, at most 64 octets.
-
-    Raises
-    ------
-    MessageError
-        The values do not belong together.
     """
 
     layers: Layers = Layers.NONE

@@ -162,10 +162,8 @@ class Image:
 
     Attributes
     ----------
-    size
-        (width, height), pixels.
-    encoding
-        "rgb8", "mono16", ...
+    size : (width, height), pixels.
+    encoding : "rgb8", "mono16", ...
     step : bytes of a row.
     """
 

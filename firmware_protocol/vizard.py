@@ -103,9 +103,8 @@ class State:
     Attributes
     ----------
     position_m : three numbers, in N.
-    rotation
-        Spacecraft: three Modified Rodrigues Parameters sigma_BN. Celestial body: nine numbers, row by row, the matrix
-        that transforms coordinates of N into those of the body.
+    rotation : Spacecraft: three Modified Rodrigues Parameters sigma_BN. Celestial body: nine numbers, row by row, the
+        matrix that transforms coordinates of N into those of the body.
     """
 
     position_m: tuple[float, ...]
@@ -133,17 +132,12 @@ class CameraState:
 
 
 class Update:
-    """The state of a simulation at one instant.
+    """The state of a simulation at one instant; raises UpdateError for bytes that are no VizMessage or have no time.
 
     Attributes
     ----------
     time_ns : simulated time.
     frame : Basilisk's own count.
-
-    Raises
-    ------
-    UpdateError
-        The bytes are no VizMessage, or have no time.
     """
 
     def __init__(self, data: bytes) -> None:

@@ -51,12 +51,7 @@ class Seat:
 
 
 class Admission:
-    """Admission of the connections of one server.
-
-    Attributes
-    ----------
-    counts : numbers of connections that were refused or closed for another one, by their names in the summary.
-    """
+    """Admission of a server's connections; `counts`: those refused or closed for another one, by their names."""
 
     def __init__(self, allowed: AllowList, places: Places = Places()) -> None:
         self._allowed = allowed

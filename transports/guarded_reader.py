@@ -104,12 +104,7 @@ _OWN = ("evstim", "emulator", "transports", "firmware_protocol")
 
 
 class ForeignFileError(Exception):
-    """Error: a file cannot be read; the message gives the reason, without the file's name.
-
-    Attributes
-    ----------
-    lacks : True if this machine lacks the library that reads it.
-    """
+    """Error: a file cannot be read, with the reason, not its name; `lacks`: this machine lacks the library for it."""
 
     def __init__(self, text: str, *, lacks: bool = False) -> None:
         super().__init__(text)
@@ -193,19 +188,16 @@ class GuardedReader:
         """Return the next bytes of the pipe; fewer at its end."""
         data = bytearray(size)
         view, count = memoryview(data), 0
+        poll = select.poll()
+        poll.register(self._input)
         while count < size:
-            self._wait()
+            if not poll.poll(1000 * _WALL_FACTOR * self._limits.cpu_s):
+                raise ForeignFileError(self._death(-signal.SIGXCPU))
             got = os.readv(self._input, [view[count : count + _READ_BYTES]])
             if not got:
                 return data[:count]
             count += got
         return data
-
-    def _wait(self) -> None:
-        poll = select.poll()
-        poll.register(self._input)
-        if not poll.poll(1000 * _WALL_FACTOR * self._limits.cpu_s):
-            raise ForeignFileError(self._death(-signal.SIGXCPU))
 
     def _death(self, code: int) -> str:
         if -code in (signal.SIGXCPU, signal.SIGKILL):

@@ -42,8 +42,7 @@ class Need:
     ----------
     name : short name: "extra ros2 (cyclonedds)", "kernel module vhci-hcd".
     look : function that checks this machine.
-    by
-        "run": without it the rig does not run; "driver": drivers of the camera that run on this machine need it.
+    by : "run": without it the rig does not run; "driver": drivers of the camera that run on this machine need it.
     """
 
     name: str

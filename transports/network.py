@@ -145,10 +145,7 @@ class DatagramOutlet:
             raise OSError(error.errno, f"cannot send to {self._host} port {self._port}: {error.strerror}") from error
 
     def send(self, data: bytes) -> bool:
-        """Pass a datagram to the kernel; return False if it cannot be sent.
-
-        Raises BlockingIOError when there is no room.
-        """
+        """Pass a datagram to the kernel; False if it cannot be sent. Raises BlockingIOError when there is no room."""
         assert self._socket is not None
         for _ in range(2):
             try:
@@ -172,12 +169,7 @@ class DatagramOutlet:
 
 
 class DatagramInlet:
-    """Socket that receives datagrams on one address, from allowed senders only.
-
-    Attributes
-    ----------
-    refused : number of datagrams of senders that are not allowed.
-    """
+    """Socket that receives datagrams on one address from allowed senders only; `refused`: number of the others."""
 
     def __init__(self, host: str, port: int, allow: Iterable[str] = ()) -> None:
         self._host, self._port = host, port

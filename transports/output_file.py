@@ -8,24 +8,16 @@ from typing import BinaryIO
 
 
 class OutputFile:
-    """File for bytes, opened at once.
+    """File for bytes, opened at once; raises OSError.
 
     Parameters
     ----------
-    title : str
-        Name of the file for people, in `trouble`.
-    append : bool
-        True to append to the existing contents.
-
-    Raises
-    ------
-    OSError
-        The file cannot be opened.
+    title : name of the file for people, in `trouble`.
+    append : True to append to the existing contents.
 
     Attributes
     ----------
-    trouble : str
-        Reason for the stop, "TITLE stopped: No space left on device (PATH)"; empty without an error.
+    trouble : reason for the stop, "TITLE stopped: No space left on device (PATH)"; empty without an error.
     """
 
     def __init__(self, path: Path, title: str, *, append: bool = False) -> None:

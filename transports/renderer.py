@@ -254,12 +254,7 @@ class _Stream:
 
 
 class RendererConnection:
-    """The connection to one renderer; made by `RendererServer.accept`.
-
-    Attributes
-    ----------
-    hello : the images that it gives.
-    """
+    """The connection to one renderer; made by `RendererServer.accept`. `hello`: the images that it gives."""
 
     def __init__(self, stream: _Stream, hello: Hello, camera: Camera) -> None:
         self._stream = stream
@@ -284,10 +279,7 @@ class RendererConnection:
         return len(self._requested)
 
     def request(self, t_ns: int = ANY_TIME, pose: tuple[float, ...] | None = None) -> None:
-        """Request the image of `t_ns`, seen from `pose`; at most as many as there are slots before an image comes.
-
-        Raises RendererError, also when closed.
-        """
+        """Request the image of `t_ns` from `pose`; at most one a slot before an image comes. Raises RendererError."""
         slot = self._count % self._slots  # images come in the order of requests, so the oldest slot is free
         draw = Draw(self._count, t_ns, slot) if pose is None else Draw(self._count, t_ns, slot, pose)
         self._count += 1

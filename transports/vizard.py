@@ -35,19 +35,12 @@ _LINGER_MS = 500  # time for the last reply to be sent
 class VizardServer:
     """Server on `host` and `port` (0: any free one) for the peers of `allow`, empty: those of this machine.
 
+    Raises ImportError if pyzmq is not installed, OSError if the port cannot be opened.
+
     Attributes
     ----------
-    peer_gone : bool
-        True when the peer has closed its connection.
-    refused : int
-        Requests of second peers, of addresses not allowed, and messages that no REQ socket sends.
-
-    Raises
-    ------
-    ImportError
-        pyzmq is not installed.
-    OSError
-        The port cannot be opened.
+    peer_gone : True when the peer has closed its connection.
+    refused : requests of second peers, of addresses not allowed, and messages that no REQ socket sends.
     """
 
     def __init__(self, host: str, port: int, allow: Sequence[str] = ()) -> None:
@@ -157,10 +150,8 @@ class Other:
 
     Attributes
     ----------
-    address : str
-        Address of the visualiser.
-    gone : bool
-        True when it has closed the connection.
+    address : address of the visualiser.
+    gone : True when it has closed the connection.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -202,13 +193,7 @@ class Other:
 
 
 class ForwardingServer:
-    """Server whose requests go to another visualiser too; the owner closes both.
-
-    Attributes
-    ----------
-    lost : str
-        Reason for missing replies of the other one; empty if it replies.
-    """
+    """Server whose requests go to another visualiser too; the owner closes both. `lost`: why that has no replies."""
 
     def __init__(self, server: Server, other: Other) -> None:
         self._server, self._other = server, other

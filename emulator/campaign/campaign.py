@@ -208,14 +208,10 @@ class Campaign:
     @cached_property
     def runs(self) -> int:
         """Number of runs."""
-        return self._points * self.settings.repeats
-
-    @cached_property
-    def _points(self) -> int:
         s = self.settings
         if s.sampling == "grid":
-            return math.prod(len(values) for values in self._grid)
-        return s.count * (len(s.parameters) + 2 if s.sampling == "saltelli" and s.parameters else 1)
+            return math.prod(len(values) for values in self._grid) * s.repeats
+        return s.count * (len(s.parameters) + 2 if s.sampling == "saltelli" and s.parameters else 1) * s.repeats
 
     @cached_property
     def _units(self) -> Any:

@@ -50,12 +50,7 @@ _WORDS = {"verdict": ("verdict", "==", True), "program": ("program.exit", "==", 
 
 @dataclass(frozen=True)
 class SuccessRule:
-    """A column of a row, compared with a value.
-
-    Attributes
-    ----------
-    text : the rule as in the campaign file.
-    """
+    """A column of a row, compared with a value; `text`: the rule as in the campaign file."""
 
     text: str
     column: str
@@ -153,16 +148,13 @@ class Program:
 
     Attributes
     ----------
-    argv
-        Program and arguments. Placeholders: {index}, {seed}, {folder} (the run's own, for its files), {result} (the
+    argv : Program and arguments. Placeholders: {index}, {seed}, {folder} (the run's own, for its files), {result} (the
         JSON file that it may write), {record} (the delivered events), {python}, {address} (of the only link),
         {address.NAME}, {port}, {port.NAME}, and {KEY} for the value of a parameter.
-    start
-        "with": when the links of the run are open; "after": when the run is over.
+    start : "with": when the links of the run are open; "after": when the run is over.
     ends_run : whether the run ends when the program does; only a program that starts with the run can.
-    grace_s
-        How long the program may take to end after the run has; then it is stopped. Started after the run: how long it
-        may take at all.
+    grace_s : How long the program may take to end after the run has; then it is stopped. Started after the run: how
+        long it may take at all.
     """
 
     argv: tuple[str, ...]
@@ -184,9 +176,8 @@ class Plots:
 
     Attributes
     ----------
-    columns
-        Columns whose sensitivity is reported; by default success, the margin, the event rate and the numbers that the
-        program gives.
+    columns : Columns whose sensitivity is reported; by default success, the margin, the event rate and the numbers that
+        the program gives.
     worst : the column that orders the worst runs; by default the margin.
     worst_is : whether the lowest or the highest values of it are the worst.
     labels : names of columns and parameters in the report, with their units: "result.vertical_m_s" = "touchdown, m/s".
@@ -376,10 +367,6 @@ def _settings(table: dict[str, Any]) -> Settings:
     if "program" in table:
         values["program"] = convert(table["program"], Program, ("program",))
     settings = convert({key: value for key, value in table.items() if key not in values}, Settings)
-    return _with(settings, values)
-
-
-def _with(settings: Settings, values: dict[str, Any]) -> Settings:
     return Settings(**{**{name: getattr(settings, name) for name in field_types(Settings)}, **values})
 
 

@@ -28,12 +28,7 @@ _AHEAD = 2  # tasks for each thread of the cluster: no worker waits for its next
 
 
 class DaskWorkers(Workers):
-    """Workers on a cluster; raises CampaignStopped where no scheduler answers.
-
-    Parameters
-    ----------
-    address : of the scheduler, such as tcp://10.0.0.1:8786.
-    """
+    """Workers on the cluster of a scheduler, such as tcp://10.0.0.1:8786; CampaignStopped if none answers there."""
 
     def __init__(self, campaign: Campaign, folder: Path, address: str) -> None:
         super().__init__()

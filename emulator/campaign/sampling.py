@@ -81,8 +81,7 @@ class Law(ABC):
 
     Attributes
     ----------
-    key
-        Destination of the value: a key of the rig such as "camera.sensor.threshold_on" or "faults[0].rate", or
+    key : Destination of the value: a key of the rig such as "camera.sensor.threshold_on" or "faults[0].rate", or
         "program.NAME" for a value that the program under test alone receives.
     also : other keys of the rig that have the same value.
     """

@@ -79,16 +79,12 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
 def _file_of(rows: Sequence[Row]) -> Any:
     """Return rows as the bytes of a Parquet file."""
     pyarrow = importlib.import_module("pyarrow")
-    columns = _columns(rows, pyarrow)
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = {name: _column([row.get(name) for row in rows], pyarrow) for name in names}
     table = pyarrow.Table.from_arrays(list(columns.values()), list(columns))  # `pyarrow.table` would import pandas
     memory = pyarrow.BufferOutputStream()
     _parquet().write_table(table, memory, **(_PLAIN if len(rows) == 1 else {}))
     return memory.getvalue()
-
-
-def _columns(rows: Sequence[Row], pyarrow: Any) -> dict[str, Any]:
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    return {name: _column([row.get(name) for row in rows], pyarrow) for name in names}
 
 
 def _column(values: list[Any], pyarrow: Any) -> Any:
@@ -112,10 +108,7 @@ def done_rows(folder: Path) -> set[int]:
 
 
 def read_rows(folder: Path, rows_by_index: Mapping[int, Row] = MappingProxyType({})) -> list[Row]:
-    """Return the rows of a folder in the order of their indices; those of `known` are not read again.
-
-    Raises RowUnreadable.
-    """
+    """Return the rows of a folder in order of index; those of `known` are not read again. Raises RowUnreadable."""
     return [rows_by_index.get(index) or read_row(folder, index) for index in sorted(done_rows(folder))]
 
 
@@ -217,10 +210,7 @@ def _short(value: Any) -> str:
 
 @contextmanager
 def working_in(folder: Path, *, alone: bool) -> Iterator[None]:
-    """Lock the folder against other programs; those of a job array (not `alone`) share it.
-
-    Raises FolderError. The lock always ends with the process.
-    """
+    """Lock the folder, at longest while the process lives; a job array (not `alone`) shares it. Raises FolderError."""
     with (folder / ".lock").open("a") as file:
         try:
             fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)

@@ -300,10 +300,7 @@ def remaining(folder: Path, indices: Iterable[int]) -> list[int]:
 def run_campaign(
     campaign: Campaign, folder: Path, indices: Iterable[int], workers: Workers, on_row: Callable[[Row], None]
 ) -> int:
-    """Do runs, write each row when it comes, and return the number of rows; raises CampaignStopped.
-
-    Rows that were written always stay.
-    """
+    """Do runs, write each row when it comes, return the number of rows. Raises CampaignStopped; written rows stay."""
     count = 0
     with closing(workers.rows(indices)) as rows:
         for row in rows:

@@ -209,8 +209,7 @@ class Repeats:
     Attributes
     ----------
     before : seed, totals, verdict and number of changes of the run before; None in the first one.
-    place
-        (port, token) of the page, which the next run keeps; None before the first page.
+    place : (port, token) of the page, which the next run keeps; None before the first page.
     seed : requested seed; None where no viewer has requested a new run.
     count : number of runs before this one.
     """

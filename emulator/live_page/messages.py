@@ -181,9 +181,8 @@ class ViewerCommands:
 
     Parameters
     ----------
-    trigger
-        Function that makes an edge on the cameras' external input, at a time of CLOCK_MONOTONIC (ns), with a number;
-        None where the rig has a trigger of its own.
+    trigger : Function that makes an edge on the cameras' external input, at a time of CLOCK_MONOTONIC (ns), with a
+        number; None where the rig has a trigger of its own.
     can_pause : whether the run may be paused: only one that is not paced, and that no bus drives.
     repeats : receiver of the request for a new run; None where there can be none.
 

@@ -231,7 +231,9 @@ class LivePage:
         elif self._outbox.waits:
             self._flush()
         while not self._commands.steps_allowed() and not self._gone:
-            self._wait()
+            with self._or_gone():
+                self._pipe.poll(_PAUSE_POLL_S)
+            self._execute_commands()
 
     def renew(self, status: RunStatus) -> None:
         """Send the status of the run, and detect the death of the page's process."""
@@ -247,11 +249,6 @@ class LivePage:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-
-    def _wait(self) -> None:
-        with self._or_gone():
-            self._pipe.poll(_PAUSE_POLL_S)
-        self._execute_commands()
 
     def _execute_commands(self) -> None:
         """Execute some of the commands that have come."""

@@ -38,16 +38,7 @@ _MESSAGES_PER_S, _MOST_AT_ONCE = 100.0, 200.0
 
 
 class Viewer:
-    """One browser.
-
-    Parameters
-    ----------
-    now_s : a clock, s.
-
-    Attributes
-    ----------
-    number : number of the viewer; answers are for one viewer alone.
-    """
+    """One browser, with a `number`, because answers are for one viewer alone; `now_s`: a clock, s."""
 
     def __init__(self, number: int, now_s: Callable[[], float]) -> None:
         self.number = number

@@ -226,10 +226,7 @@ class Distortion:
 
 
 def straight_columns_and_rows(distortion: Distortion, camera: Pinhole) -> tuple[Floats, Floats]:
-    """Return the positions of pixel centres in an image without distortion of the same scale, (height, width) each.
-
-    They are measured from the middle of the image, in pixels.
-    """
+    """Return pixel centres in an undistorted image of the same scale: (height, width) each, pixels from its middle."""
     x, y = np.meshgrid(
         (np.arange(camera.width) + 0.5 - camera.width / 2) / camera.focal_px,
         (np.arange(camera.height) + 0.5 - camera.height / 2) / camera.focal_px,

@@ -158,10 +158,7 @@ _WORTH_A_THREAD = 200_000
 
 
 class BlurWorkers:
-    """Blur by `taps`, then scale by `factor`, (height, width), of light frames of that size.
-
-    Large parts are shared by `threads`; 0: those available.
-    """
+    """Blur by `taps`, then scale by `factor`, (height, width); `threads` share large parts, 0: those available."""
 
     def __init__(self, taps: _Float32s, factor: _Float32s, threads: int = 0) -> None:
         self._taps, self._factor = taps, factor
@@ -198,14 +195,11 @@ _LEAST_BLUR_PX = 0.1
 class Through(OtherLight):
     """The scene that `build` makes for a pinhole camera, seen through a lens on `chip`.
 
+    Raises SceneError where the lens folds the image over itself; also errors of `build`.
+
     Parameters
     ----------
     threads : number of threads that blur, as in `BlurWorkers`.
-
-    Raises
-    ------
-    SceneError
-        The lens folds the image over itself; also errors of `build`.
     """
 
     def __init__(

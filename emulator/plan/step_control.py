@@ -177,11 +177,9 @@ class _Seen:
 
     Attributes
     ----------
-    change
-        |D|.
+    change : |D|.
     bend : error of log light at the worst point of the step, ln units.
-    defect, turn
-        |d|; and the size of the turn where the light turns, else 0.
+    defect, turn : |d|; and the size of the turn where the light turns, else 0.
     turns : whether the light turns.
     dt_us : length of the step.
     order : power of `dt_us` to which the bend is proportional.

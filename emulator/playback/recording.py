@@ -78,10 +78,7 @@ def read_events(path: Path, size: tuple[int, int] | None = None) -> tuple[Events
 
 
 def read_frames(path: Path) -> list[Frame]:
-    """Read the frames of a recording that cover the whole array; none where its format has none.
-
-    Raises SceneError where the file cannot be read.
-    """
+    """Read a recording's frames that cover the whole array; none where its format has none. Raises SceneError."""
     with _opened(path, None) as recording:
         frames = [frame for part in recording.parts() for frame in part.frames]
     size = recording.facts.size
@@ -91,10 +88,7 @@ def read_frames(path: Path) -> list[Frame]:
 def load_recording(path: Path, size: tuple[int, int]) -> Events:
     """Read a recording, (n,) EVENT, sorted, its first event at time 0.
 
-    Raises
-    ------
-    SceneError
-        The file cannot be read, holds no events, or events that a sensor of `size` = (width, height) cannot have.
+    Raises SceneError where it cannot be read, holds no events, or events outside a sensor of `size` = (width, height).
     """
     events, _ = read_events(path, size)
     if (wrong := wrong_event(events, 0, size)) is not None:

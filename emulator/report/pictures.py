@@ -257,10 +257,7 @@ def count_map(counts: Counts, scale: ColourScale, name: str) -> str:
 
 
 def scene_picture(light: Light, polarity: npt.NDArray[np.int8], caption: str) -> str:
-    """Return a picture of light (height, width) with events over it as a figure.
-
-    `polarity` is 1 for a pixel with an ON event, -1 for OFF, 0 for none.
-    """
+    """Return light (height, width) with events over it as a figure; `polarity` is 1 for ON, -1 for OFF, 0 for none."""
     white = white_of(light)
     share: npt.NDArray[Any] = np.clip(light / white, 0.0, 1.0) if white > 0 else np.zeros(light.shape, np.float32)
     pixels = np.rint(share ** (1 / 2.2) * (_GREYS - 1)).astype(np.uint8)

@@ -148,17 +148,14 @@ _HIGHEST_DEGREE = 25
 class PolynomialPath(Trajectory):
     """A path through places at given times on polynomials, with the attitude of the world.
 
+    Raises TrajectoryError for times that do not increase, or too few samples for the degree.
+
     Parameters
     ----------
     times_ns : (n,) increasing.
     places_m : (n, 3).
     degree : of the polynomials.
     velocities_m_s : (n, 3) for Hermite's, None for Lagrange's.
-
-    Raises
-    ------
-    TrajectoryError
-        Times that do not increase, or too few samples for the degree.
     """
 
     def __init__(
@@ -251,12 +248,8 @@ class Segment:
 class Segmented(Trajectory):
     """A trajectory of segments in turn; at an instant that two share the later one holds.
 
-    Before the first segment and after the last the pose is constant.
-
-    Raises
-    ------
-    TrajectoryError
-        No segment, or segments that overlap or leave a gap.
+    Before the first segment and after the last the pose is constant. Raises TrajectoryError for no segment, and for
+    segments that overlap or leave a gap.
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:

@@ -47,16 +47,13 @@ _Floats = npt.NDArray[np.float64]
 class Keyframes(Trajectory):
     """A smooth path through poses at given times.
 
+    Raises TrajectoryError without a keyframe, for times that do not increase, and for a turn of unknown sense.
+
     Parameters
     ----------
     times_ns : (n,) stream times, increasing.
     poses : (n,) at these times.
     velocities_m_s : (n, 3), where they are known.
-
-    Raises
-    ------
-    TrajectoryError
-        No keyframe, times that do not increase, a turn of unknown sense.
     """
 
     def __init__(

@@ -145,17 +145,12 @@ class TrajectoryError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A place and an attitude.
+    """A place and an attitude; raises ValueError if not finite, or not a unit quaternion.
 
     Attributes
     ----------
     position_m : (3,) float64, in the world.
     q_world_from_body : (4,) float64, unit, scalar first; one within 0.1 % of unit length is made so.
-
-    Raises
-    ------
-    ValueError
-        Not finite, or not a unit quaternion.
     """
 
     position_m: Vector

@@ -42,10 +42,7 @@ _Floats = npt.NDArray[np.float64]
 def read_spice(p: SpicePath) -> Keyframes:
     """Return the path of a rig's SPICE table, from time 0 to its duration; before and after it the nearest pose holds.
 
-    Raises
-    ------
-    TrajectoryError
-        Without spiceypy, where the kernels do not give the path, and where it cannot be followed closely enough.
+    Raises TrajectoryError without spiceypy, and where the kernels do not give the path closely enough.
     """
     for kernel in p.kernels:
         if not Path(kernel).is_file():

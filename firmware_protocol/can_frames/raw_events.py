@@ -141,7 +141,8 @@ def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], np
     first = _first_of_each(ticks)
     second = np.minimum(first + 1, len(events) - 1)
     paired = np.append(first[1:], len(events)) - first == 2
-    pixels = _pixel_bits(events)
+    x, y, on = (events[name].astype(np.uint64) for name in ("x", "y", "on"))
+    pixels = x | y << np.uint64(9) | on << np.uint64(18)
     words = ticks[first] & np.uint64(0xFFFF)
     words |= ((np.arange(len(first), dtype=np.uint64) + np.uint64(seq)) & np.uint64(7)) << np.uint64(16)
     dt = np.where(paired, ticks[second] - ticks[first], np.uint64(_NO_SECOND))
@@ -158,12 +159,6 @@ def _first_of_each(ticks: npt.NDArray[np.uint64]) -> npt.NDArray[np.int64]:
     run_start: npt.NDArray[np.int64] = np.maximum.accumulate(np.where(starts_run, index, 0))
     first: npt.NDArray[np.int64] = index[(index - run_start) % 2 == 0]
     return first
-
-
-def _pixel_bits(events: Events) -> npt.NDArray[np.uint64]:
-    x, y, on = (events[name].astype(np.uint64) for name in ("x", "y", "on"))
-    bits: npt.NDArray[np.uint64] = x | y << np.uint64(9) | on << np.uint64(18)
-    return bits
 
 
 def unpack_events(data: bytes, tick_us: int, near_us: int) -> EventsFrame:

@@ -36,9 +36,8 @@ class RawSettings:
     ----------
     events, epoch : 11-bit identifiers of events frames and epoch frames.
     tick_us : 1, 10, 100 or 1000.
-    epoch_us
-        Longest time between two epoch frames. Half the span of a frame's 16 bits covers the epoch frames that may be
-        lost in a row before time is ambiguous: three of 10 ms at a tick of 1 us.
+    epoch_us : Longest time between two epoch frames. Half the span of a frame's 16 bits covers the epoch frames that
+        may be lost in a row before time is ambiguous: three of 10 ms at a tick of 1 us.
     fd, brs : CAN FD frames, and the faster bit rate for their data.
     clock : 11-bit identifier of clock frames; None for none, if no receiver starts later and the time is never set.
     """
@@ -180,9 +179,8 @@ class RawCounters:
     Attributes
     ----------
     events : events received.
-    lost
-        Events sent and not received, by the counts in the epoch frames; below 0 while later frames came before earlier
-        ones.
+    lost : Events sent and not received, by the counts in the epoch frames; below 0 while later frames came before
+        earlier ones.
     dropped : events dropped before they were sent, by the epoch frames.
     gaps : number of frames whose `seq` was not the next.
     repeated : frames that came twice in a row; used once.

@@ -316,10 +316,7 @@ _MOST_CONNECTIONS = 64
 
 
 def cfp_frames(packet: bytes, sender: int, packet_count: int) -> list[Frame]:
-    """Return the frames of a CSP packet, header first; `sender` is this side's address; six bits of it are sent.
-
-    Raises ValueError for less than a header.
-    """
+    """Return the frames of a CSP packet, header first, from address `sender`, six bits; ValueError without a header."""
     if len(packet) < CFP_HEADER_BYTES:
         raise ValueError(f"a CSP packet has a header of {CFP_HEADER_BYTES} bytes, this has {len(packet)}")
     fixed = int.from_bytes(packet[:2], "big") << 13 | (sender & 0x3F) << 7 | (packet_count & 3) << 5

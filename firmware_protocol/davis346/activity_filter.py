@@ -62,11 +62,9 @@ def find_fates(
 
     Parameters
     ----------
-    ticks, x, y
-        (n,) the clock at each event, 0 to STAMP_MASK, and its pixel.
+    ticks, x, y : (n,) the clock at each event, 0 to STAMP_MASK, and its pixel.
     limits : the least age of its own cell and the greatest age of a cell that supports an event, ticks.
-    stamps
-        (rows, columns) of cells.
+    stamps : (rows, columns) of cells.
     """
     rows, columns = stamps.shape
     shortest, longest = limits
@@ -144,10 +142,7 @@ class ActivityResult:
 
 
 class ActivityFilter:
-    """Both filters of a camera of `size` (width, height).
-
-    The constructor compiles the kernel, or reads it from disk, so that no event has to wait for it.
-    """
+    """Both filters of a camera of `size` (width, height); compiles the kernel at once, so that no event waits."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         width, height = size

@@ -184,8 +184,7 @@ class Decoder:
 
     Parameters
     ----------
-    size
-        (width, height) in user coordinates.
+    size : (width, height) in user coordinates.
     turned : True if row words carry x and column words y (invert bit of the orientation register).
     """
 

@@ -53,8 +53,7 @@ class Davis346Settings(Fx3Settings):
     Attributes
     ----------
     bcd_device : low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
-    size
-        (width, height) of the array. neuromorphic_drivers assumes 346 x 260; other sensors may send their events in
+    size : (width, height) of the array. neuromorphic_drivers assumes 346 x 260; other sensors may send their events in
         DAVIS words if the receiver is configured for their size.
     layout : order in which rows and columns are sent.
     imu_unit : 0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
@@ -123,10 +122,8 @@ class FilterSettings:
     Attributes
     ----------
     suppressed : polarity that does not pass; None: both do.
-    region
-        (first column, first row, last column, last row).
-    hot
-        (column, row) of each pixel that does not pass; those outside the array are left out.
+    region : (first column, first row, last column, last row).
+    hot : (column, row) of each pixel that does not pass; those outside the array are left out.
     every : events that pass before one is skipped; None: all pass.
     """
 
@@ -176,12 +173,7 @@ class _Filtered:
 
 
 class DvsFilters:
-    """The filters of one camera, which count in its `fates`.
-
-    Attributes
-    ----------
-    hot : of the events that were not selected, those at hot pixels.
-    """
+    """The filters of one camera, which count in its `fates`; `hot`: of the events not selected, those at hot pixels."""
 
     def __init__(self, size: tuple[int, int], fates: Counts, *, has_activity: bool = False) -> None:
         self._fates = fates

@@ -98,8 +98,7 @@ class WordEncoder(TimedEncoder):
 
     Parameters
     ----------
-    size
-        (width, height) of the array; events outside are refused.
+    size : (width, height) of the array; events outside are refused.
     turned : True for the chip's own coordinates, turned by 90 degrees: the row word carries x, the column word y.
     """
 

@@ -173,10 +173,7 @@ class TakesReadings(ABC):
 
     @abstractmethod
     def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
-        """Take readings of one kind, (n,) in stream time, sorted; they are copied.
-
-        False: it never uses this kind, and the caller counts them as ignored.
-        """
+        """Copy readings of a kind, (n,) in stream time, sorted. False: never used; the caller counts them ignored."""
 
 
 class HasClockInput(ABC):

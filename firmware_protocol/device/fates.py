@@ -27,12 +27,10 @@ class Counts:
 
     Attributes
     ----------
-    added
-        Made by the camera beyond one for each item offered: a rising edge may be reported again as the pulse that it
-        begins, and a generator makes its own edges.
-    not_running
-        Arrived while no host had the camera, or this kind, running; or in the middle of a frame whose start the host
-        did not get.
+    added : Made by the camera beyond one for each item offered: a rising edge may be reported again as the pulse that
+        it begins, and a generator makes its own edges.
+    not_running : Arrived while no host had the camera, or this kind, running; or in the middle of a frame whose start
+        the host did not get.
     ignored : edges that were not detected: the camera was not running, or its registers exclude this kind of edge.
     not_selected : excluded on purpose: outside the region of interest, or a pixel that sub-sampling skips.
     dropped_background, dropped_refractory

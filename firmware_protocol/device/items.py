@@ -93,9 +93,8 @@ class Items:
     ----------
     events, edges, readings
         (n,) EVENT, (m,) EDGE, and readings, in stream time: microseconds since the start of the run.
-    epoch_us
-        Stream time at which the device's own clock was last zero: device time is `t - epoch_us`. Negative if that clock
-        was set ahead.
+    epoch_us : Stream time at which the device's own clock was last zero: device time is `t - epoch_us`. Negative if
+        that clock was set ahead.
     """
 
     events: Events = field(default_factory=empty_events)

@@ -95,12 +95,7 @@ def _time_of(reading: Reading) -> int:
 
 
 class ItemQueue:
-    """Items of a device in the order of time, an `ItemEncoder` that makes no bytes.
-
-    Attributes
-    ----------
-    waiting : see `ItemEncoder.waiting`.
-    """
+    """Items of a device in the order of time, an `ItemEncoder` that makes no bytes."""
 
     def __init__(self) -> None:
         self._clocks: deque[_ItemsOfClock] = deque([_ItemsOfClock(0, 0)])

@@ -88,12 +88,9 @@ def read_words(words: Words, state: _Int64s, events: _Bytes, rare: _Int64s) -> i
     Parameters
     ----------
     words : words in stream order.
-    state
-        (9,) with the layout above, updated.
-    events
-        (13 m,) bytes of room for EVENT records, m the number of pixels.
-    rare
-        (k, 3): word, its time, and the number of events before it; k words of other kinds.
+    state : (9,) with the layout above, updated.
+    events : (13 m,) bytes of room for EVENT records, m the number of pixels.
+    rare : (k, 3): word, its time, and the number of events before it; k words of other kinds.
     """
     time_us = state[_TIME]
     column = state[_COLUMN]
@@ -142,10 +139,7 @@ def _time_after(before_us: int, word: int) -> int:
 
 @kernel
 def _put_pixels(events: _Bytes, at: int, time_us: int, x: int, rows: int) -> int:
-    """Write an EVENT record for each pixel; return the place of the next one.
-
-    `rows`: the first row, and from bit 16 on the word of pixels.
-    """
+    """Write an EVENT for each pixel; return the next place. `rows`: the first row, from bit 16 on the pixels' word."""
     row, bits, on = rows & 0xFFFF, rows >> 16 & 0xFF, not rows >> 16 & OFF_BIT
     while bits:
         at = put_event(events, at, time_us, x, row + LOWEST_BIT[np.uint64(bits)], on)
@@ -156,14 +150,7 @@ def _put_pixels(events: _Bytes, at: int, time_us: int, x: int, rows: int) -> int
 class GroupDecoder:
     """Decoder of a stream of DVXplorer words; it keeps its state between pieces.
 
-    Parameters
-    ----------
-    size
-        (width, height) of the array.
-
-    Attributes
-    ----------
-    faults : counts of words that an intact stream never contains.
+    `size`: (width, height) of the array. `faults`: counts of words that an intact stream never contains.
     """
 
     def __init__(self, size: tuple[int, int] = (640, 480)) -> None:
@@ -194,7 +181,10 @@ class GroupDecoder:
         imu = self._imu.feed(seldom, times_us)
         imu["sample"]["counts"] = imu["sample"]["counts"][:, AXES_ON_THE_WIRE]
         self._resets += int(np.count_nonzero(seldom == _RESET))
-        return Decoded(events[:n_events], _specials(rare), (), imu, self._resets)
+        chosen = rare[np.isin(rare[:, 0], (_RESET, *_INPUT_MARKS))]
+        specials = np.empty(len(chosen), SPECIAL_EVENT)
+        specials["code"], specials["t"], specials["index"] = chosen.T
+        return Decoded(events[:n_events], specials, (), imu, self._resets)
 
     def _count_faults(self, rare: _Int64s) -> None:
         specials = rare[rare < COLUMN]
@@ -207,11 +197,3 @@ class GroupDecoder:
             unknown_special=int(np.count_nonzero(~np.isin(specials, _KNOWN_SPECIALS))),
             unknown_misc=int(np.count_nonzero(~known_misc)),
         )
-
-
-def _specials(rare: _Int64s) -> npt.NDArray[np.void]:
-    """Return the (m,) SPECIAL_EVENT records of marks and resets."""
-    chosen = rare[np.isin(rare[:, 0], (_RESET, *_INPUT_MARKS))]
-    specials = np.empty(len(chosen), SPECIAL_EVENT)
-    specials["code"], specials["t"], specials["index"] = chosen.T
-    return specials

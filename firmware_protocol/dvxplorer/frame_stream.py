@@ -43,8 +43,7 @@ class FrameStream:
 
     Parameters
     ----------
-    size
-        (width, height) of the array; events outside are refused.
+    size : (width, height) of the array; events outside are refused.
     fifo_bytes : room for events that wait, at eight bytes each; at least 1024.
 
     Attributes
@@ -182,8 +181,7 @@ class SampleOutput(ReadingInput):
 
     Parameters
     ----------
-    settings_in
-        Returns the settings in the registers, `words` as `follow` has it.
+    settings_in : Returns the settings in the registers, `words` as `follow` has it.
     """
 
     def __init__(

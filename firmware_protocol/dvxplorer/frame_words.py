@@ -252,10 +252,7 @@ def _put_column(events: _Bytes, at: int, out: FrameWords, written: int) -> tuple
 
 @kernel
 def _part(events: _Bytes, at: int, t: int, x: int) -> tuple[int, int, int, int]:
-    """Return group, polarity and pixels of the events from `at` on that share both, and the place after them.
-
-    No pixels: the column has ended.
-    """
+    """Return group, polarity, pixels of events from `at` that share both, and the place after; no pixels: the end."""
     part, mask = _NONE, _ZERO
     while at < len(events) and time_at(events, at) == t and short_at(events, at + 8) == x:
         key = _key(events, at)
@@ -266,10 +263,7 @@ def _part(events: _Bytes, at: int, t: int, x: int) -> tuple[int, int, int, int]:
 
 
 def in_wire_order(events: Events, size: tuple[int, int]) -> Events:
-    """Return (n,) EVENT, sorted by time, in the order on the wire; raises ValueError for others.
-
-    These are `events` themselves if they are in this order.
-    """
+    """Return (n,) EVENT in the order on the wire, `events` itself if it is so; ValueError if not sorted by time."""
     keys, octets = np.empty((2, len(events)), np.int32), bytes_of(events)
     order = sort_keys(octets, size, keys, np.empty((_DIGITS, _DIGIT + 1), np.int32))
     if order < 0:
@@ -320,10 +314,7 @@ class FrameEncoder:
         return int(self._state[_MS])
 
     def encode(self, events: Events, out: FrameWords) -> tuple[int, int]:
-        """Write whole columns of `events`, (n,) EVENT with the times of frames, into `out`, (k,) with k >= 65.
-
-        Returns the numbers of events and of words written.
-        """
+        """Write whole columns of `events`, (n,) with frame times, to `out`, (k >= 65,); return both numbers written."""
         n_events, n_words = write_frames(bytes_of(events), self._state, out)
         return int(n_events), int(n_words)
 
@@ -396,14 +387,7 @@ def _put_groups(word: int, state: _State, events: _Bytes, at: int) -> int:
 class FrameDecoder:
     """Decoder of a Micro's words; it keeps its state between pieces.
 
-    Parameters
-    ----------
-    size
-        (width, height) of the array.
-
-    Attributes
-    ----------
-    faults : counts of words that an intact stream never contains.
+    `size`: (width, height) of the array. `faults`: counts of words that an intact stream never contains.
     """
 
     def __init__(self, size: tuple[int, int] = (640, 480)) -> None:

@@ -300,10 +300,7 @@ _OTHERS = {
 
 
 def sensor_factors(chip: Callable[[int], int], scan_us: float) -> dict[str, float]:
-    """Return the factors that are not 1, by sensor parameter.
-
-    `chip` returns the chip's register at an address; `scan_us` is the period of a scan that the registers select.
-    """
+    """Return the factors that are not 1, by sensor parameter; `chip` reads a chip register, `scan_us` is the period."""
     on = min(chip(_ON), _MOST_CURRENT) + _RANGE_LEVELS * bool(chip(_RANGES) & _ON_RANGE)
     off = _MOST_CURRENT - min(chip(_OFF), _MOST_CURRENT) + _RANGE_LEVELS * (not chip(_LEVELS) & _OFF_LEVEL)
     return level_factors(on, off, scan_us)

@@ -102,14 +102,10 @@ def write_words(events: _Bytes, mark_times: _Times, mark_words: Words, state: _S
 
     Parameters
     ----------
-    events
-        (13 n,) bytes of EVENT records.
-    mark_times, mark_words
-        (m,) times, us, and words of marks, sorted; a mark comes before events of the same time.
-    state
-        (9,) with the layout above; on return the state after the last word.
-    out
-        (k,) room, k at least 6.
+    events : (13 n,) bytes of EVENT records.
+    mark_times, mark_words : (m,) times, us, and words of marks, sorted; a mark comes before events of the same time.
+    state : (9,) with the layout above; on return the state after the last word.
+    out : (k,) room, k at least 6.
 
     Returns
     -------
@@ -238,8 +234,7 @@ class GroupEncoder(TimedEncoder):
 
     Parameters
     ----------
-    size
-        (width, height) of the array; events outside are refused.
+    size : (width, height) of the array; events outside are refused.
 
     Attributes
     ----------

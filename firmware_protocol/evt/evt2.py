@@ -92,10 +92,7 @@ _next_high = kernel(next_high)
 
 @entry
 def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Words) -> int:
-    """Write words until all events and edges are written or `out` is full.
-
-    Like `write_words`, except for `mask`: NO_MASK, MASK_FIRST or MASK_LAST.
-    """
+    """Write events and edges as `write_words` does, until `out` is full; `mask`: NO_MASK, MASK_FIRST or MASK_LAST."""
     written = 0
     while written <= len(out) - _MOST_WORDS and is_left(events, edges, state):
         is_edge = edge_is_next(events, edges, state)
@@ -252,10 +249,7 @@ class Evt2Decoder:
         self.decode(b"")  # compiles the kernels now, not while words wait
 
     def decode(self, data: bytes) -> tuple[Events, Edges]:
-        """Return events (n,) EVENT and edges (m,) EDGE of the next bytes, which may end inside a word.
-
-        Any bytes are words: there is no error, and at most an event for every two bits.
-        """
+        """Return (n,) EVENT and (m,) EDGE of any next bytes, even part of a word; at most an event for two bits."""
         data = self._rest + data
         unit = 4 if self._mask == NO_MASK else 8
         complete_bytes = len(data) - len(data) % unit

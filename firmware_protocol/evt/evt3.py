@@ -80,13 +80,10 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
 
     Parameters
     ----------
-    events, edges
-        (13 n,) and (12 m,) bytes of EVENT and EDGE records.
+    events, edges : (13 n,) and (12 m,) bytes of EVENT and EDGE records.
     width : columns of the sensor.
-    state
-        (8,) with the layout in `words`; on return the state after the last word.
-    out
-        (k,) room, k at least 8.
+    state : (8,) with the layout in `words`; on return the state after the last word.
+    out : (k,) room, k at least 8.
 
     Returns
     -------
@@ -330,10 +327,7 @@ class Evt3Decoder:
         self.decode(b"")  # compiles the kernels now, not while words wait
 
     def decode(self, data: bytes) -> tuple[Events, Edges]:
-        """Return events (n,) EVENT and edges (m,) EDGE of the next bytes, which may end inside a word.
-
-        Any bytes are words: there is no error, and at most 12 events a word.
-        """
+        """Return (n,) EVENT and (m,) EDGE of any next bytes, even part of a word; at most 12 events a word."""
         data = self._rest + data
         complete_bytes = len(data) & ~1
         self._rest = data[complete_bytes:]

@@ -36,8 +36,7 @@ class FrameRead:
     exposure_cycles : exposure register, cycles of the ADC's clock.
     roi : first column, first row, last column, last row.
     resets : timestamp resets that the reader had read before.
-    reset, signal
-        (rows, columns) uint16, the two reads of the region.
+    reset, signal : (rows, columns) uint16, the two reads of the region.
     """
 
     start_us: int
@@ -68,13 +67,10 @@ class Decoded:
 
     Attributes
     ----------
-    events
-        (n,) EVENT in device time, microseconds since the last timestamp reset.
-    specials
-        (m,) SPECIAL_EVENT.
+    events : (n,) EVENT in device time, microseconds since the last timestamp reset.
+    specials : (m,) SPECIAL_EVENT.
     frames : frames that this piece completed.
-    imu_read
-        (k,) IMU_READ: samples of the inertial unit; see `ImuReader`.
+    imu_read : (k,) IMU_READ: samples of the inertial unit; see `ImuReader`.
     resets_in_all : timestamp resets since the decoder was made.
     """
 

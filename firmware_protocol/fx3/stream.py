@@ -62,10 +62,7 @@ class TimedEncoder(ABC):
         return np.full(1, Special.TIMESTAMP_RESET, WORD)
 
     def advance(self, now_us: int, room: int = SINGLE_WRAPS) -> Words:
-        """Return the wraps due up to device time `now_us`, in at most `room` words.
-
-        If they do not fit, none is returned and the state stays; a later call makes up for them.
-        """
+        """Return the wraps due up to `now_us`, in at most `room` words; none if they do not fit, for a later call."""
         steps = (now_us >> WRAP_BITS) - (self.state.time_us >> WRAP_BITS)
         if steps <= 0:
             return np.empty(0, WORD)
@@ -86,14 +83,10 @@ class TimedEncoder(ABC):
 
         Parameters
         ----------
-        events
-            Events in stream time.
-        epoch_us
-            Stream time at which device time is zero.
-        marks
-            Marks in stream time, placed between the events by their time.
-        blocks
-            Runs of words in stream time, placed likewise; at one time after marks and before events.
+        events : Events in stream time.
+        epoch_us : Stream time at which device time is zero.
+        marks : Marks in stream time, placed between the events by their time.
+        blocks : Runs of words in stream time, placed likewise; at one time after marks and before events.
 
         Raises
         ------

@@ -180,10 +180,7 @@ class Encoded:
 
 
 def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
-    """Return words that add `steps` wraps: single ones if at most `room` words are enough, else as few as possible.
-
-    None if even these do not fit.
-    """
+    """Return words that add `steps` wraps: single ones if `room` suffices, else the fewest; None if they do not fit."""
     if steps <= min(room, SINGLE_WRAPS):
         return np.full(steps, WRAP | 1, WORD)
     full, remaining = divmod(steps, MAX_STEPS)

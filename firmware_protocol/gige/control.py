@@ -122,13 +122,7 @@ class Controlled(Protocol):
 
 
 class Control:
-    """Server of the control channel: answers the requests of hosts.
-
-    Attributes
-    ----------
-    owner : the host that has control, or None.
-    counts : requests by outcome.
-    """
+    """Server of the control channel. `owner`: the host that has control, or None; `counts`: requests by outcome."""
 
     def __init__(self, memory: Memory, controlled: Controlled) -> None:
         self._memory = memory
@@ -353,12 +347,7 @@ class _Sent:
 
 
 class Messages:
-    """Queue of messages to a host.
-
-    Attributes
-    ----------
-    counts : messages by outcome.
-    """
+    """Queue of messages to a host; `counts`: messages by outcome."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Command, bytes]] = deque()

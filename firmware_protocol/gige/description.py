@@ -28,10 +28,8 @@ class Feature:
 
     Attributes
     ----------
-    bits
-        (first, last) bit of the register that it uses, bit 0 the lowest; None: all of them.
-    limits
-        (least, most) value; a negative least means a signed register.
+    bits : (first, last) bit of the register that it uses, bit 0 the lowest; None: all of them.
+    limits : (least, most) value; a negative least means a signed register.
     entries : values of an enumeration by name.
     room : octets of a text, or of a register.
     order : value that a host writes to execute a command.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from firmware_protocol.ground.description import Packet, Placed, Tail
+from firmware_protocol.ground.description import Packet, Placed
 from firmware_protocol.packets.ccsds import ERROR_CONTROL, PRIMARY_HEADER
 from firmware_protocol.wire_layout import Field
 
@@ -77,18 +77,15 @@ def _telemetry(packet: Packet, target: str) -> Iterable[str]:
         yield f"  {head} {field.name.upper()} {field.bits} {_type(field)}{value} {_quoted(field.meaning)}"
         yield from _details(field, "READ")
     if packet.tail is not None:
-        yield _tail(packet.tail, 8 * packet.before_tail)
+        name, kind = packet.tail.name.upper(), "STRING" if packet.tail.kind == "text" else "BLOCK"
+        place = f"{8 * packet.before_tail} -{ERROR_CONTROL.bits}"
+        yield f"  ITEM {name} {place} {kind} {_quoted(packet.tail.meaning)}"
     for field in ERROR_CONTROL.fields:
         name = field.name.upper()
         head = f"ITEM {name} -{field.bits}" if packet.tail else f"APPEND_ITEM {name}"
         yield f"  {head} {field.bits} UINT {_quoted(field.meaning)}"
         yield from _details(field, "READ")
     yield ""
-
-
-def _tail(tail: Tail, at: int) -> str:
-    kind = "STRING" if tail.kind == "text" else "BLOCK"
-    return f"  ITEM {tail.name.upper()} {at} -{ERROR_CONTROL.bits} {kind} {_quoted(tail.meaning)}"
 
 
 def _command(packet: Packet, target: str) -> Iterable[str]:

@@ -63,12 +63,7 @@ from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, Treuz
 
 @dataclass(frozen=True)
 class BoardModel(BoardIdentity):
-    """Identity of a board, and its sensor.
-
-    Attributes
-    ----------
-    chip : its sensor.
-    """
+    """Identity of a board, and its sensor `chip`."""
 
     chip: Chip = IMX636
 

@@ -109,10 +109,7 @@ class BlockOutflow(Outflow[Outgoing]):
         self.shift_ns: int | None = None
 
     def take(self, now_us: int, room: int, *, at_once: bool = False) -> Outgoing | None:
-        """Return the next block; None while it is empty, or may still grow and `at_once` is false.
-
-        `room` is the size of its packets, octets.
-        """
+        """Return the next block, in packets of `room` octets; None while it is empty, or may grow and not `at_once`."""
         first_us = self._due_us(now_us)
         if first_us is not None:
             grows = not at_once and self._queued < _MOST_EVENTS and now_us - first_us < self._block_us

@@ -64,9 +64,8 @@ class Triton2Control:
 
     Attributes
     ----------
-    orders
-        Orders that the stream is to execute next; the caller takes them from the left. When the queue is full, further
-        requests that would give an order are refused as busy.
+    orders : Orders that the stream is to execute next; the caller takes them from the left. When the queue is full,
+        further requests that would give an order are refused as busy.
     """
 
     def __init__(

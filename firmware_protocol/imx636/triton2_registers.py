@@ -61,8 +61,7 @@ class Triton2Settings:
 
     Attributes
     ----------
-    size
-        (width, height) of the sensor, pixels.
+    size : (width, height) of the sensor, pixels.
     address : the camera's own IPv4 address, which is in its answer to a discovery.
     serial, user_name : at most 15 ASCII characters.
     start_delay_us

@@ -148,22 +148,16 @@ _NO_LIMIT = 1 << 30
 
 
 class Instrument(EventDevice, HostAdjusted, HasClockInput):
-    """The camera.
+    """The camera; raises ValueError for settings that do not fit the array.
 
     Parameters
     ----------
-    size
-        (width, height) of the array.
+    size : (width, height) of the array.
     biases : biases of its sensor; by default those of a DAVIS346.
 
     Attributes
     ----------
     frames_refused : damaged frames that the link received; the link sets it, housekeeping reports it.
-
-    Raises
-    ------
-    ValueError
-        The settings do not fit the array.
     """
 
     set_by = "telecommand"

@@ -119,12 +119,10 @@ class StreamFacts:
 
     Attributes
     ----------
-    size
-        (width, height) of the sensor, pixels.
+    size : (width, height) of the sensor, pixels.
     camera : its name, such as "DAVIS346_00000001".
     frame_us : stream time of an image, if the stream is one of images.
-    compression
-        "none" or "lz4", if the format has it.
+    compression : "none" or "lz4", if the format has it.
     pictures : content of the images, if the stream is one of images.
     """
 

@@ -42,8 +42,7 @@ class EventFrames:
 
     Parameters
     ----------
-    size
-        (width, height), pixels.
+    size : (width, height), pixels.
     filter_us : time constant of the channel "filtered"; 0 if it is not needed.
     """
 

@@ -91,12 +91,7 @@ HEADER_BYTES = PRIMARY_HEADER.octets
 
 @dataclass(frozen=True)
 class SpacePacket:
-    """One packet. Raises ValueError for a field out of range.
-
-    Attributes
-    ----------
-    data : octets after the primary header, 1..65536.
-    """
+    """One packet; raises ValueError for a field out of range. `data`: octets after the primary header, 1..65536."""
 
     type: PacketType
     apid: int

@@ -137,8 +137,7 @@ class Housekeeping:
     t_us : the camera's own time, us.
     offered_hz, sent_hz : events per second since the last report.
     temperature_centi_c : 0.01 degree Celsius.
-    region
-        x, y, width, height in pixels.
+    region : x, y, width, height in pixels.
     rate_limit_hz : events per second, 0 for none.
     """
 

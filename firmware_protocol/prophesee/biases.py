@@ -82,8 +82,7 @@ class BiasModel:
 
     Attributes
     ----------
-    low_pass
-        Parameter that bias fo changes: the fixed pole after the photoreceptor, or, if the sensor has none, the
+    low_pass : Parameter that bias fo changes: the fixed pole after the photoreceptor, or, if the sensor has none, the
         photoreceptor's corner frequency in bright light.
     has_delay : True: the sensor delays its OFF events, by a time that diff_off changes.
     """

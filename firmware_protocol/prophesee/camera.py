@@ -183,8 +183,7 @@ class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
 
     Parameters
     ----------
-    size
-        (width, height) of the array.
+    size : (width, height) of the array.
     biases : effect of the biases on the sensor.
     pulse_us : length of a pulse at the trigger input.
     """

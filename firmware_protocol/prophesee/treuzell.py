@@ -103,12 +103,7 @@ class RegisterBus(Protocol):
 
 @dataclass(frozen=True)
 class BoardFacts:
-    """Identity data of the board.
-
-    Attributes
-    ----------
-    short_frames : True if it has frames without a size as well.
-    """
+    """Identity data of the board; `short_frames`: True if it has frames without a size as well."""
 
     serial: int
     release: int

@@ -50,16 +50,7 @@ _EVENT_BYTES = {"evt3": 8, "evt2": 8, "evt21": 16, "evt21-legacy": 16}  # at mos
 
 
 class UsbOutflow(Outflow[Transfer]):
-    """Outflow to a bulk endpoint: one stream of words, cut into transfers of any length.
-
-    Attributes
-    ----------
-    form : form of the words.
-
-    Parameters
-    ----------
-    width : columns of the array.
-    """
+    """Outflow to a bulk endpoint: one stream of words of a `form`, cut into transfers; `width`: the array's columns."""
 
     def __init__(self, epoch_us: int, fifo_bytes: int, form: Form, width: int) -> None:
         limits = OutflowLimits(fifo_bytes // _FIFO_BYTES_PER_EVENT, _MOST_EDGES, _SILENCE_US)
@@ -125,8 +116,7 @@ class BoardIdentity:
     Attributes
     ----------
     title : its name for people.
-    usb_id
-        (vendor, product).
+    usb_id : (vendor, product).
     manufacturer, product : string descriptors.
     kind : kind of board, as the vendor request reports it.
     short_frames : True if hosts write registers by frames without a size (see `treuzell`).

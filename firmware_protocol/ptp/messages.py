@@ -122,8 +122,7 @@ class Announce:
 
     Attributes
     ----------
-    quality
-        (priority 1, class, accuracy, variance, priority 2); the lower is the better.
+    quality : (priority 1, class, accuracy, variance, priority 2); the lower is the better.
     """
 
     header: Header

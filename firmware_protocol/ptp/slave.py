@@ -171,10 +171,7 @@ class Servo:
 
 
 def _line(samples: list[tuple[int, int]]) -> tuple[float, float]:
-    """Return slope, ns/s, and last value, ns, of the line through the medians of both halves.
-
-    A single outlier has no effect.
-    """
+    """Return slope, ns/s, and last value, ns, of the line through both halves' medians; one outlier has no effect."""
     times_s = [(local_ns - samples[0][0]) / _NS_PER_S for local_ns, _ in samples]
     offsets_ns = [offset_ns for _, offset_ns in samples]
     half = len(samples) // 2

@@ -86,7 +86,9 @@ class CanReceiver(Receiver):
         self._inbox.put_events(self._raw.push(frame))
         if frame.identifier in self._edge_ids and not frame.extended:
             try:
-                self._inbox.put_edges(unpack_mark(frame.data, self._near_us))
+                # The camera's newest time: of raw frames, or if there are none of messages.
+                near_us = self._message_us if self._raw.now_us is None else self._raw.now_us
+                self._inbox.put_edges(unpack_mark(frame.data, near_us))
             except ObjectError:
                 self._frames["edge frames malformed"] += 1
         self._open(self._from_isotp, self._isotp.push(frame, now_ns))
@@ -141,11 +143,6 @@ class CanReceiver(Receiver):
         cut = sum(n for name, n in self._isotp.faults.items() if name != "without a beginning")
         cut += sum(n for name, n in self._cfp.faults.items() if name != "without a beginning")
         return raw.lost + raw.gaps + raw.repeated + raw.malformed + self._missing + self._messages.bad + cut
-
-    @property
-    def _near_us(self) -> int:
-        """The camera's newest time: of raw frames, or if there are none of messages."""
-        return self._message_us if self._raw.now_us is None else self._raw.now_us
 
     def _name(self, frame: Frame) -> str:
         return "CFP" if frame.extended else self._names.get(frame.identifier, f"{frame.identifier:03X}")

@@ -292,8 +292,7 @@ class DavisReceiver(Receiver):
 
     Parameters
     ----------
-    size
-        (width, height) in user coordinates.
+    size : (width, height) in user coordinates.
     turned : True if the invert bit of the orientation register is set.
     """
 

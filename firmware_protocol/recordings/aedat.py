@@ -156,12 +156,7 @@ def _size_of(line: bytes) -> tuple[int, int] | None:
 
 
 class Aedat2Decoder:
-    """Decoder of records in pieces, of a sensor of `size` = (width, height); it counts the records left out.
-
-    Attributes
-    ----------
-    outside : events beyond the sensor so far.
-    """
+    """Decoder of records in pieces, of a sensor of `size` = (width, height); `outside`: events beyond it so far."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
@@ -305,22 +300,14 @@ def parse_aedat31_header(head: bytes) -> tuple[int, str]:
 
 
 class Aedat31Decoder:
-    """Decoder of packets in pieces.
-
-    Attributes
-    ----------
-    others : events without meaning here so far.
-    """
+    """Decoder of packets in pieces; `others`: events without meaning here so far."""
 
     def __init__(self) -> None:
         self._rest = b""
         self.others = 0
 
     def decode(self, data: bytes) -> Part:
-        """Return the content of the packets that the next bytes complete.
-
-        Raises ValueError for a packet that cannot be one.
-        """
+        """Return the content of the packets that the next bytes complete; ValueError for an impossible packet."""
         data = self._rest + data
         parts, start = [Part()], 0
         while len(data) - start >= _HEAD.itemsize:
@@ -447,12 +434,7 @@ def frame_words(frame: Frame, height: int) -> tuple[Words, Words]:
 
 
 class ImuWords:
-    """Decoder of words into samples.
-
-    Attributes
-    ----------
-    others : words that belong to no complete sample.
-    """
+    """Decoder of words into samples; `others`: words that belong to no complete sample."""
 
     def __init__(self) -> None:
         self._rest = np.empty(0, WORD)

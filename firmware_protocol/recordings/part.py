@@ -27,8 +27,7 @@ class Frame:
     Attributes
     ----------
     t_us, exposure_begin_us, exposure_end_us : its time, and those of its exposure.
-    pixels
-        (height, width), row 0 on top: uint8, or uint16 with 10 bits as a DAVIS has them.
+    pixels : (height, width), row 0 on top: uint8, or uint16 with 10 bits as a DAVIS has them.
     origin : column and row of its first pixel in the array.
     """
 
@@ -57,10 +56,7 @@ def ten_bits(frame: Frame) -> npt.NDArray[np.uint16]:
 
 
 def counts_of(part: Part) -> Counter[str]:
-    """Return the number of records of each stream of a part: "events", "edges", "imu", "frames".
-
-    Without empty streams.
-    """
+    """Return the number of records of each stream that a part has: "events", "edges", "imu", "frames"."""
     counts = Counter(events=len(part.events), edges=len(part.edges), imu=len(part.imu), frames=len(part.frames))
     return +counts
 
@@ -71,8 +67,7 @@ class Facts:
 
     Attributes
     ----------
-    size
-        (width, height) of the sensor, pixels; None: not known.
+    size : (width, height) of the sensor, pixels; None: not known.
     camera : name of the camera.
     unix_us : unix time of t = 0, us; 0: not known.
     streams : its contents besides events: "edges", "imu", "frames".
@@ -97,9 +92,8 @@ class RecordingSummary:
     ----------
     title : its format, for people.
     paths : the file, and those that began at restarts of the camera's clock.
-    written, left_out
-        Number of records of each stream in it, and of those that its format cannot hold: "events", "edges", "imu",
-        "frames". Both are empty until it is closed.
+    written, left_out : Number of records of each stream in it, and of those that its format cannot hold: "events",
+        "edges", "imu", "frames". Both are empty until it is closed.
     trouble : reason for an incomplete file, for people; empty if it is complete.
     closed : True if it was finished; False if the process of its link died.
     """

@@ -309,8 +309,7 @@ def as_received(events: Events, tick_us: int) -> Events:
 
     Parameters
     ----------
-    events
-        (n,) EVENT, sorted by time, spanning less than 2**32 ticks.
+    events : (n,) EVENT, sorted by time, spanning less than 2**32 ticks.
     tick_us : the unit of time.
     """
     if not len(events):

@@ -222,11 +222,9 @@ def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: 
 
     Parameters
     ----------
-    events
-        (13 n,) bytes of EVENT records, n at least 1.
+    events : (13 n,) bytes of EVENT records, n at least 1.
     form, limits, room : the sensor; the limits of the block; (max_events,) scratch.
-    out
-        (size,) at least as many bytes as `limits` allows.
+    out : (size,) at least as many bytes as `limits` allows.
 
     Returns
     -------
@@ -444,17 +442,13 @@ class BlockEncoder:
 
         Parameters
         ----------
-        events
-            (n,) EVENT, sorted by time, in device time. Without events the block only reports `dropped`.
-        dropped
-            Events dropped since the previous block; a number above 65535 is reported as 65535.
+        events : (n,) EVENT, sorted by time, in device time. Without events the block only reports `dropped`.
+        dropped : Events dropped since the previous block; a number above 65535 is reported as 65535.
 
         Returns
         -------
-        block
-            Its bytes.
-        taken
-            Number of events in the block: the first `taken` ones.
+        block : Its bytes.
+        taken : Number of events in the block: the first `taken` ones.
 
         Raises
         ------

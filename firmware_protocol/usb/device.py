@@ -123,10 +123,8 @@ class UsbDevice(ABC):
 
         Parameters
         ----------
-        setup
-            The setup packet.
-        data
-            The OUT data stage, empty for IN. If it is shorter than `setup.length`, the device decides.
+        setup : The setup packet.
+        data : The OUT data stage, empty for IN. If it is shorter than `setup.length`, the device decides.
 
         Returns
         -------
@@ -214,12 +212,7 @@ class UsbCameraSettings(ABC):
 
 
 class UsbCamera(EventDevice, UsbDevice):
-    """An event camera on USB: an event device with a USB side.
-
-    Attributes
-    ----------
-    data_endpoint : number of the IN endpoint that carries its events.
-    """
+    """An event camera on USB: an event device with a USB side; `data_endpoint`: the IN endpoint of its events."""
 
     data_endpoint: ClassVar[int]
     settings: UsbCameraSettings

@@ -75,10 +75,7 @@ class Event:
 
 
 def descriptor_block(interfaces: Mapping[Speed, Interface]) -> bytes:
-    """Return the descriptors of one interface at full speed, high speed and SuperSpeed.
-
-    Raises ValueError if its endpoints are not the same at all of them.
-    """
+    """Return the descriptors of an interface at all three speeds; ValueError if its endpoints differ between them."""
     addresses = {tuple(e.address for e in interfaces[speed].endpoints) for speed in _SPEEDS}
     if len(addresses) != 1:
         raise ValueError("an interface must have the same endpoints, in the same order, at all speeds")

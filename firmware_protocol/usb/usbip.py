@@ -150,10 +150,7 @@ class Unlinked(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviceRecord:
-    """A device as a server lists it.
-
-    Raises ValueError for a bus id that is empty, not ASCII, or longer than the field.
-    """
+    """A device as a server lists it; ValueError for a bus id that is empty, not ASCII or longer than the field."""
 
     busid: str
     busnum: int
@@ -333,11 +330,7 @@ class ServerParser(_Parser):
 
 
 class HostParser(_Parser):
-    """The host's end: replies.
-
-    The layout of a RET_SUBMIT depends on the direction of its URB, which the reply does not contain: call `expect` for
-    each URB that is sent.
-    """
+    """The host's end: replies. Call `expect` for each URB: its direction, not in a RET_SUBMIT, decides the layout."""
 
     def __init__(self, limits: Limits = Limits()) -> None:
         super().__init__(limits)

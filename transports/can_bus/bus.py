@@ -206,10 +206,7 @@ class PythonCanBus(CanBus):
         return can.Bus(channel=self._channel, interface=p.interface, ignore_config=True, **(settings | p.options))
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
-        """Pass a frame to the bus; return False if there is no room now.
-
-        The driver decides if an urgent frame overtakes others. Its time stamp is that of this call.
-        """
+        """Pass a frame, stamped now, to the bus; False without room. The driver decides if an urgent one overtakes."""
         bus = self._living()
         try:
             bus.send(self._message(frame))

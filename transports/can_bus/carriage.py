@@ -110,12 +110,7 @@ class FrameSource(ABC):
 
 
 class _RawEvents(FrameSource):
-    """Events in frames that stand alone.
-
-    Attributes
-    ----------
-    sender : encoder of the events, clock and epoch frames.
-    """
+    """Events in frames that stand alone; `sender` encodes the events, clock and epoch frames."""
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, sender: RawSender) -> None:
         super().__init__(instrument, deliveries)

@@ -117,10 +117,7 @@ class Node:
                 self._order(frame, t_ns)
 
     def has_left(self, frame: Frame, t_ns: int) -> None:
-        """Record that an urgent frame of ours was on the bus at `t_ns`.
-
-        Our own SYNC triggers the camera too, and the follow-up of the SYNC contains `t_ns`.
-        """
+        """Record that our frame was on the bus at `t_ns`: a SYNC triggers the camera, its follow-up has `t_ns`."""
         if frame.identifier != self._ids.sync or frame.extended:
             return
         counter = frame.data[0] if frame.data else 0

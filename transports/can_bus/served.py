@@ -35,12 +35,7 @@ _MOST_FRAMES = 48  # of one client that may wait for the bus before its reading 
 
 
 class BusClient(asyncio.BufferedProtocol):
-    """Connection of one client in the protocol of socketcand; `node` is its number on the wire.
-
-    Attributes
-    ----------
-    wants_frames : True when the client has requested all frames.
-    """
+    """One client's connection in the protocol of socketcand, `node` on the wire; `wants_frames`: it requested all."""
 
     _transport: asyncio.Transport
 
@@ -249,10 +244,7 @@ class ServedBus(CanBus):
         self._wire.forget(_ORDINARY)
 
     async def close(self) -> None:
-        """Finish the frame on the wire, then disconnect the clients.
-
-        A client is disconnected when it has read everything, at the latest after a second.
-        """
+        """Finish the frame on the wire; disconnect clients that have read everything, all of them after a second."""
         await self._listener.close()
         await self._until(lambda: not self._wire.busy)
         for member in self._members.values():

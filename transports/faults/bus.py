@@ -161,8 +161,7 @@ class _OfBus(LastingFault):
 
     Attributes
     ----------
-    bus
-        "A" or, if the link has a redundant bus, "B".
+    bus : "A" or, if the link has a redundant bus, "B".
     """
 
     bus: Literal["A", "B"] = "A"

@@ -124,10 +124,7 @@ class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
             self._waiting += stage.finish()
 
     def send(self, data: bytes, outgoing: Outgoing, socket: _Send) -> bool | None:
-        """Send a message through the faults.
-
-        Returns None if the kernel has no room now and nothing was done, False if the message cannot be sent at all.
-        """
+        """Send a message through the faults; None: no room now, nothing is done. False: it cannot be sent at all."""
         if not self.flush(socket):
             return None
         if not self._faults.stages:
@@ -192,7 +189,4 @@ class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
     def _drop(self, copy: _Copy) -> None:
         copy.of.copies -= 1
         if not copy.of.copies and not copy.of.arrived:
-            self._lose(copy.of)
-
-    def _lose(self, sent: _Sent) -> None:
-        self._faults.lose(len(sent.outgoing.events), len(sent.outgoing.edges))
+            self._faults.lose(len(copy.of.outgoing.events), len(copy.of.outgoing.edges))

@@ -89,10 +89,8 @@ class _DecodedWords(NamedTuple):
 
     Attributes
     ----------
-    origin
-        (n,) index of each word among those that the camera sent; INSERTED: it did not send this word.
-    meaning
-        (n,) time, and place and polarity or code, that a decoder reads from each.
+    origin : (n,) index of each word among those that the camera sent; INSERTED: it did not send this word.
+    meaning : (n,) time, and place and polarity or code, that a decoder reads from each.
     """
 
     origin: npt.NDArray[np.int64]
@@ -125,12 +123,7 @@ def _is_mark(words: Words) -> Mask:
 
 
 class WordPath:
-    """Path of the words of one camera through the faults.
-
-    Attributes
-    ----------
-    front : words that are inserted before the next transfer.
-    """
+    """Path of the words of one camera through the faults; `front`: words inserted before the next transfer."""
 
     def __init__(self, camera: Identity) -> None:
         self._has_words = (camera.vendor_id, camera.product_id) == (VENDOR_ID, PRODUCT_ID)
@@ -252,9 +245,8 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
 
     Parameters
     ----------
-    report
-        Called with the events, epoch, edges and readings that have reached the host with a transfer; by default, for a
-        device without a link, they are not reported.
+    report : Called with the events, epoch, edges and readings that have reached the host with a transfer; by default,
+        for a device without a link, they are not reported.
     """
 
     carrier = USB_LINK

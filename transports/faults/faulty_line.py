@@ -27,12 +27,7 @@ _IN_STEP = 2  # consecutive messages: the beginning of the first one may have be
 
 
 class ReferenceReceiver:
-    """Decoder that determines the messages that survived, in order.
-
-    Attributes
-    ----------
-    false : number of messages that arrived but were not sent, or arrived again.
-    """
+    """Decoder of the messages that survived, in order; `false`: number that arrived again, or without being sent."""
 
     def __init__(self) -> None:
         self._expected: deque[Outgoing] = deque()

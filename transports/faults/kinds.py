@@ -153,10 +153,7 @@ class Places:
         return places
 
     def first(self, n: int) -> int | None:
-        """Return the first of the next `n` units that is hit, and advance behind it.
-
-        None, and behind all, if none is.
-        """
+        """Return the first hit of the next `n` units, and advance behind it; None, and behind all, if there is none."""
         if self._next >= n or self._left == 0:
             self._next -= n
             return None

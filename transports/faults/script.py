@@ -32,12 +32,7 @@ S = TypeVar("S", bound=Stage)
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """Faults of one link from the rig, with the seed and the log of all its faults.
-
-    Attributes
-    ----------
-    log : file to which lines are appended; None for none.
-    """
+    """Faults of one link from the rig, with the seed; `log`: file to which the lines of all are appended, or None."""
 
     link: str = ""
     scripted: tuple[Fault, ...] = ()
@@ -54,9 +49,8 @@ class FaultRecord:
     number : number of the fault on its link, from 1.
     began_us, ended_us : stream time; None while it has not ended.
     log_trouble : reason for an incomplete fault log; empty if it is complete, or if there is no log.
-    events_lost, edges_lost
-        Numbers that an intact receiver does not get because of it. If faults overlap, losses are attributed to the last
-        one that was applied.
+    events_lost, edges_lost : Numbers that an intact receiver does not get because of it. If faults overlap, losses are
+        attributed to the last one that was applied.
     """
 
     number: int

@@ -37,10 +37,8 @@ class SentWords:
 
     Attributes
     ----------
-    words
-        (n,) uint16.
-    origin
-        (n,) index of the word among those that the camera sent; INSERTED: it did not send this word.
+    words : (n,) uint16.
+    origin : (n,) index of the word among those that the camera sent; INSERTED: it did not send this word.
     odd : a byte after the last word, or none.
     """
 

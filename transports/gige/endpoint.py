@@ -390,10 +390,7 @@ class GigeEndpoint(Endpoint):
         control.order(Move(address, port))
 
     def _detect_standstill(self) -> None:
-        """Detect that stream time stands still, as at the end of a run.
-
-        Waiting blocks are then sent without being filled further.
-        """
+        """Detect that stream time stands still, as at a run's end: waiting blocks are then sent without more events."""
         now_ns = self._clock.now_ns()
         if self._camera.now_us != self._moved[0]:
             self._moved = self._camera.now_us, now_ns

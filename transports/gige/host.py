@@ -16,7 +16,7 @@ import numpy as np
 
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 from firmware_protocol.evt.evt3 import Evt3Decoder
-from firmware_protocol.gige.gvcp import GVCP_PORT, Command, Flag, Resend, Status, request
+from firmware_protocol.gige.gvcp import GVCP_PORT, Command, Flag, Status, request
 from firmware_protocol.gige.gvsp import BlockAssembly
 from firmware_protocol.gige.registers import DISCOVERY_OCTETS, DO_NOT_FRAGMENT, Privilege, Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP
@@ -140,7 +140,10 @@ class GigeHost:
                 data += self.assembly.push(self._stream.recv(_LONGEST), self._now_ns())
         self._maintain()
         data += self.assembly.done(self._now_ns())
-        return self._decoded(data)
+        events, edges = self._decoder.decode(b"".join(data)) if data else (empty_events(), empty_edges())
+        if len(edges):
+            self._edges.append(edges)
+        return events
 
     def take_edges(self) -> Edges:
         """Return the triggers since the last call, (n,) EDGE in the camera's time."""
@@ -160,16 +163,11 @@ class GigeHost:
         if self._stream is not None:
             self._stream.close()
 
-    def _decoded(self, data: list[bytes]) -> Events:
-        events, edges = self._decoder.decode(b"".join(data)) if data else (empty_events(), empty_edges())
-        if len(edges):
-            self._edges.append(edges)
-        return events
-
     def _maintain(self) -> None:
         """Request missing packets, and keep control."""
         for resend in self.assembly.missing(self._now_ns(), over=self._stopped):
-            self._control.send(_resend(self._next_number(), resend))
+            payload = struct.pack(">IIIQ", 0, resend.first, resend.last, resend.block)
+            self._control.send(request(Command.PACKETRESEND, self._next_number(), payload, Flag.EXTENDED))
         if self._now_ns() - self._alive_ns > _KEEP_ALIVE_NS:
             if not self.read_register(Register.PRIVILEGE) & Privilege.CONTROL:
                 raise CameraGone("control was taken away: another host has the camera, or it was restarted")
@@ -207,11 +205,6 @@ class GigeHost:
         except OSError:
             return "its address"
         return f"{host}:{port}"
-
-
-def _resend(number: int, packets: Resend) -> bytes:
-    payload = struct.pack(">IIIQ", 0, packets.first, packets.last, packets.block)
-    return request(Command.PACKETRESEND, number, payload, Flag.EXTENDED)
 
 
 def _status_text(status: int) -> str:
@@ -252,10 +245,7 @@ def receive(
     clock: Clock,
     recorder: Recorder | None = None,
 ) -> GigeReception:
-    """Start the camera and read it while `goes_on` returns True; then stop it.
-
-    The loss of the camera ends it too. Raises GigeHostError when the camera cannot be started.
-    """
+    """Start the camera, read until `goes_on` returns False or it is lost, stop it. GigeHostError: it did not start."""
     camera.start(packet_size)
     arrivals = Arrivals(clock, recorder)
 

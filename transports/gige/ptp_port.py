@@ -149,10 +149,7 @@ class PtpPort:
         return self._counts if self._sockets is None else self._counts + self._sockets.counts
 
     def turn(self, *, is_mute: bool = False) -> bool:
-        """Receive and send what is due; return True if the sockets are others than before.
-
-        `is_mute` discards messages, as with a cable that is not plugged.
-        """
+        """Receive and send what is due; True if the sockets are new. `is_mute` discards messages: no cable."""
         if self._sockets is None:
             return self._opened_again(time.monotonic_ns())
         left_ns = self._sockets.sent_ns()

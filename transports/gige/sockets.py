@@ -86,12 +86,7 @@ class ControlSockets:
 
 
 class StreamSocket:
-    """Socket that sends the packets of the stream.
-
-    Parameters
-    ----------
-    segmented : True if the kernel, or the network card, divides the data of `send_block` into packets.
-    """
+    """Socket that sends the stream's packets; `segmented`: kernel or network card divide the data of `send_block`."""
 
     def __init__(self, host: str, *, segmented: bool = False) -> None:
         self._host = host
@@ -107,10 +102,7 @@ class StreamSocket:
         return int(self._socket.getsockname()[1])
 
     def send(self, data: bytes, to: Peer, *, may_fragment: bool) -> bool:
-        """Pass a packet to the kernel; return False if it cannot be sent.
-
-        Raises BlockingIOError when there is no room.
-        """
+        """Pass a packet to the kernel; False if it cannot be sent. Raises BlockingIOError when there is no room."""
         assert self._socket is not None
         if may_fragment == self._whole:
             self._refuse_cuts(not may_fragment)
@@ -132,10 +124,7 @@ class StreamSocket:
         return taken
 
     def send_block(self, block: Block, to: Peer, *, may_fragment: bool) -> int:
-        """Pass the packets of a block to the kernel.
-
-        Return the number of packets taken before the first refused one.
-        """
+        """Pass a block's packets to the kernel; return the number of packets taken before the first refused one."""
         assert self._socket is not None
         if may_fragment == self._whole:
             self._refuse_cuts(not may_fragment)
@@ -164,10 +153,7 @@ class StreamSocket:
 
 
 def _runs(block: Block) -> Iterator[tuple[bytes, int]]:
-    """Yield the packets of a block with their count.
-
-    Packets with payload are joined to the longest runs that the kernel takes.
-    """
+    """Yield packets of a block with their count, those with payload in the longest runs that the kernel takes."""
     longest_run = min(_MOST_SEGMENTS, _LONGEST_RUN // (block.room + HEADER_OCTETS))
     last = block.packets - 1
     yield block.packet(0), 1

@@ -18,12 +18,7 @@ _CLOSE_TIMEOUT_S = 1.0
 
 
 class BackgroundWriter:
-    """Text file that writes to `descriptor` from a separate thread.
-
-    Attributes
-    ----------
-    dropped_bytes : number of bytes dropped because the queue was full.
-    """
+    """Text file that writes to `descriptor` from a thread; `dropped_bytes`: those that found the queue full."""
 
     encoding = "utf-8"
 

@@ -44,10 +44,7 @@ _BINS = _EVEN_BINS + math.ceil(math.log(_YEAR_US / _EVEN_US, _RATIO))
 
 @dataclass(frozen=True)
 class LatencySummary:
-    """Latency from an event's own time to the sending of its bytes, us; None where nothing was measured.
-
-    `p999` is the 99.9th percentile.
-    """
+    """Latency from an event's own time to the sending of its bytes, us, or None; `p999` is the 99.9th percentile."""
 
     p50: float | None = None
     p99: float | None = None
@@ -143,10 +140,7 @@ class DeliveredParts:
         self.frame_records: list[int] = []
 
     def part(self, events: Events, edges: Edges, readings: Sequence[Reading], epoch_us: int) -> Part:
-        """Return copies of data that left together, less `epoch_us`, the time at which the device's clock was zero.
-
-        `epoch_us` is negative if the clock was zero before the run.
-        """
+        """Return copies of data that left together, less `epoch_us`, the clock's zero; negative if before the run."""
         samples = (reading.record for reading in readings if reading.kind is ReadingKind.IMU)
         imu = recorded_imu(np.concatenate([no_samples(), *samples]), self._imu_unit)
         events, edges = copy_events(events), edges.copy()
@@ -172,10 +166,7 @@ def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
 
 
 def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
-    """Return a frame for a recording: its time is the start of its exposure, as in drivers, and at least zero.
-
-    The clock may have restarted during the exposure.
-    """
+    """Return a frame for a recording, at the start of its exposure as in drivers, at least 0: the clock may restart."""
     begin_us, end_us = (max(0, t_us - epoch_us) for t_us in (frame.exposure_start_us, frame.exposure_end_us))
     return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))
 
@@ -275,12 +266,7 @@ class Deliveries:
         return self._ring.origin_ns != FREE_RUNNING
 
     def device_ns(self, monotonic_ns: int) -> int | None:
-        """Return the reading of the camera's clock at a time of CLOCK_MONOTONIC, without epoch.
-
-        None outside a paced run.
-
-        A receiver sees this value less the device's `epoch_us`.
-        """
+        """Return the camera's clock at a time of CLOCK_MONOTONIC; None if unpaced. Receivers see it less `epoch_us`."""
         origin_ns = self._ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING or monotonic_ns < origin_ns:
             return None
@@ -336,10 +322,7 @@ class Deliveries:
 
 
 class DeliveryTally:
-    """Number of events delivered by one link process: one writer, any number of readers.
-
-    Pass it as an argument to a process started by the spawn method.
-    """
+    """Number of events delivered: one writer, any number of readers. Can be passed to a process by the spawn method."""
 
     def __init__(self) -> None:
         # One aligned 8-byte store is atomic; a killed process could leave a lock taken for ever.

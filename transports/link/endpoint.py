@@ -97,10 +97,7 @@ class Endpoint(ABC):
         """Send the requested data; called when the camera may have new data."""
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """Receive the function to call before a request that an event loop delivers is processed.
-
-        It feeds the camera up to now, whether its link slept or not.
-        """
+        """Receive the function that feeds the camera up to now; call it before a request from an event loop."""
         return
 
     @property

@@ -175,12 +175,7 @@ class ClockReport:
 
 
 class Feed:
-    """Feed of a device; rings contain stream time, the device receives clock time.
-
-    Attributes
-    ----------
-    readings : feed of the readings.
-    """
+    """Feed of a device and of its `readings`; rings contain stream time, the device receives clock time."""
 
     def __init__(
         self, device: EventDevice, ring: EventRing, timing: Timing, readings: Sequence[ReadingRing] = ()
@@ -218,10 +213,7 @@ class Feed:
         return self._sync_in is not None or isinstance(self._edges, EdgeRing)
 
     def feed(self, until_us: int, limit: int) -> int:
-        """Move the data due up to stream time `until_us`, at most `limit` events in one stretch.
-
-        Returns the number of events.
-        """
+        """Move the data due up to stream time `until_us`, at most `limit` events in a stretch; return their number."""
         before = self._fed
         while self._restarts_us and self._restarts_us[0] <= until_us:
             if not self._stretch(self._restarts_us[0], limit):

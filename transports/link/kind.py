@@ -75,8 +75,7 @@ class CameraFacts:
 
     Attributes
     ----------
-    size
-        (width, height) of the rig's sensor, pixels.
+    size : (width, height) of the rig's sensor, pixels.
     usb_size : size of its model's USB device; None if there is none.
     has_gige : True if it is a GigE Vision device.
     usb_models : function that returns the size of each camera model that has a USB device.
@@ -99,12 +98,7 @@ _NO_CAMERA = CameraFacts("", (0, 0))
 
 
 class Unsuitable(ValueError):
-    """Error: a link's parameters do not fit the camera.
-
-    Attributes
-    ----------
-    key : path of the wrong key within the link's table.
-    """
+    """Error: a link's parameters do not fit the camera; `key`: path of the wrong key within the link's table."""
 
     def __init__(self, message: str, *key: str) -> None:
         super().__init__(message)
@@ -143,20 +137,17 @@ class LinkKind(Generic[P]):
     Attributes
     ----------
     parameters : type of its [[links]] table; its `kind` is the kind's name.
-    serves
-        The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
-        the camera without USB; "plain", no electronics: events go out as the sensor sends them.
-    endpoint
-        Import path, "module:name", imported when a link is set up: of the class of its `Endpoint`, which is called with
-        the parameters, a Wiring, the device and `Deliveries`; or of a function that returns an `EndpointFactory` for
-        the parameters and a Wiring.
+    serves : The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device;
+        "instrument", the camera without USB; "plain", no electronics: events go out as the sensor sends them.
+    endpoint : Import path, "module:name", imported when a link is set up: of the class of its `Endpoint`, which is
+        called with the parameters, a Wiring, the device and `Deliveries`; or of a function that returns an
+        `EndpointFactory` for the parameters and a Wiring.
     has_sync : True if its bus has a SYNC, which can trigger the camera.
     carrier : carrier of its data, which decides its faults, see `Fault.carriers`; "": it has none.
     listener : receiver of the link at the computer's side.
     check : function that raises Unsuitable for parameters that do not fit the camera.
-    usb_model
-        With "usb": the camera model in whose words it carries a camera that has no USB device of its size, and that
-        then does not wait after its start; None: it carries none of these.
+    usb_model : With "usb": the camera model in whose words it carries a camera that has no USB device of its size, and
+        that then does not wait after its start; None: it carries none of these.
     has_readings : with "plain": True if it accepts frames and samples of the inertial unit.
     """
 

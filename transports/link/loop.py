@@ -79,22 +79,14 @@ class EndFault:
 
 @dataclass(frozen=True)
 class Happen:
-    """Request of the session to apply an edge to the camera's input now; None: reset its clock to zero.
-
-    `by`: name of the requester.
-    """
+    """Request to apply an edge to the camera's input now, or (None) to reset its clock; `by`: name of the requester."""
 
     kind: EdgeKind | None
     by: str = ""
 
 
 class LinkLoop:
-    """Ticks of a link in the running event loop; made there.
-
-    Attributes
-    ----------
-    turns : number of turns so far.
-    """
+    """Ticks of a link in the running event loop, made there; `turns`: number of turns so far."""
 
     def __init__(self, link: Link, control: Connection, clock: Clock) -> None:
         self._link = link
@@ -110,10 +102,7 @@ class LinkLoop:
         self.turns = 0
 
     async def run(self) -> None:
-        """Tick until the session has sent Stop and the link is drained.
-
-        Raises LinkBroken, and EOFError or ConnectionError when the session has ended.
-        """
+        """Tick until Stop came and the link is drained. Raises LinkBroken; EOFError, ConnectionError: session ended."""
         self._loop.add_reader(self._control.fileno(), self._call, self._obey)
         self._loop.add_reader(self._link.ring.wakes, self._call, self._follow_publication)
         self._link.endpoint.serve(partial(self._call, self._attend))

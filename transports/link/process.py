@@ -50,9 +50,8 @@ class LinkSetup(Generic[_Device]):
 
     Attributes
     ----------
-    device
-        Factory of the device, called in the link's process: `partial(Davis346, settings)` and the like, which can be
-        pickled.
+    device : Factory of the device, called in the link's process: `partial(Davis346, settings)` and the like, which can
+        be pickled.
     timing : triggers, and the device's own clock.
     recorder, facts
         Recorder of the delivered data, and the camera's properties for its file; None: nothing is recorded.
@@ -165,10 +164,7 @@ class Link:
 
     @property
     def published_ns(self) -> int:
-        """Time of the next tick after a publication.
-
-        At once in a run that is not paced, if the session waits for this camera's settings before it goes on.
-        """
+        """Time of the next tick after a publication: at once if an unpaced session waits for this camera's settings."""
         return self.soonest_ns if self.is_paced or not self._watch.acts else self.ticked_ns
 
     @property
@@ -266,10 +262,7 @@ class Link:
         self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {event}"))
 
     def _free_until_us(self, now_us: int) -> int:
-        """Return the stream time that a run without pacing may reach now.
-
-        A silence that the host needs lasts in the host's time too.
-        """
+        """Return the stream time that an unpaced run may reach now: a host's silence lasts in the host's time too."""
         if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))

@@ -67,12 +67,7 @@ class Occurrence:
 
 
 class ChangeWatch:
-    """Detector of the changes of one device; it holds them until the session takes them.
-
-    Attributes
-    ----------
-    waiting : changes that have not been sent, the oldest first.
-    """
+    """Detector of one device's changes; `waiting` holds them, the oldest first, until the session takes them."""
 
     def __init__(self, device: EventDevice) -> None:
         self._device = device if isinstance(device, HostAdjusted) else None
@@ -144,9 +139,8 @@ class LinkReport:
     counts : further counts of this kind of link, by name.
     edges : counts of the edges before the camera took them.
     clock : error of the camera's own clock, if it is modelled.
-    faults
-        Effects of each fault injected so far. Events that they destroyed are in `dropped`; the camera's own counters,
-        which do not include faults of the link, have them as delivered.
+    faults : Effects of each fault injected so far. Events that they destroyed are in `dropped`; the camera's own
+        counters, which do not include faults of the link, have them as delivered.
     file_troubles : reasons for incomplete files of the link (record, truth, fault log), a sentence each.
     sensor_factors : factors on parameters of the sensor from the host's biases; see `HostAdjusted.sensor_factors`.
     without_effect : settings of the host that change nothing in the sensor, and why; see `HostAdjusted.without_effect`.

@@ -203,10 +203,7 @@ class EventRing(SharedRing):
 
     @property
     def settled_us(self) -> int:
-        """Stream time that the camera has reached, us; the earlier changes of its hosts have been sent to the writer.
-
-        Written by the reader.
-        """
+        """Stream time that the camera has reached, us, after its hosts' changes were sent; the reader writes it."""
         return int(self.cells[_SETTLED_US])
 
     @property
@@ -280,12 +277,7 @@ _MOMENTS = 4  # records of a frame, beside the two reads of each line
 
 
 class ReadingRing(SharedRing):
-    """Readings from the session to one link, and the settings of its host the other way.
-
-    Parameters
-    ----------
-    record : dtype of the records, with a field `t`, us.
-    """
+    """Readings from the session to one link, and its host's settings the other way; `record`: dtype with `t`, us."""
 
     def __init__(self, kind: ReadingKind, record: np.dtype[Any], capacity: int) -> None:
         self.kind = kind

@@ -53,10 +53,7 @@ _Records = npt.NDArray[Any]
 
 
 class HeldRecords:
-    """Queue of records of one stream with a time `t`, u64 us.
-
-    Each piece is sorted; one may begin before the end of the preceding piece.
-    """
+    """Records of one stream with a time `t`, u64 us, in sorted pieces; one may begin before the preceding one ends."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self._dtype, self._none = dtype, np.zeros(0, dtype)
@@ -120,17 +117,13 @@ class HeldFrames:
 
     def add(self, frames: tuple[Frame, ...]) -> None:
         """Add frames, in any order."""
-        self._frames = sorted([*self._frames, *frames], key=_time_of)
+        self._frames = sorted([*self._frames, *frames], key=lambda frame: frame.t_us)
 
     def take(self, until_us: int) -> tuple[Frame, ...]:
         """Return the frames up to `until_us`, in the order of time."""
         taken = tuple(frame for frame in self._frames if frame.t_us <= until_us)
         self._frames = self._frames[len(taken) :]
         return taken
-
-
-def _time_of(frame: Frame) -> int:
-    return frame.t_us
 
 
 _PIECE_EVENTS = 1 << 14
@@ -327,17 +320,12 @@ _MOST_EVENTS = 1 << 16  # in one message
 class OpenRecording:
     """Recording that is open in a child process; a context manager.
 
+    Raises RecordingError if it cannot be read, LibraryMissing without its library, OSError if it cannot be opened.
+
     Parameters
     ----------
-    size : tuple[int, int] or None
-        (width, height) of the sensor, for files without it.
-    strict : bool
-        False: events that go back in time or lie outside the sensor are no error.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read. LibraryMissing if its library is missing. OSError if it cannot be opened.
+    size : (width, height) of the sensor, for files without it.
+    strict : False: events that go back in time or lie outside the sensor are no error.
 
     Attributes
     ----------

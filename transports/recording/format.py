@@ -31,8 +31,7 @@ class Format:
     ----------
     name, title : its name in commands, and its name for people.
     suffixes : ends of the names of its files, the usual one first.
-    writer, reader
-        "module:Class" of its writer (path, facts) and its reader (path).
+    writer, reader : "module:Class" of its writer (path, facts) and its reader (path).
     signature : first bytes of all its files; empty: its files are recognised by their suffix.
     holds : streams that are written with it: "events", "edges", "imu", "frames".
     ordered : streams that share one order of time; each of the others has its own packets or list.
@@ -265,10 +264,7 @@ _MOST_CHARACTERS = 300
 
 
 def reason(error: BaseException) -> str:
-    """Return the text of an error in one line.
-
-    For errors of the operating system its text, "No space left on device".
-    """
+    """Return the text of an error in one line; of an operating system's error its text, "No space left on device"."""
     if isinstance(error, MemoryError):
         return "it needs more memory than an intact file of its kind does"
     if isinstance(error, OSError) and error.strerror:

@@ -47,8 +47,7 @@ class LiveRecorder:
 
     Attributes
     ----------
-    missing : Counter[str]
-        Number of records of each stream that found the queue full, or arrived when nothing could be written any more.
+    missing : number of records of each stream that found the queue full, or that nothing could write any more.
     """
 
     def __init__(self, path: Path, form: Format, facts: Facts, title: str = "record") -> None:

@@ -191,10 +191,7 @@ class Recorder:
         return RecordingSummary("NumPy", (str(self.path),), dict(+written), dict(+left_out), self.trouble, closed=True)
 
     def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
-        """Add a part in device time; `restarted` if the clock was restarted before it.
-
-        This format has no field for `unix_us`, the Unix time at which it began.
-        """
+        """Add a part in device time; `restarted`: the clock restarted before it. There is no field for `unix_us`."""
         if self.trouble:
             return
         if restarted or not self._events.resets:
@@ -256,10 +253,8 @@ class _Raw:
 
     Attributes
     ----------
-    path : Path
-        The raw file.
-    count : int
-        Number of records that were written.
+    path : the raw file.
+    count : number of records that were written.
     """
 
     def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
@@ -297,10 +292,7 @@ class _Raw:
 
 
 def load_record(path: str | Path) -> tuple[Events, list[int]]:
-    """Read a record: events (n,) EVENT in device time, and the indices of clock restarts.
-
-    Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
-    """
+    """Read a record: (n,) EVENT in device time, and indices of clock restarts. Raises ArrayFileError, OSError."""
     try:
         arrays = load_arrays(Path(path), ("events", "resets"))
         events, starts = (arrays.get(key, np.zeros(0)) for key in ("events", "resets"))

@@ -234,7 +234,9 @@ class _BagWriter:
         for start in range(0, max(len(part.events), 1), _MOST_EVENTS):
             piece = Part(part.events[start : start + _MOST_EVENTS], part.edges if not start else part.edges[:0])
             if len(piece.events) or len(piece.edges):
-                self._put_events(piece)
+                first = min(int(t[0]) for t in (piece.events["t"], piece.edges["t"]) if len(t))
+                stamp_us = self._facts.unix_us + first
+                self._put("events", stamp_us, self._message(piece, stamp_us))
         for sample in part.imu:
             stamp_us = self._facts.unix_us + int(sample["t"])
             message = sample_of(sample, self._header("imu", stamp_us), self._types.types)
@@ -243,11 +245,6 @@ class _BagWriter:
             stamp_us = max(0, self._facts.unix_us + frame.t_us)
             message = image_of(frame, self._size, self._header("image_raw", stamp_us), self._types.types)
             self._put("image_raw", stamp_us, self._serialized(message, IMAGE))
-
-    def _put_events(self, part: Part) -> None:
-        first = min(int(t[0]) for t in (part.events["t"], part.edges["t"]) if len(t))
-        stamp_us = self._facts.unix_us + first
-        self._put("events", stamp_us, self._message(part, stamp_us))
 
     def _put(self, topic: str, stamp_us: int, message: bytes) -> None:
         self._bag.write(self._connections[topic], stamp_us * 1000, message)

@@ -166,10 +166,7 @@ class WriterProcess:
         return self._queue.put(messages, wait=wait)
 
     def close(self, within_s: float, last: Sequence[bytes] = ()) -> None:
-        """Let it finish the file after the `last` messages, and receive its report.
-
-        After `within_s` it continues by itself, which is reported.
-        """
+        """Let it end the file after the `last` messages, receive its report; reports if it goes on after `within_s`."""
         self._queue.end(last)
         self._thread.join(within_s)
         if self._thread.is_alive():

@@ -95,12 +95,7 @@ class PictureCoder:
 
 
 class MessageBuffer:
-    """Buffer that joins the data of a device until there is enough, or the first has waited `longest_ns`.
-
-    Parameters
-    ----------
-    most_events : number of events of a full message.
-    """
+    """Buffer that joins a device's data until there are `most_events`, or the first has waited `longest_ns`."""
 
     def __init__(self, most_events: int, longest_ns: int) -> None:
         self._most, self._longest_ns = most_events, longest_ns
@@ -268,10 +263,7 @@ class Ros2Endpoint(Endpoint):
 
     @property
     def _unix_us(self) -> int:
-        """Unix time at which the camera's clock was zero, from one reading of the wall clock.
-
-        0 if there is none (yet).
-        """
+        """Unix time of the zero of the camera's clock, from one reading of the wall clock; 0 if there is none (yet)."""
         if self._zero_us is None:
             self._zero_us = self._deliveries.unix_us(self._epoch_us)
         return self._zero_us or 0

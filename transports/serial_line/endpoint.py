@@ -54,12 +54,7 @@ _BEHIND_NS = 50_000_000  # limit of the time that a late tick may catch up: the 
 
 
 class BaudClock:
-    """Sending time of each byte, at `baud` bits a second and `bits` a byte.
-
-    Parameters
-    ----------
-    bits : bits of a character on the line; may be half of one (1.5 stop bits).
-    """
+    """Sending time of each byte, at `baud` bits a second and `bits` a byte, even half of one (1.5 stop bits)."""
 
     def __init__(self, baud: int, bits: float) -> None:
         self._baud2 = 2 * baud
@@ -136,8 +131,7 @@ class Transmitter(Generic[_Tag]):
 
     Parameters
     ----------
-    pull
-        Returns the next frame, or None when there is none.
+    pull : Returns the next frame, or None when there is none.
     left : called with the tag of each frame whose last byte has left.
     ahead_ns : time before the line becomes idle at which the next frame is pulled: a little more than a tick.
     """

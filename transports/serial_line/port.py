@@ -226,10 +226,7 @@ _DEVICES = "/dev/pts/"
 class PtySymlink:
     """Symbolic link at `path` to `target`, held until `close`.
 
-    Raises
-    ------
-    OSError
-        A running link has this path, another file has this path, or the folder cannot be written.
+    Raises OSError if a running link or another file has this path, or the folder cannot be written.
     """
 
     def __init__(self, path: Path, target: str) -> None:
@@ -372,13 +369,7 @@ _CURES = (
 
 
 def open_port(line: SerialLink) -> Port:
-    """Open a port; blocks while a network port connects.
-
-    Raises
-    ------
-    OSError
-        The port cannot be opened; the message gives the reason and the remedy.
-    """
+    """Open a port; blocks while a network port connects. Raises OSError with the reason and the remedy."""
     if line.port == "pty":
         return PtyPort(line.symlink)
     try:

@@ -63,12 +63,7 @@ _READ_TIMEOUT_S = 0.1
 
 @dataclass(frozen=True)
 class CameraReception(Reception):
-    """Events and edges of the external input received so far from a camera, in device time.
-
-    Attributes
-    ----------
-    faults : number of words that an intact stream never contains.
-    """
+    """Events and edges received so far from a camera, in device time; `faults`: words that no intact stream has."""
 
     faults: int = 0
 

@@ -147,10 +147,7 @@ class Fx3Host(CameraHost[Fx3Info]):
         return self._decoder.faults
 
     def start(self, settings: StreamSettings | None = None) -> None:
-        """Configure the camera and start the stream of events.
-
-        Raises TransferTimeout when the timestamp reset does not appear in the stream within 5 s.
-        """
+        """Configure the camera and start its events; TransferTimeout without the timestamp reset within 5 s."""
         settings = settings or StreamSettings()
         self.stop()
         self._tolerated(_LOG_LEVEL, value=4)

@@ -95,19 +95,13 @@ class UsbHost(Protocol):
         """Request at most `setup.length` bytes. Raises StallError, TransferTimeout, PeerGone."""
 
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
-        """Send `data`; return the number of bytes that the device took.
-
-        Raises StallError, TransferTimeout, PeerGone.
-        """
+        """Send `data`; return the number of bytes taken. Raises StallError, TransferTimeout, PeerGone."""
 
     def bulk_out(self, endpoint: int, data: bytes) -> None:
         """Send `data` to an OUT endpoint. Raises StallError, TransferTimeout, PeerGone."""
 
     def bulk_in(self, endpoint: int, length: int) -> bytes:
-        """Read one transfer of at most `length` bytes from an IN endpoint that no `stream` reads.
-
-        Raises the same errors.
-        """
+        """Read a transfer, at most `length` bytes, of an IN endpoint that no `stream` reads; raises the same errors."""
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> BulkReader:
         """Read an IN endpoint (number without the direction bit) with several transfers in flight."""
@@ -124,9 +118,8 @@ class StreamSettings:
     ----------
     transfer_bytes, transfers
         Size and number of the bulk transfers in flight: neuromorphic_drivers has 32 of 131072, libcaer 8 of 8192.
-    reset_timestamps
-        Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it events have
-        the time since the start of the camera's clock.
+    reset_timestamps : Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it
+        events have the time since the start of the camera's clock.
     early_packet_us : time after which a buffer that is not full leaves the camera; libcaer's default is 1 ms.
     edges : enable rising edges, falling edges and pulses of the external input; see `CameraHost.take_edges`.
     imu : enable the inertial unit, if there is one; see `CameraHost.take_imu`.
@@ -177,10 +170,7 @@ class CameraHost(ABC, Generic[_Info]):
         """Start the stream of events."""
 
     def read(self, timeout_s: float) -> Events | None:
-        """Return the events of the next transfer, in device time; None when none arrived in time.
-
-        An idle camera sends times, so a transfer may contain no event.
-        """
+        """Return the next transfer's events, in device time, none if it has times only; None when none came in time."""
         if self._reader is None:
             raise RuntimeError("the camera is not started")
         data = self._reader.read(timeout_s)

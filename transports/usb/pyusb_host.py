@@ -59,10 +59,7 @@ class PyusbHost:
     def find(
         cls, vendor_id: int, product_id: int, backend: usb.backend.IBackend | None = None, timeout_s: float = 1.0
     ) -> PyusbHost:
-        """Find the first device with these numbers.
-
-        Raises LibraryMissing without libusb, and DeviceAbsent when no such device is on the bus.
-        """
+        """Find the first device with these numbers. Raises LibraryMissing without libusb, DeviceAbsent without it."""
         try:
             device = usb.core.find(idVendor=vendor_id, idProduct=product_id, backend=backend)
         except usb.core.NoBackendError as error:
@@ -163,10 +160,7 @@ class PyusbReader:
         self._thread.start()
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the next transfer's data; None when none arrived in time.
-
-        Raises PeerGone when the device was lost, StallError when the endpoint is halted.
-        """
+        """Return the next transfer's data; None when none came in time. PeerGone: device lost, StallError: halted."""
         try:
             item = self._arrived.get(timeout=timeout_s)
         except queue.Empty:

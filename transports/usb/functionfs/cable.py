@@ -271,7 +271,8 @@ class Cable:
 
     def pump(self) -> None:
         """Process the pending requests, and let idle endpoints send the data that the device has now."""
-        self._process()
+        while self._orders and self._processed(self._orders[0]):
+            self._orders.popleft()
         self._give_up()
         if self.enabled and not self._orders and not self._is_closing:
             for thread in self._ins:
@@ -319,10 +320,6 @@ class Cable:
         self.attend()
         self._orders.append(order)
         self.pump()
-
-    def _process(self) -> None:
-        while self._orders and self._processed(self._orders[0]):
-            self._orders.popleft()
 
     def _processed(self, order: Request | Sent | EventKind) -> bool:
         """Process a request or event; return False when it must wait."""

@@ -175,10 +175,7 @@ class EndpointFile:
             signal.pthread_kill(thread, WAKE_SIGNAL)
 
     def halt(self) -> None:
-        """Halt the endpoint until the host clears it.
-
-        A transfer in the wrong direction does it, which the kernel answers with EBADMSG.
-        """
+        """Halt the endpoint until the host clears it, by a transfer in the wrong direction, which returns EBADMSG."""
         with _expected(errno.EBADMSG):
             if self.is_in:
                 _read(self._fd, 0)
@@ -202,7 +199,7 @@ class EndpointFile:
 
 
 class FunctionFiles:
-    """Files of a mounted FunctionFS, ready for its controller.
+    """Files of a mounted FunctionFS, ready for its controller; raises OSError, also if the kernel refuses them.
 
     Parameters
     ----------
@@ -210,11 +207,6 @@ class FunctionFiles:
     blocks : descriptors and strings, see `firmware_protocol.usb.functionfs`.
     addresses
         The camera's own addresses of endpoints, with the direction bit, by the index of their descriptors, from 1.
-
-    Raises
-    ------
-    OSError
-        A file cannot be opened, or the kernel refuses the descriptors.
     """
 
     def __init__(self, mount: Path, blocks: Sequence[bytes], addresses: Mapping[int, int]) -> None:
@@ -247,10 +239,7 @@ _BY_DRIVER = {"dummy_udc": ((1, 6, 11, 2), (2, 7, 12, 1))}  # bulk endpoints of 
 
 
 def with_spares(interface: Interface, controller: str) -> Interface:
-    """Return an interface whose endpoints get their addresses at a controller, named as in /sys/class/udc.
-
-    Raises ValueError if the controller cannot assign one of them.
-    """
+    """Return an interface with addresses of a controller in /sys/class/udc; ValueError if an endpoint gets none."""
     in_order, out_order = _BY_DRIVER.get(controller.partition(".")[0], (_IN_ORDER, _IN_ORDER))
     ins = _declared(interface.endpoints, [_IN | number for number in in_order], controller)
     outs = _declared(interface.endpoints, out_order, controller)

@@ -78,18 +78,13 @@ def controller_of(name: str, places: Places) -> str:
 
 
 class Gadget:
-    """USB gadget of a name; nothing is done before a method is called.
+    """USB gadget of a name, ValueError if folders cannot have it; nothing is done before a method is called.
 
     Parameters
     ----------
     name : name of the gadget, its function and the folder of its mount.
     places : folders of the machine.
     mount, unmount : functions that mount the function's files, and unmount them.
-
-    Raises
-    ------
-    ValueError
-        The name has characters that folders cannot have.
     """
 
     def __init__(
@@ -130,17 +125,15 @@ class Gadget:
     def suits(self, descriptors: DescriptorSet) -> bool:
         """Return True if a host would read the device of `descriptors`."""
         attributes = _attributes(descriptors)
-        return all(_same(_text(self._folder / path), value) for path, value in attributes.items())
+        return all(_text(self._folder / path).lower() == value.lower() for path, value in attributes.items())
 
     def make(self, descriptors: DescriptorSet, owner: int | None = None) -> None:
         """Make it for the device of `descriptors`, in place of the remains of a killed program.
 
         Parameters
         ----------
-        descriptors
-            Descriptors of the device, at its highest speed.
-        owner
-            Id of the user who may run the camera; None: root only.
+        descriptors : Descriptors of the device, at its highest speed.
+        owner : Id of the user who may run the camera; None: root only.
 
         Raises
         ------
@@ -266,10 +259,6 @@ def _attributes(descriptors: DescriptorSet) -> Mapping[str, str]:
         f"configs/{_CONFIGURATION}/MaxPower": str(configuration.max_power_ma),
         f"configs/{_CONFIGURATION}/bmAttributes": f"0x{configuration.attributes:x}",
     }
-
-
-def _same(value: str, other: str) -> bool:
-    return value == other or value.lower() == other.lower()
 
 
 def _text(path: Path) -> str:

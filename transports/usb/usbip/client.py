@@ -73,10 +73,7 @@ class Wire:
             raise PeerGone(f"the USB/IP server went away: {error}") from error
 
     def receive(self, deadline: float) -> Reply | None:
-        """Return the next reply; None when none is complete by `deadline` (monotonic seconds).
-
-        Raises PeerGone, PeerBroken.
-        """
+        """Return the next reply; None if incomplete by `deadline` (monotonic seconds). Raises PeerGone, PeerBroken."""
         while (reply := self._parse()) is None:
             if not self._fill(deadline):
                 return None
@@ -282,10 +279,7 @@ class UrbStream:
         self._open = True
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the data of the next transfer; None when none arrived in time.
-
-        Raises StallError when the endpoint is halted, PeerGone when the server was lost.
-        """
+        """Return the next transfer's data; None when none came in time. StallError: halted, PeerGone: server lost."""
         deadline = _deadline(timeout_s)
         while not self._replies:
             if not self._host.receive(deadline):

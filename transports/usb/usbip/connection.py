@@ -105,12 +105,10 @@ class ConnectionSettings:
     pending_urbs : number of URBs that may wait at once; drivers have 8 to 40.
     operation_timeout_s
         A connection that has not requested a device by then is closed, so that idle sockets cannot accumulate.
-    silence_timeout_s
-        A peer that acknowledges nothing, or accepts no data, for this time counts as lost (TCP only; whole seconds
-        count for a peer that has nothing to acknowledge).
-    send_buffer_bytes
-        Size of the kernel's buffer to the peer. Data in it count as sent, so it is small: two of the largest transfers
-        that drivers request.
+    silence_timeout_s : A peer that acknowledges nothing, or accepts no data, for this time counts as lost (TCP only;
+        whole seconds count for a peer that has nothing to acknowledge).
+    send_buffer_bytes : Size of the kernel's buffer to the peer. Data in it count as sent, so it is small: two of the
+        largest transfers that drivers request.
     """
 
     limits: Limits = field(default_factory=Limits)

@@ -33,6 +33,8 @@ _BUSID = re.compile(r"([1-9]\d{0,2})-([1-9]\d{0,2})")
 class UsbipServer:
     """Server that offers devices to USB/IP hosts.
 
+    Raises ValueError for a bus id not like "1-1", or an entry of `allow` that is neither an address nor a network.
+
     Parameters
     ----------
     devices : the devices by bus id, such as "1-1".
@@ -44,11 +46,6 @@ class UsbipServer:
     Attributes
     ----------
     attend : function that is called before the bytes of a host are processed, and before a host is lost.
-
-    Raises
-    ------
-    ValueError
-        A bus id does not look like "1-1", or an entry of `allow` is neither an address nor a network.
     """
 
     def __init__(
@@ -118,10 +115,7 @@ class UsbipServer:
         self._unplugged.discard(busid)
 
     async def close(self, linger_s: float = 1.0) -> None:
-        """Stop listening and drop all hosts; devices are detached when this returns.
-
-        Hosts have `linger_s` to read the sent data and to close the connection themselves.
-        """
+        """Stop listening, detach devices and drop hosts, which have `linger_s` to read sent data and to close first."""
         await self._listener.close()
         for connection in tuple(self._connections):
             connection.hang_up()

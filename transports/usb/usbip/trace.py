@@ -76,7 +76,7 @@ class _TakenBack:
 
 
 class UrbTrace:
-    """Writer of the URBs of one camera.
+    """Writer of the URBs of one camera; raises OSError if a file cannot be opened.
 
     Parameters
     ----------
@@ -84,11 +84,6 @@ class UrbTrace:
     device : the camera, from which the descriptors are read.
     now_ns : unix time.
     capacity_bytes : number of bytes that may wait for the disk.
-
-    Raises
-    ------
-    OSError
-        A file cannot be opened.
     """
 
     def __init__(
