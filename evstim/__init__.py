@@ -4,6 +4,7 @@
     evstim.events_from_frames       an array of frames in, events out, in one call
     evstim.run                      a whole rig: scene, sensor, camera and links; its events while it runs
     evstim.Simulation               a rig in step with your program, which gives the poses
+    evstim.representations          events as arrays for networks: counts, voxel grids, time surfaces
     evstim.read_events              a recording in any format that is written: its events
     evstim.SerialReceiver, ...      the ground side of a link: bytes in, events out
     evstim.Rig                      a rig made in Python, of the parts below
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
     from emulator.trajectory.pose import from_opengl as attitude_from_opengl
     from emulator.trajectory.pose import from_scalar_last as attitude_from_scalar_last
     from emulator.trajectory.pose import from_spice as attitude_from_spice
+    from evstim import representations
     from evstim.deliveries import Delivery
     from evstim.frames import events_from_frames, events_from_video, reconstruct
     from evstim.running import LiveRun, run
@@ -172,8 +174,8 @@ __all__ = [
     "Trigger", "TriggerEdges", "UdpLink", "UdpPacketsLink", "Unplugged", "UsbGadgetLink", "UsbSilence", "UsbStall",
     "UsbUnplugged", "UsbipLink", "Verdict", "VideoScene", "WrongBaud", "WrongVersion", "attitude_from_basilisk",
     "attitude_from_opengl", "attitude_from_scalar_last", "attitude_from_spice", "build_scene", "events_from_frames",
-    "events_from_video", "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct", "run",
-    "shipped_rigs",
+    "events_from_video", "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct",
+    "representations", "run", "shipped_rigs",
 ]  # fmt: skip
 
 __version__: str
@@ -186,7 +188,8 @@ if not TYPE_CHECKING:  # else a type checker would take any name for one of ours
             value = import_module("importlib.metadata").version("evstim")
         elif name in __all__:
             module, attribute = _sources()[name]
-            value = getattr(import_module(module), attribute)
+            is_module = module == __name__
+            value = import_module(f"{module}.{attribute}") if is_module else getattr(import_module(module), attribute)
         else:
             raise AttributeError(f"module 'evstim' has no attribute {name!r}")
         globals()[name] = value

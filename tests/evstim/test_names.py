@@ -21,10 +21,12 @@ NAMES = [
     "LateDatagrams", "LensParameters", "LinkDown", "LinkFailed", "LivePath", "LiveRun", "LommelSeeliger",
     "LoopbackLink", "LostBytes", "LostDatagrams", "LostFrames", "LostHeartbeat", "LunarLambert", "MachineLacks",
     "MissedWraps", "MovingPoint", "NoiseParameters", "OddBytes", "OrbitPath", "Overrun", "PRESETS", "PictureSettings",
+    "Pose",
     "Profile", "RadiationParameters", "ReadoutParameters", "RecordingError", "RecordingScene", "RefusedResends",
     "RegisterFlip", "Regolith", "ReorderedFrames", "RepeatedDatagrams", "RepeatedEvents", "RepeatedFrames",
     "ResetParameters", "Ridge",
     "Rig", "RigError", "Ros2Link", "Ros2Scene", "RunParameters", "RunResult", "RunStatus", "Scene", "SceneError",
+    "SceneTruth", "Simulation", "SimulationState", "SimulationStep",
     "SecondCamera", "SelectorSettings", "Sensor", "SensorOptions", "SensorParameters", "SerialLink", "SerialReceiver",
     "ShortTransfers", "SlowControl", "SpicePath", "SpinPath", "StaleData", "Stall", "StarsScene", "StuckLine", "Sun",
     "TcpLink",
@@ -32,7 +34,8 @@ NAMES = [
     "UdpLink", "UdpPacketsLink", "Unplugged", "UsbGadgetLink", "UsbSilence", "UsbStall", "UsbUnplugged", "UsbipLink",
     "Verdict", "VideoScene", "WrongBaud", "WrongVersion", "attitude_from_basilisk", "attitude_from_opengl",
     "attitude_from_scalar_last", "attitude_from_spice", "build_scene", "events_from_frames", "events_from_video",
-    "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct", "run", "shipped_rigs",
+    "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct", "representations", "run",
+    "shipped_rigs",
 ]  # fmt: skip
 
 HEAVY = ("numpy", "numba", "scipy", "moderngl", "trimesh", "can", "serial", "usb", "msgspec", "emulator", "matplotlib")
