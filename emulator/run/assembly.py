@@ -58,6 +58,7 @@ from transports.recording.part import Facts
 from transports.registry import imported
 
 if TYPE_CHECKING:
+    from emulator.plan.plan import Plan
     from emulator.run.truth.source import TruthFile
 
 
@@ -208,13 +209,15 @@ def build_session(
 
 def planned_sensor(rig: Rig, scene: Scene) -> SensorParameters:
     """Return the rig's sensor; with a tolerance, without the effects that the plan of the run leaves out."""
-    run, sensor = rig.run, rig.camera.sensor
-    if not run.tolerance_us:
-        return sensor
+    return plan_of(rig, scene).sensor if rig.run.tolerance_us else rig.camera.sensor
+
+
+def plan_of(rig: Rig, scene: Scene) -> Plan:
+    """Return the plan of the rig's run, from a probe of its scene."""
     from emulator.plan.plan import make_plan
     from emulator.plan.scene_probe import probe
 
-    return make_plan(rig, probe(scene, sensor, run.step_us * 1000, run.seconds or 10.0)).sensor
+    return make_plan(rig, probe(scene, rig.camera.sensor, rig.run.step_us * 1000, rig.run.seconds or 10.0))
 
 
 def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> StepSource:

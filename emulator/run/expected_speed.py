@@ -22,11 +22,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from emulator.light import Scene, SceneFrames
-from emulator.plan.plan import Plan, make_plan
-from emulator.plan.scene_probe import probe
+from emulator.plan.plan import Plan
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
-from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, schedule
+from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, plan_of, schedule
 from emulator.run.outcome import RunStatus
 from emulator.sensor.sensor import EventSource
 from emulator.threads import available_threads
@@ -219,8 +218,7 @@ def keeping_up(rig: Rig) -> RealTimeSpeed:
     with build_scene(rig) as scene:
         load, expected = None, None
         if not SCENES[rig.scene.kind].events:
-            step_ns = rig.run.step_us * 1000
-            plan = make_plan(rig, probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0))
+            plan = plan_of(rig, scene)
             load, expected = plan.load.total, expected_speed(plan, scene)
         session = build_session(rig, scene, [], MonotonicClock())
 
