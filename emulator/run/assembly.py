@@ -83,13 +83,7 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
 
 
 class TriggerPaths:
-    """The rings of one run's trigger.
-
-    Parameters
-    ----------
-    links : names of the rig's links.
-    lockstep_us : above 0, the trigger drives the run.
-    """
+    """The rings of one run's trigger, to the rig's links by name; with `lockstep_us` above 0 it drives the run."""
 
     def __init__(self, trigger: Trigger | None, links: Sequence[str], seed: int, lockstep_us: int = 0) -> None:
         self._trigger = trigger
@@ -243,15 +237,12 @@ def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSe
 
 def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
     """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
-    return [*_frame_sources(rig, sensor), *_imu_sources(rig, scene)]
+    sources = _frame_sources(rig, sensor)
+    if rig.camera.imu is not None:
+        from emulator.run.inertial import imu_source
 
-
-def _imu_sources(rig: Rig, scene: Scene) -> list[ReadingSource]:
-    if rig.camera.imu is None:
-        return []
-    from emulator.run.inertial import imu_source
-
-    return [imu_source(rig, rig.camera.imu, scene)]
+        sources.append(imu_source(rig, rig.camera.imu, scene))
+    return sources
 
 
 def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingSource]:
