@@ -26,9 +26,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
-from emulator.rig.kinds import CAMERA_MODELS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
+from emulator.rig.kinds import CAMERA_MODELS, IMU_DRIVERS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
 from emulator.rig.loading import Rig, RigError, Run, carries_second, second_rig
 from emulator.rig.tables import OWN_METHODS, Trigger
 from emulator.run.camera import CameraView, ReadingSource, ReadingSources
@@ -60,6 +62,9 @@ from transports.registry import imported
 if TYPE_CHECKING:
     from emulator.plan.plan import Plan
     from emulator.run.truth.source import TruthFile
+    from emulator.sensor.imu import Carried, Gravity, ImuSource
+    from emulator.sensor.parameters import ImuParameters
+    from firmware_protocol.imu_samples import ImuSettings
 
 
 def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
@@ -154,9 +159,14 @@ def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
         )
         settings[ReadingKind.FRAMES] = dataclasses.astuple(frames)
     if rig.camera.imu is not None:
-        from emulator.run.inertial import host_imu_settings
-
         settings[ReadingKind.IMU] = dataclasses.astuple(host_imu_settings(rig.camera.imu.unit))
+    return settings
+
+
+def host_imu_settings(unit: str) -> ImuSettings:
+    """Return the settings that the drivers of an inertial unit's cameras write by default."""
+    number = IMU_UNITS[unit]
+    settings: ImuSettings = imported(IMU_DRIVERS[number])(number)
     return settings
 
 
@@ -239,10 +249,45 @@ def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -
     """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
     sources = _frame_sources(rig, sensor)
     if rig.camera.imu is not None:
-        from emulator.run.inertial import imu_source
-
         sources.append(imu_source(rig, rig.camera.imu, scene))
     return sources
+
+
+def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
+    """Return the source of inertial samples on the path of the scene's camera."""
+    from emulator.sensor.imu import ImuSource, ImuUnit
+
+    return ImuSource(ImuUnit(imu, carried(rig, imu, scene), rig.run.seed))
+
+
+def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
+    """Return path, gravity and time of the inertial unit; on a bench where the scene's camera has no path."""
+    from emulator.optics.glare import Veiled
+    from emulator.optics.through import Through
+    from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, Gravity
+    from emulator.trajectory.building import HasCameraPath
+    from emulator.trajectory.pose import Fixed, Timescale
+
+    inner = scene
+    while isinstance(inner, Through | Veiled):
+        inner = inner.scene
+    gravity = Gravity(np.array(imu.gravity_m_s2 or (0.0, 0.0, 0.0)), imu.gm_m3_s2)
+    is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
+    if not isinstance(inner, HasCameraPath):
+        return Carried(Fixed(), gravity if is_given else EARTH_IN_THE_PICTURE, Timescale())
+    return Carried(inner.camera_path, gravity if is_given else _gravity_of(rig), inner.path_time)
+
+
+def _gravity_of(rig: Rig) -> Gravity:
+    """Return the gravity that the scene implies."""
+    from emulator.scene.terrain.table import TerrainParameters
+    from emulator.sensor.imu import MOON_BELOW, WEIGHTLESS
+    from emulator.trajectory.parameters import OrbitPath
+
+    if isinstance(rig.scene, TerrainParameters):
+        return MOON_BELOW
+    path = getattr(rig.scene, "camera", None)
+    return dataclasses.replace(WEIGHTLESS, gm_m3_s2=path.gm_m3_s2) if isinstance(path, OrbitPath) else WEIGHTLESS
 
 
 def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingSource]:
