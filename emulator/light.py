@@ -73,16 +73,12 @@ class LightFrame:
 
     Attributes
     ----------
-    t_ns : int
-        Stream time.
-    light : (height, width) float32
-        Light at `t_ns`, relative to the reference level; values below 0 count as 0.
-    rate : (height, width) float32, optional
-        Time derivative of the light at `t_ns`, per second, not finite where unknown; None where all is unknown.
-    at : PixelLight, optional
-        Light of single pixels between the last frame and this one; None where there is no such source.
-    changed : Region, optional
-        The part of light and rate that may differ from those of the last frame; None: all of it.
+    t_ns : stream time.
+    light : (height, width) float32 at `t_ns`, relative to the reference level; values below 0 count as 0.
+    rate : (height, width) float32, time derivative of the light at `t_ns`, per second, not finite where unknown; None
+        where all is unknown.
+    at : light of single pixels between the last frame and this one; None where there is no such source.
+    changed : part of light and rate that may differ from those of the last frame; None: all of it.
     """
 
     t_ns: int
@@ -280,19 +276,14 @@ class SceneFrames:
 
     Parameters
     ----------
-    scene : Scene
-        The scene; the caller closes it.
-    with_rate : bool
-        True: frames have the time derivative, where the scene has one.
-    with_pixel_light : bool
-        True: frames that have the derivative also have the light of single pixels, where the scene has it.
+    scene : the scene; the caller closes it.
+    with_rate : True: frames have the time derivative, where the scene has one.
+    with_pixel_light : True: frames with the derivative also have the light of single pixels, where the scene has it.
 
     Attributes
     ----------
-    last : LightFrame
-        The frame that was drawn last; dark at time 0 before the first.
-    count : int
-        Frames drawn so far.
+    last : the frame that was drawn last; dark at time 0 before the first.
+    count : frames drawn so far.
     """
 
     def __init__(self, scene: Scene, *, with_rate: bool, with_pixel_light: bool = False) -> None:

@@ -20,12 +20,7 @@ def available_threads() -> int:
 
 
 class ThreadPool:
-    """Threads that share work; the caller's thread is one of them. Not for several callers at a time.
-
-    Parameters
-    ----------
-    threads : number of threads, that of the caller included.
-    """
+    """Threads that share work; the caller's thread is one of these `threads`. Not for several callers at a time."""
 
     def __init__(self, threads: int) -> None:
         self.threads = max(threads, 1)

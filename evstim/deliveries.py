@@ -35,17 +35,12 @@ class Delivery:
 
     Attributes
     ----------
-    events
-        (n,) EVENT, sorted by t, us; read-only, as all arrays here.
-    edges
-        (m,) EDGE, triggers on the camera's external input, sorted by t, us.
-    imu
-        (k,) IMU, samples of the inertial unit, sorted by t, us.
-    frames
-        Frames of the active pixels, each with its times in us.
-    restarted
-        True when the camera's clock was set to zero before this delivery: for the first one, and after each timestamp
-        reset.
+    events : (n,) EVENT, sorted by t, us; read-only, as all arrays here.
+    edges : (m,) EDGE, triggers on the camera's external input, sorted by t, us.
+    imu : (k,) IMU, samples of the inertial unit, sorted by t, us.
+    frames : frames of the active pixels, each with its times in us.
+    restarted : True when the camera's clock was set to zero before this delivery: for the first one, and after each
+        timestamp reset.
     """
 
     events: Events = field(default_factory=empty_events)

@@ -13,8 +13,8 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypeVar, overload
@@ -230,7 +230,10 @@ class LiveRun(Generic[Batch]):
     def wait(self) -> RunResult:
         """Let the run go to its end, without reading its further events, and return the result."""
         with self._changed:
-            self._discard()
+            self._discarding = True
+            self._batches.clear()
+            self._queued_bytes = 0
+            self._changed.notify_all()
         self._join()
         return self.result
 
@@ -311,13 +314,10 @@ class LiveRun(Generic[Batch]):
             yield truth
         self.truth_trouble = truth.trouble
 
-    @contextmanager
-    def _forwarding(self, setups: Sequence[LinkSetup[Any]]) -> Iterator[Sequence[LinkSetup[Any]]]:
+    def _forwarding(self, setups: list[LinkSetup[Any]]) -> AbstractContextManager[list[LinkSetup[Any]]]:
         if self._link is None:
-            yield setups
-            return
-        with forwarding(setups, self._link, self._receive, self._miss) as links:
-            yield links
+            return nullcontext(setups)
+        return forwarding(setups, self._link, self._receive, self._miss)
 
     def _renew(self, status: RunStatus) -> None:
         """Take the session's status, in its thread, and begin the faults that were injected since the last one."""
@@ -361,9 +361,3 @@ class LiveRun(Generic[Batch]):
 
     def _has_room(self, more_bytes: int) -> bool:
         return not self._queued_bytes or self._queued_bytes + more_bytes <= _MOST_QUEUED_BYTES
-
-    def _discard(self) -> None:
-        self._discarding = True
-        self._batches.clear()
-        self._queued_bytes = 0
-        self._changed.notify_all()

@@ -1,9 +1,6 @@
-"""`evstim campaign FILE`: many runs of a rig over sampled parameters.
-
-What `evstim campaign` shows: progress on stderr, a summary on stdout, the table and the report in files.
+"""`evstim campaign FILE`: many runs of a rig over sampled parameters; table and report in files, a summary on stdout.
 
 `evstim campaign again FILE INDEX`: one run of a campaign once more, recorded.
-
 `evstim campaign report FILE`: table and report of the runs that are done, without doing any.
 """
 
@@ -42,7 +39,7 @@ from emulator.campaign.table import (
     write_table,
 )
 from emulator.campaign.workers import LocalWorkers, WarmWorker, Workers, cores, part_of, remaining, run_campaign
-from emulator.cli.checks import check_recording, failures, prepared
+from emulator.cli.checks import check_record, failures, prepared
 from emulator.cli.output import (
     BAD_VERDICT,
     GOOD,
@@ -191,12 +188,11 @@ def _print(summary: dict[str, object], outcomes: Counter[str], success: str, pro
 @contextmanager
 def campaign_failures() -> Iterator[None]:
     """Turn the errors of a campaign into Failure with its exit code."""
-    try:
+    with (
+        failing(WRONG_USE, CampaignError, FolderError, RowUnreadable),
+        failing(LACKING, TablesLacking, CampaignStopped),
+    ):
         yield
-    except (TablesLacking, CampaignStopped) as error:
-        raise Failure(str(error), LACKING) from error
-    except (CampaignError, FolderError, RowUnreadable) as error:
-        raise Failure(str(error), WRONG_USE) from error
 
 
 def again(
@@ -221,10 +217,7 @@ def again(
         campaign = Campaign(load_source(file))
         check_tables()
         rig = campaign.rig(index)
-        if record is not None:
-            if not rig.links:
-                raise Failure("--record: this rig has no link, so no event is delivered", WRONG_USE)
-            check_recording("--record", record)
+        check_record(rig, record)
         before = _row_before(campaign, folder or file.with_suffix(""), index)
         if before is None:
             prepared(parts_of(rig))
@@ -387,7 +380,12 @@ def _run(loaded: Campaign, folder: Path, todo: list[int], where: Placement, prog
         prepared(parts_of(loaded.rig(todo[0])))
     workers = _workers(loaded, folder.absolute(), len(todo), where)
     gc.freeze()  # loaded modules stay: no collection need examine them again
-    stop_on_signals(_Stopping(workers, progress).stop)
+
+    def stop() -> None:
+        progress.interrupted = True
+        workers.stop()
+
+    stop_on_signals(stop)
     with progress.shown():
         try:
             run_campaign(loaded, folder, todo, workers, progress.add)
@@ -410,18 +408,6 @@ def _workers(loaded: Campaign, folder: Path, runs: int, where: Placement) -> Wor
     count = min(count, runs)
     threads = max(1, cores() // count)
     return LocalWorkers([WarmWorker(loaded, folder, threads) for _ in range(count)])
-
-
-class _Stopping:
-    """Handler of stop signals: it stops the workers and marks the progress as interrupted."""
-
-    def __init__(self, workers: Workers, progress: Progress) -> None:
-        self._workers = workers
-        self._progress = progress
-
-    def stop(self) -> None:
-        self._progress.interrupted = True
-        self._workers.stop()
 
 
 verbs = App(name="campaign")

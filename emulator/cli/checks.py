@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure, failing, status
 from emulator.light import MachineLacks, SceneError
-from emulator.rig.loading import RigError
+from emulator.rig.loading import Rig, RigError
 from emulator.run.kernels import Part, Preparation, prepare, uncompiled
 from emulator.run.link_process import LinkFailed
 from transports.recording.format import Format, format_to_write, reason
@@ -26,12 +26,8 @@ from transports.registry import PluginError
 @contextmanager
 def failures() -> Iterator[None]:
     """Turn the errors of the packages into Failure with its exit code."""
-    try:
+    with failing(WRONG_USE, RigError, SceneError), failing(LACKING, MachineLacks, LinkFailed, PluginError):
         yield
-    except (MachineLacks, LinkFailed, PluginError) as error:
-        raise Failure(str(error), LACKING) from error
-    except (RigError, SceneError) as error:
-        raise Failure(str(error), WRONG_USE) from error
 
 
 def check_output(option: str, path: Path | None, suffix: str = "") -> None:
@@ -78,6 +74,15 @@ def check_recording(option: str, path: Path, name: str = "") -> Format:
     return form
 
 
+def check_record(rig: Rig, record: Path | None) -> None:
+    """Raise Failure where `--record` cannot write what the links of a rig deliver; None is no file."""
+    if record is None:
+        return
+    if not rig.links:
+        raise Failure("--record: this rig has no link, so no event is delivered", WRONG_USE)
+    check_recording("--record", record)
+
+
 def parsed_size(text: str | None) -> tuple[int, int] | None:
     """Return (width, height) of text such as "346x260"; raises Failure."""
     if text is None:
@@ -99,14 +104,9 @@ def parsed_address(option: str, text: str, least_port: int = 1) -> tuple[str, in
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn errors of a recording that is read into Failure."""
-    try:
+    at = str(path)
+    with failing(WRONG_USE, RecordingError, OSError, at=at), failing(LACKING, LibraryMissing, at=at):
         yield
-    except LibraryMissing as error:
-        raise Failure(f"{path}: {error}", LACKING) from error
-    except RecordingError as error:
-        raise Failure(f"{path}: {error}", WRONG_USE) from error
-    except OSError as error:
-        raise Failure(f"{path}: {error.strerror or error}", WRONG_USE) from error
 
 
 @contextmanager

@@ -1,11 +1,7 @@
 """`evstim demo`: a run whose camera is read by a second process, as a driver does, without hardware or kernel module.
 
 Over USB/IP the reader is evstim's own; over GigE Vision it is neuromorphic_drivers, unmodified, where it is installed.
-Every event is compared. `evstim demo landing` flies a landing instead.
-
-`evstim demo landing`: the landing of examples/landing, flown from start to touchdown.
-
-`evstim demo` starts the reader of its camera in a process of its own.
+Every event is compared. `evstim demo landing` flies the landing of examples/landing instead, from start to touchdown.
 """
 
 from __future__ import annotations
@@ -202,10 +198,8 @@ def _compare(sent: Path, received: Path, *, to_the_end: bool) -> dict[str, objec
 
 
 def _print_verdict(result: RunResult, verdict: dict[str, object], good: bool) -> None:
-    rate = result.frames / result.wall_seconds
-    raised = result.ledger.raised
-    seconds = result.sim_seconds
-    console.print(f"{seconds:.1f} s of stream time, {rate:.0f} frames per second, {raised} events raised")
+    rate, raised = result.frames / result.wall_seconds, result.ledger.raised
+    console.print(f"{result.sim_seconds:.1f} s of stream time, {rate:.0f} frames per second, {raised} events raised")
     console.print(f"{verdict['sent']} events sent since the last clock reset, {verdict['received']} received")
     console.print("all events are equal" if verdict["equal"] else "THE STREAMS DIFFER")
     balance = result.ledger.imbalance

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import socket
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+import threading
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +14,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_address
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, console, print_json
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, console, failing, print_json
 from emulator.cli.run import print_summary, summary
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
@@ -32,16 +32,6 @@ from emulator.run.outcome import good, judge
 from emulator.run.simulation import Simulation
 from emulator.trajectory.pose import Pose
 from firmware_protocol.pose_message import PoseMessage
-
-
-class _Stop:
-    """Record of a signal that ended the flight."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-    def stop(self) -> None:
-        self.requested = True
 
 
 class _Lockstep:
@@ -109,7 +99,12 @@ def dynamics(
     seconds
         How long it flies.
     """
-    with failures(), _dynamics_failures():
+    with (
+        failures(),
+        failing(WRONG_USE, OSError, at="--to"),
+        failing(BAD_VERDICT, FlightEnded),
+        failing(WRONG_USE, DynamicsError),
+    ):
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
         flown, run, complete = _flown(fmu, map, Pace(seconds, target.stamped, lambda _: True), target)
@@ -132,31 +127,19 @@ def dynamics(
 
 def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> tuple[FlightResult, Simulation | None, bool]:
     """Return the flight, the rig's run in lockstep, which has ended, and whether the flight was complete."""
-    address, mapping, ending = parsed_address("--to", target.to), load_mapping(map_file), _Stop()
+    address, mapping = parsed_address("--to", target.to), load_mapping(map_file)
+    stopped = threading.Event()
     if target.rig is not None and mapping.body:
         raise Failure(f"{map_file}: body = {mapping.body}: with --rig the FMU moves the camera, body 0", WRONG_USE)
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         names = tuple(name for source in inputs for name in source.names)
         with Fmu(file, mapping, names) as unit:
-            stop_on_signals(ending.stop)
+            stop_on_signals(stopped.set)
             if target.rig is None:
-                pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.requested))
+                pace = dataclasses.replace(pace, waiting=wall_clock(stopped.is_set))
                 flown = fly(unit, mapping, inputs, pace, lambda pose: out.sendto(bytes(pose), address))
-                return flown, None, not ending.requested
-            pace = dataclasses.replace(pace, waiting=lambda _: not ending.requested)
+                return flown, None, not stopped.is_set()
+            pace = dataclasses.replace(pace, waiting=lambda _: not stopped.is_set())
             with closing(_Lockstep(target.rig, mapping.step_s)) as lockstep:
                 flown = fly(unit, mapping, inputs, pace, lockstep.send)
-            return flown, lockstep.simulation, not ending.requested
-
-
-@contextmanager
-def _dynamics_failures() -> Iterator[None]:
-    """Turn errors into Failure with its exit code."""
-    try:
-        yield
-    except DynamicsError as error:
-        raise Failure(str(error), WRONG_USE) from error
-    except FlightEnded as error:
-        raise Failure(str(error), BAD_VERDICT) from error
-    except OSError as error:
-        raise Failure(f"--to: {error.strerror or error}", WRONG_USE) from error
+            return flown, lockstep.simulation, not stopped.is_set()

@@ -72,7 +72,9 @@ def export(
     files = _MAKERS[kind](_wanted(rig))
     paths = [out / name for name in files]
     for path, text in zip(paths, files.values(), strict=True):
-        _write(path, text)
+        with failing(WRONG_USE, OSError, at=str(path)):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
     if json:
         print_json({"kind": kind, "files": paths})
     else:
@@ -94,9 +96,3 @@ def _wanted(rig: str | None) -> _Wanted:
 def _frames(can: CanLink) -> tuple[tuple[int, CanMessage], ...]:
     ids = can.identifiers.by_name
     return tuple((ids[message.name], message) for message in can_messages(fd=can.fd, transport=can.carriage))
-
-
-def _write(path: Path, text: str) -> None:
-    with failing(WRONG_USE, OSError, at=str(path)):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, print_json
-from emulator.rig.kinds import CAMERA_MODELS, UsbSettings
+from emulator.rig.kinds import CAMERA_MODELS, UsbSettings, usb_sizes
 from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
@@ -104,10 +104,7 @@ def _descriptors(plug: UsbCameraOptions) -> DescriptorSet:
     """Return the descriptors that USB hosts read."""
     model = CAMERA_MODELS.get(plug.model)
     if model is None or model.usb is None:
-        usb_models = ", ".join(
-            name for name, camera_model in CAMERA_MODELS.usable().items() if camera_model.usb is not None
-        )
-        raise Failure(f"there is no USB camera {plug.model!r}; there are: {usb_models}", WRONG_USE)
+        raise Failure(f"there is no USB camera {plug.model!r}; there are: {', '.join(usb_sizes())}", WRONG_USE)
     with failing(WRONG_USE, ValueError):
         camera = Camera(model=plug.model, serial=plug.serial, speed=plug.speed)
         device = model.usb.device(camera, UsbSettings(start_delay_ms=0.0))()

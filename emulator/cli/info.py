@@ -1,7 +1,4 @@
-"""`evstim info FILE`.
-
-`evstim info` of a truth file.
-"""
+"""`evstim info FILE`: the content of a recording, or of a truth file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Consoles, JSON output and exit codes, the same for every command.
-
-Standard streams of a command: line breaks at a terminal, whole lines in files and pipes.
+"""Consoles, JSON output and exit codes, the same for every command: lines break at a terminal, not in files and pipes.
 
 A write that standard output cannot take is a failure of the command, with its exit code:
 

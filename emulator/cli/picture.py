@@ -67,12 +67,7 @@ _Looks = Callable[[PictureOptions, float], Iterator[Look]]
 
 
 def picture(
-    source: str,
-    file: Path,
-    /,
-    *,
-    show: Annotated[PictureOptions, Parameter(name="*")] = _DEFAULTS,
-    json: Json = False,
+    source: str, file: Path, /, *, show: Annotated[PictureOptions, Parameter(name="*")] = _DEFAULTS, json: Json = False
 ) -> int:
     """Write a picture (.png) or movie (.gif, .mp4): the light, ON events in orange, OFF events in blue.
 

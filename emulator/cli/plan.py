@@ -7,11 +7,10 @@ import math
 
 from emulator.cli.checks import failures, prepared
 from emulator.cli.output import GOOD, Json, console, print_json
-from emulator.plan.plan import Decision, Plan, make_plan
-from emulator.plan.scene_probe import probe
+from emulator.plan.plan import Decision, Plan
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import Rig, load_rig
-from emulator.run.assembly import build_scene
+from emulator.run.assembly import build_scene, plan_of
 from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.kernels import parts_of
 
@@ -34,7 +33,9 @@ def plan(rig: str, /, *, json: Json = False) -> int:
         if SCENES[loaded.scene.kind].events:
             return _nothing_to_plan(loaded, json)
         prepared(parts_of(loaded))
-        planned, speed = _plan(loaded)
+        with build_scene(loaded) as scene:
+            planned = plan_of(loaded, scene)
+            speed = expected_speed(planned, scene)
     if json:
         print_json({**_as_json(planned), "speed": speed.as_json()})
     else:
@@ -51,14 +52,6 @@ def _nothing_to_plan(rig: Rig, json: bool) -> int:
     else:
         console.print(reason, markup=False)
     return GOOD
-
-
-def _plan(rig: Rig) -> tuple[Plan, ExpectedSpeed]:
-    sensor = rig.camera.sensor
-    with build_scene(rig) as scene:
-        step_ns = rig.run.step_us * 1000
-        planned = make_plan(rig, probe(scene, sensor, step_ns, rig.run.seconds or 10.0))
-        return planned, expected_speed(planned, scene)
 
 
 def _as_json(planned: Plan) -> dict[str, object]:

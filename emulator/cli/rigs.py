@@ -1,6 +1,4 @@
-"""`evstim rigs` and `evstim schema`: the installed rigs, and the JSON Schemas of rig files and reports.
-
-`evstim check RIG`: check a rig file.
+"""`evstim rigs`, `evstim check RIG`, `evstim schema`: installed rigs, the check of a rig file, and JSON Schemas.
 
 The needs of a rig, with the state of this machine, are shown by `evstim rigs` and `evstim doctor RIG`.
 """

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from emulator.cli import restore_collection
-from emulator.cli.checks import check_output, check_recording, failures, prepared
+from emulator.cli.checks import check_output, check_record, failures, prepared
 from emulator.cli.output import (
     BAD_VERDICT,
     GOOD,
@@ -145,9 +145,7 @@ def run(
     if json:
         print_json({**summary(loaded, result), "truth_trouble": truth.trouble})
     else:
-        print_summary(loaded, result)
-        if truth.trouble:
-            console.print(f"--truth: {truth.trouble}", markup=False)
+        print_summary(loaded, result, truth.trouble)
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
@@ -167,7 +165,7 @@ def run_with_files(
     rig: Rig, files: Files, simulation: SimulationDrive | None = None, *, show: bool, repeats: Repeats | None = None
 ) -> tuple[RunResult, Truth]:
     """Check that the files can be written, compile the kernels, run a rig and report; raises Failure."""
-    _check_record(rig, files.record)
+    check_record(rig, files.record)
     truth = Truth(rig, files.truth, files.truth_every)
     check_output("--ready-file", files.ready_file)
     check_serving(files.serve)
@@ -187,14 +185,6 @@ def rig_with_options(rig: Rig, seconds: float | None, seed: int | None, pace: st
         return with_options(rig, seconds, seed, pace)
     except ValueError as error:
         raise Failure(f"--{error}", WRONG_USE) from error
-
-
-def _check_record(rig: Rig, record: Path | None) -> None:
-    if record is None:
-        return
-    if not rig.links:
-        raise Failure("--record: this rig has no link, so no event is delivered", WRONG_USE)
-    check_recording("--record", record)
 
 
 @dataclass(frozen=True)
@@ -288,7 +278,6 @@ def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -
 
 def summary(rig: Rig, result: RunResult) -> dict[str, object]:
     """Return the object that `run --json` prints."""
-    latencies = [report.latency for report in result.links.values()]
     return {
         "rig": rig.name,
         "sim_seconds": result.sim_seconds,
@@ -298,7 +287,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
         "rules": [rule.as_json() for rule in judge(rig.verdict, result)],
-        "latency_us": dataclasses.asdict(_worst(latencies)),
+        "latency_us": dataclasses.asdict(_worst([report.latency for report in result.links.values()])),
         "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
         "suspect_share": result.undersampled_share,  # the old key, for one version
@@ -333,12 +322,12 @@ def _worst(latencies: list[LatencySummary]) -> LatencySummary:
 _SHOWN = ("verdict.", "scene")
 
 
-def print_summary(rig: Rig, result: RunResult) -> None:
-    """Print the summary of a run, for people."""
-    ledger = result.ledger
+def print_summary(rig: Rig, result: RunResult, truth_trouble: str = "") -> None:
+    """Print the summary of a run, for people, with the reason why its truth file is not whole."""
+    ledger, syncs = result.ledger, "" if result.syncs is None else f", {result.syncs} SYNCs"
     console.print(
         f"{rig.name}: {result.sim_seconds:.3f} s of stream time in {result.wall_seconds:.3f} s, "
-        f"{result.frames} frames, {result.steps} steps{_syncs(result)}"
+        f"{result.frames} frames, {result.steps} steps{syncs}"
     )
     console.print(f"drawn by {result.drawn_by}", markup=False)
     console.print(
@@ -370,7 +359,5 @@ def print_summary(rig: Rig, result: RunResult) -> None:
         console.print(f"NOT GOOD: {broken.rule}: {broken.finding}", markup=False)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
     console.print(verdict_line(rules), markup=False)
-
-
-def _syncs(result: RunResult) -> str:
-    return "" if result.syncs is None else f", {result.syncs} SYNCs"
+    if truth_trouble:
+        console.print(f"--truth: {truth_trouble}", markup=False)

@@ -1,9 +1,4 @@
-"""Live table of a run: rates, lateness, and the state and counts of each link.
-
-`--report DIR`: observation of a run, and its report when it has ended.
-
-`--serve [HOST:PORT]`: the live page of a run.
-"""
+"""Live table of a run, with rates, lateness, and the state and counts of each link; its report and its live page."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Lines and JSON of the summary of a run, and the files of its options `--truth` and `--trace`.
 
-The summary has the delivery statistics and latencies of each link, those of triggers, of the camera's clock, of frames
-and samples; lines about lateness, with advice when the run did not keep up with the clock; and lines about changes
-from outside.
+The summary has the deliveries and latencies of each link, its triggers, clock, frames and samples; the lateness of the
+run, with advice when it did not keep up with the clock; and changes from outside.
 
 `--truth FILE`: a .csv for the camera's clock, an .h5 for the scene and the sensor; by the suffix.
 """
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.cli.checks import check_output
-from emulator.cli.output import LACKING, WRONG_USE, Failure, status
+from emulator.cli.output import LACKING, WRONG_USE, Failure, failing, status
 from emulator.rig.loading import Rig
 from emulator.run.kernels import TRUTH, Part
 from emulator.run.link_process import traced
@@ -233,12 +232,8 @@ class Truth:
 def _truth_file(rig: Rig, path: Path, every: int | None) -> Any:
     from emulator.run.truth.source import TruthFile, TruthRefused, pictures_bytes
 
-    try:
+    with failing(WRONG_USE, TruthRefused, at="--truth"), failing(LACKING, ImportError, at="--truth"):
         file = TruthFile(rig, path, every)
-    except TruthRefused as error:
-        raise Failure(f"--truth: {error}", WRONG_USE) from error
-    except ImportError as error:
-        raise Failure(f"--truth: {error}", LACKING) from error
     rate_hz, bytes_a_second = pictures_bytes(rig, every)
     size = f"{bytes_a_second * (rig.run.seconds or 1) / 1e6:.2g} MB{'' if rig.run.seconds else ' a second'}"
     status.print(f"truth: {rate_hz:g} light frames a second, at most {size} of them in {path}", markup=False)

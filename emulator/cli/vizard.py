@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
@@ -105,12 +105,10 @@ def vizard(
     if isinstance(source, ForwardingServer) and source.lost:
         problems.append(source.lost)
     if json:
-        body = {**summary(loaded, result), "truth_trouble": truth.trouble, "basilisk": counts, "problems": problems}
-        print_json(body)
+        outcome = {"truth_trouble": truth.trouble, "basilisk": counts, "problems": problems}
+        print_json({**summary(loaded, result), **outcome})
     else:
-        print_summary(loaded, result)
-        if truth.trouble:
-            console.print(f"--truth: {truth.trouble}", markup=False)
+        print_summary(loaded, result, truth.trouble)
         _print(counts, problems)
     return GOOD if good(judge(loaded.verdict, result)) and not (truth.trouble or problems) else BAD_VERDICT
 
@@ -135,10 +133,8 @@ def _server(connection: ConnectionOptions) -> Iterator[VizardServer]:
         server = VizardServer(host, port, connection.allow)
     except OSError as error:
         raise Failure(f"--at: {error.strerror or error}; give another port, or end its program", LACKING) from error
-    try:
+    with closing(server):
         yield server
-    finally:
-        server.close()
 
 
 @contextmanager
@@ -152,10 +148,8 @@ def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator
     except OSError as error:
         reason = f"--forward: no program listens on {connection.forward}: {error.strerror or error}; start it first"
         raise Failure(reason, LACKING) from error
-    try:
+    with closing(other):
         yield ForwardingServer(server, other)
-    finally:
-        other.close()
 
 
 def _simulation(rig: Rig, paths: Sequence[GivenPath], server: Server, connection: ConnectionOptions) -> BasiliskRun:

@@ -65,7 +65,7 @@ __all__ = [
 _LOG = logging.getLogger(__name__)
 
 VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
-    ("run", "method"): {"warped": "hermite", "held": "v2e_exact_filter"},
+    ("run", "method"): {"warped": "hermite", "held": "v2e_exact_filter"}
 }
 """New value by old value, for each (table, key). Renamed in version 0.2; to be removed in the version after."""
 
@@ -98,10 +98,7 @@ REMOVED: Mapping[tuple[str, ...], RemovedKey] = {
 def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:
     """Return a rig's tables with new spellings and without removed keys; the argument stays as it is.
 
-    Raises
-    ------
-    TableError
-        A removed key has another value than the one that the program now always uses.
+    Raises TableError where a removed key has another value than the one that the program now always uses.
     """
     for path, removed in REMOVED.items():
         rig = _without(rig, path, path, removed)

@@ -26,9 +26,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
-from emulator.rig.kinds import CAMERA_MODELS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
+from emulator.rig.kinds import CAMERA_MODELS, IMU_DRIVERS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
 from emulator.rig.loading import Rig, RigError, Run, carries_second, second_rig
 from emulator.rig.tables import OWN_METHODS, Trigger
 from emulator.run.camera import CameraView, ReadingSource, ReadingSources
@@ -58,7 +60,11 @@ from transports.recording.part import Facts
 from transports.registry import imported
 
 if TYPE_CHECKING:
+    from emulator.plan.plan import Plan
     from emulator.run.truth.source import TruthFile
+    from emulator.sensor.imu import Carried, Gravity, ImuSource
+    from emulator.sensor.parameters import ImuParameters
+    from firmware_protocol.imu_samples import ImuSettings
 
 
 def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
@@ -82,13 +88,7 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
 
 
 class TriggerPaths:
-    """The rings of one run's trigger.
-
-    Parameters
-    ----------
-    links : names of the rig's links.
-    lockstep_us : above 0, the trigger drives the run.
-    """
+    """The rings of one run's trigger, to the rig's links by name; with `lockstep_us` above 0 it drives the run."""
 
     def __init__(self, trigger: Trigger | None, links: Sequence[str], seed: int, lockstep_us: int = 0) -> None:
         self._trigger = trigger
@@ -159,9 +159,14 @@ def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
         )
         settings[ReadingKind.FRAMES] = dataclasses.astuple(frames)
     if rig.camera.imu is not None:
-        from emulator.run.inertial import host_imu_settings
-
         settings[ReadingKind.IMU] = dataclasses.astuple(host_imu_settings(rig.camera.imu.unit))
+    return settings
+
+
+def host_imu_settings(unit: str) -> ImuSettings:
+    """Return the settings that the drivers of an inertial unit's cameras write by default."""
+    number = IMU_UNITS[unit]
+    settings: ImuSettings = imported(IMU_DRIVERS[number])(number)
     return settings
 
 
@@ -208,13 +213,15 @@ def build_session(
 
 def planned_sensor(rig: Rig, scene: Scene) -> SensorParameters:
     """Return the rig's sensor; with a tolerance, without the effects that the plan of the run leaves out."""
-    run, sensor = rig.run, rig.camera.sensor
-    if not run.tolerance_us:
-        return sensor
+    return plan_of(rig, scene).sensor if rig.run.tolerance_us else rig.camera.sensor
+
+
+def plan_of(rig: Rig, scene: Scene) -> Plan:
+    """Return the plan of the rig's run, from a probe of its scene."""
     from emulator.plan.plan import make_plan
     from emulator.plan.scene_probe import probe
 
-    return make_plan(rig, probe(scene, sensor, run.step_us * 1000, run.seconds or 10.0)).sensor
+    return make_plan(rig, probe(scene, rig.camera.sensor, rig.run.step_us * 1000, rig.run.seconds or 10.0))
 
 
 def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> StepSource:
@@ -240,15 +247,47 @@ def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSe
 
 def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
     """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
-    return [*_frame_sources(rig, sensor), *_imu_sources(rig, scene)]
+    sources = _frame_sources(rig, sensor)
+    if rig.camera.imu is not None:
+        sources.append(imu_source(rig, rig.camera.imu, scene))
+    return sources
 
 
-def _imu_sources(rig: Rig, scene: Scene) -> list[ReadingSource]:
-    if rig.camera.imu is None:
-        return []
-    from emulator.run.inertial import imu_source
+def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
+    """Return the source of inertial samples on the path of the scene's camera."""
+    from emulator.sensor.imu import ImuSource, ImuUnit
 
-    return [imu_source(rig, rig.camera.imu, scene)]
+    return ImuSource(ImuUnit(imu, carried(rig, imu, scene), rig.run.seed))
+
+
+def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
+    """Return path, gravity and time of the inertial unit; on a bench where the scene's camera has no path."""
+    from emulator.optics.glare import Veiled
+    from emulator.optics.through import Through
+    from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, Gravity
+    from emulator.trajectory.building import HasCameraPath
+    from emulator.trajectory.pose import Fixed, Timescale
+
+    inner = scene
+    while isinstance(inner, Through | Veiled):
+        inner = inner.scene
+    gravity = Gravity(np.array(imu.gravity_m_s2 or (0.0, 0.0, 0.0)), imu.gm_m3_s2)
+    is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
+    if not isinstance(inner, HasCameraPath):
+        return Carried(Fixed(), gravity if is_given else EARTH_IN_THE_PICTURE, Timescale())
+    return Carried(inner.camera_path, gravity if is_given else _gravity_of(rig), inner.path_time)
+
+
+def _gravity_of(rig: Rig) -> Gravity:
+    """Return the gravity that the scene implies."""
+    from emulator.scene.terrain.table import TerrainParameters
+    from emulator.sensor.imu import MOON_BELOW, WEIGHTLESS
+    from emulator.trajectory.parameters import OrbitPath
+
+    if isinstance(rig.scene, TerrainParameters):
+        return MOON_BELOW
+    path = getattr(rig.scene, "camera", None)
+    return dataclasses.replace(WEIGHTLESS, gm_m3_s2=path.gm_m3_s2) if isinstance(path, OrbitPath) else WEIGHTLESS
 
 
 def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingSource]:

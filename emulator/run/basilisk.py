@@ -31,12 +31,12 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.attitude import Matrix, Quaternion, Vector, multiply
+from emulator.geometry.attitude import Matrix, Quaternion, multiply
 from emulator.light import Light
 from emulator.rig.loading import Rig, RigError
 from emulator.trajectory.building import build_trajectory
@@ -252,13 +252,8 @@ def _connected(value: T, paths: list[GivenPath]) -> T:
         return tuple(_connected(element, paths) for element in value)  # type: ignore[return-value]
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         return value
-    return dataclasses.replace(
-        value, **{name: _connected(field_value, paths) for name, field_value in _fields(value).items()}
-    )
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
+    names = [field.name for field in dataclasses.fields(value) if field.init]
+    return dataclasses.replace(value, **{name: _connected(getattr(value, name), paths) for name in names})
 
 
 _CAMERA_FROM_UNITY: Quaternion = np.array([0.5, -0.5, -0.5, 0.5])
@@ -285,12 +280,12 @@ def _pose_in_n(path: BasiliskPath, update: vizard.Update) -> Pose:
     if path.spacecraft:
         return _spacecraft(update, path.spacecraft)
     body = update.body(path.body)
-    return Pose(_vector(body.position_m), _from_matrix(np.reshape(body.rotation, (3, 3)), path.body))
+    return Pose(np.array(body.position_m), _from_matrix(np.reshape(body.rotation, (3, 3)), path.body))
 
 
 def _spacecraft(update: vizard.Update, name: str) -> Pose:
     state = update.spacecraft(name)
-    return Pose(_vector(state.position_m), _from_mrp(state.rotation))
+    return Pose(np.array(state.position_m), _from_mrp(state.rotation))
 
 
 def _from_mrp(sigma: tuple[float, ...]) -> Quaternion:
@@ -300,16 +295,11 @@ def _from_mrp(sigma: tuple[float, ...]) -> Quaternion:
 
 
 def _from_matrix(body_from_n: Matrix, name: str) -> Quaternion:
-    from scipy.spatial.transform import (
-        Rotation,  # loaded where it is used: it takes longer than the rest of a short run's imports
-    )
+    # Loaded where it is used: it takes longer than the rest of a short run's imports.
+    from scipy.spatial.transform import Rotation
 
     small = bool((np.abs(body_from_n) < 1 + _ROTATION_WITHIN).all())  # so that nothing below overflows
     off = np.abs(body_from_n @ body_from_n.T - np.eye(3)).max() if small else np.inf
     if off > _ROTATION_WITHIN or np.linalg.det(body_from_n) < 0:
         raise ValueError(f"the matrix of celestial body {name!r} is no rotation")
     return np.asarray(Rotation.from_matrix(body_from_n.T).as_quat(scalar_first=True))
-
-
-def _vector(numbers: tuple[float, ...]) -> Vector:
-    return np.array(numbers)

@@ -51,7 +51,6 @@ class ReadingSource(Protocol):
 
         `settings` are the numbers in the camera's registers; empty before a host has written any.
         """
-        ...
 
 
 class ReadingSources:
@@ -122,12 +121,9 @@ def _up_to(records: Events | Readings, until_us: int) -> int:
 
 
 class CameraView:
-    """One camera of a run, step by step.
+    """One camera of a run, step by step, on the links of these names.
 
-    Parameters
-    ----------
-    links : names of the links that carry it.
-    changes : record of the changes that its hosts make to its sensor; None for no record.
+    `changes` is the record of the changes that its hosts make to its sensor; None for no record.
     """
 
     def __init__(

@@ -61,15 +61,10 @@ class Change:
     def as_json(self) -> dict[str, object]:
         """Return the object that `evstim run --json` prints."""
         return {
-            "t_us": self.t_ns / 1000,
-            "by": self.by,
-            "link": self.link,
-            "what": self.what,
-            "before": self.before,
-            "after": self.after,
-            "taken_us": self.taken_us,
+            "t_us": self.t_ns / 1000, "by": self.by, "link": self.link, "what": self.what,
+            "before": self.before, "after": self.after, "taken_us": self.taken_us,
             **({"fault": self.fault} if self.fault else {}),
-        }
+        }  # fmt: skip
 
     @property
     def text(self) -> str:
@@ -80,12 +75,7 @@ class Change:
 
 
 class Changes:
-    """The changes of a run; beyond 10 000 they are counted only.
-
-    Attributes
-    ----------
-    beyond : changes that are counted and not listed.
-    """
+    """The changes of a run; from 10 000 on they are not listed, and only counted in `beyond`."""
 
     def __init__(self) -> None:
         self._listed: list[Change] = []
@@ -112,11 +102,7 @@ class Changes:
 class BiasFollowing:
     """Adjustment of a sensor by the biases that its cameras report, with a log line for each result.
 
-    `sensor` may be one that cannot be adjusted.
-
-    Attributes
-    ----------
-    changes : record of the adjustments; None for no record.
+    `sensor` may be one that cannot be adjusted; `changes` is the record of the adjustments, None for no record.
     """
 
     def __init__(self, sensor: Any, changes: Changes | None = None) -> None:
@@ -129,17 +115,13 @@ class BiasFollowing:
 
     def follow(self, link: str, settings: CameraSettings, t_ns: int = 0) -> None:
         """Adjust the sensor, which is at stream time `t_ns`, where the factors of a link have changed."""
-        self._log_without_effect(link, settings.without_effect)
+        before, self._without_effect[link] = self._without_effect.get(link, {}), settings.without_effect
+        for name, reason in settings.without_effect.items():
+            if name not in before:
+                log.warning("%s: bias %s has no effect: %s", link, name, reason)
         if settings.sensor_factors != self._factors_of.get(link, {}):
             self._factors_of[link] = settings.sensor_factors
             self._adjust(link, settings, t_ns)
-
-    def _log_without_effect(self, link: str, without_effect: Mapping[str, str]) -> None:
-        """Log the settings that have become without effect."""
-        before, self._without_effect[link] = self._without_effect.get(link, {}), without_effect
-        for name, reason in without_effect.items():
-            if name not in before:
-                log.warning("%s: bias %s has no effect: %s", link, name, reason)
 
     def _adjust(self, link: str, settings: CameraSettings, t_ns: int) -> None:
         """Set the parameters to their new factors; one that cannot follow keeps its old factor."""

@@ -239,9 +239,7 @@ _EDGES = {"pulse": EdgeKind.PULSE, "rising": EdgeKind.RISING, "falling": EdgeKin
 class FaultInjection:
     """Answers to the requests for one run; without a socket it does nothing.
 
-    Attributes
-    ----------
-    trouble : reason why there is no socket; "" where there is one, or none is needed.
+    `trouble` is the reason why there is no socket; "" where there is one, or none is needed.
     """
 
     def __init__(self, rig: Rig, session: Operator, socket: ControlSocket | None, trouble: str = "") -> None:
@@ -303,11 +301,10 @@ class FaultInjection:
     def _trigger(self, kind: str, link: object) -> Message:
         if kind not in _EDGES:
             return {"error": f"kind {kind!r}: known are {', '.join(_EDGES)}"}
-        names = [camera_link.name for camera_link in self._rig.links if link in (None, camera_link.name)]
+        present = [camera_link.name for camera_link in self._rig.links]
+        names = [name for name in present if link in (None, name)]
         if not names:
-            return {
-                "error": f"link {link!r}: there is {', '.join(camera_link.name for camera_link in self._rig.links)}"
-            }
+            return {"error": f"link {link!r}: there is {', '.join(present)}"}
         for name in names:
             self._session.happen(name, _EDGES[kind])
         return {"links": names}
@@ -329,12 +326,7 @@ def fault_injection(rig: Rig, session: Operator) -> Iterator[FaultInjection]:
 
 
 class ReadySignal:
-    """Signal that a run is ready, sent once, at the first call of `send`.
-
-    Parameters
-    ----------
-    path : the file to write; None for none.
-    """
+    """Signal that a run is ready, sent once, at the first call of `send`; `path` is its file, None for none."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path

@@ -22,11 +22,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from emulator.light import Scene, SceneFrames
-from emulator.plan.plan import Plan, make_plan
-from emulator.plan.scene_probe import probe
+from emulator.plan.plan import Plan
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
-from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, schedule
+from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, plan_of, schedule
 from emulator.run.outcome import RunStatus
 from emulator.sensor.sensor import EventSource
 from emulator.threads import available_threads
@@ -99,17 +98,18 @@ def expected_speed(plan: Plan, scene: Scene) -> ExpectedSpeed:
 def _remedies(plan: Plan, scene: Scene, cost: StepCost, duration_s: float) -> Iterator[str]:
     step_ns = round(cost.step_s * 1e9)
     if 0 < plan.rig.run.threads < available_threads():
-        unbound = dataclasses.replace(
-            plan, rig=dataclasses.replace(plan.rig, run=dataclasses.replace(plan.rig.run, threads=0))
-        )
-        with build_scene(unbound.rig) as other:
-            if _cost(unbound, other, step_ns, duration_s).factor > 1:
+        rig = dataclasses.replace(plan.rig, run=dataclasses.replace(plan.rig.run, threads=0))
+        with build_scene(rig) as other:
+            if _cost(dataclasses.replace(plan, rig=rig), other, step_ns, duration_s).factor > 1:
                 yield "run.threads = 0"
     if step_us := longer_step_us(cost, _cost(plan, scene, step_ns * _LONGER, duration_s)):
         yield _step_text(plan, step_us)
-    size, half = plan.rig.camera.size, _halved(plan)
+    camera = plan.rig.camera
+    width, height = (max(2, side // 2) for side in camera.size)
+    half_camera = dataclasses.replace(camera, sensor=dataclasses.replace(camera.sensor, width=width, height=height))
+    half = dataclasses.replace(plan, rig=dataclasses.replace(plan.rig, camera=half_camera))
     with build_scene(half.rig) as other:
-        size_in_time = smaller_size(cost, _cost(half, other, step_ns, duration_s), size)
+        size_in_time = smaller_size(cost, _cost(half, other, step_ns, duration_s), camera.size)
     if size_in_time:
         yield f"a camera of {size_in_time[0]}x{size_in_time[1]} pixels"
 
@@ -148,15 +148,6 @@ def _step_text(plan: Plan, step_us: int) -> str:
     motion = f" ({motion_px:.2g} px of motion a step)" if math.isfinite(motion_px) else ""
     change = f"run.step_us = {step_us}" if plan.pinned else f"a run.tolerance_us that permits steps of {step_us} us"
     return change + motion
-
-
-def _halved(plan: Plan) -> Plan:
-    width, height = (max(2, side // 2) for side in plan.rig.camera.size)
-    camera = plan.rig.camera
-    sensor = dataclasses.replace(camera.sensor, width=width, height=height)
-    return dataclasses.replace(
-        plan, rig=dataclasses.replace(plan.rig, camera=dataclasses.replace(camera, sensor=sensor))
-    )
 
 
 def _cost(plan: Plan, scene: Scene, step_ns: int, duration_s: float) -> StepCost:
@@ -219,8 +210,7 @@ def keeping_up(rig: Rig) -> RealTimeSpeed:
     with build_scene(rig) as scene:
         load, expected = None, None
         if not SCENES[rig.scene.kind].events:
-            step_ns = rig.run.step_us * 1000
-            plan = make_plan(rig, probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0))
+            plan = plan_of(rig, scene)
             load, expected = plan.load.total, expected_speed(plan, scene)
         session = build_session(rig, scene, [], MonotonicClock())
 

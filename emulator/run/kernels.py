@@ -297,8 +297,7 @@ def prepare(parts: Sequence[Part], on_state: Callable[[Preparation], None] = lam
     The longest come first, but none before those that it needs.
     """
     waiting, running = sorted(parts, key=lambda part: -part.seconds), list[_Running]()
-    ended: list[str] = []
-    failed: list[str] = []
+    ended, failed = list[str](), list[str]()
     try:
         while waiting or running:
             busy = {part.key for part in (*waiting, *(compiling.part for compiling in running))}
@@ -354,9 +353,8 @@ def _safe_path() -> Iterator[None]:
 
 def _compile(part: Part) -> None:
     """Compile a part and note that it is done."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # the parent process ends it, by a signal that was blocked at the start
+    # The parent process ends it, by a signal that was blocked at the start.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     gc.disable()  # a compilation makes millions of objects that live until its end
     part.compile()

@@ -41,15 +41,11 @@ _one_at_a_time = threading.Lock()
 
 
 @contextmanager
-def starting_a_link(setup: LinkSetup[Any]) -> Iterator[None]:
-    """Start a process within this block that ignores the signals to the session, and needs no main module."""
-    with starting_a_process(setup.device, setup.endpoint):
-        yield
-
-
-@contextmanager
 def starting_a_process(*parts: object) -> Iterator[None]:
-    """Start any process in the same way; `parts` are the factories that it receives."""
+    """Start a process within this block that ignores the signals to the session, and needs no main module.
+
+    `parts` are the factories that it receives.
+    """
     with _signals_blocked(), _without_main_module(parts):
         yield
 
@@ -246,7 +242,7 @@ class LinkProcess:
         self._process = context.Process(
             target=run_link_process, args=(setup, theirs), name=f"evstim {self.name}", daemon=True
         )
-        with starting_a_link(setup):
+        with starting_a_process(setup.device, setup.endpoint):
             self._process.start()
         theirs.close()
         self._starts += 1

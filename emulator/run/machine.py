@@ -44,18 +44,9 @@ _UDEV_FIX = (
 def examine() -> list[Finding]:
     """Examine everything; takes about a second, most of it for opening GL."""
     looks: list[Callable[[], Finding]] = [
-        egl,
-        _usbip_tool,
-        VHCI.look,
-        UDC.look,
-        VCAN.look,
-        _libusb,
-        _usb_permission,
-        _gvcp,
-        _udp_buffer,
-        _priority,
-        _cores,
-    ]
+        egl, _usbip_tool, VHCI.look, UDC.look, VCAN.look, _libusb, _usb_permission, _gvcp, _udp_buffer,
+        _priority, _cores,
+    ]  # fmt: skip
     return [look() for look in (*looks, *(package(name).look for name in PYTHON_PACKAGES))]
 
 

@@ -41,6 +41,10 @@ class LinkLedger:
         """Events accounted for."""
         return self.delivered + self.dropped + self.dropped_in_device
 
+    def as_json(self) -> dict[str, int]:
+        """Return the object of a link in the `events` object."""
+        return {"delivered": self.delivered, "dropped": self.dropped, "dropped_in_device": self.dropped_in_device}
+
 
 @dataclass(frozen=True)
 class Ledger:
@@ -73,21 +77,11 @@ class Ledger:
     def as_json(self) -> dict[str, object]:
         """The `events` object of `evstim run --json`."""
         return {
-            "raised": self.raised,
-            "lost_in_pixel": self.lost_in_pixel,
-            "lost_at_readout": self.lost_at_readout,
-            "dropped_in_device": self.dropped_in_device,
-            "read_out": self.read_out,
-            "links": {
-                link.name: {
-                    "delivered": link.delivered,
-                    "dropped": link.dropped,
-                    "dropped_in_device": link.dropped_in_device,
-                }
-                for link in self.links
-            },
+            "raised": self.raised, "lost_in_pixel": self.lost_in_pixel, "lost_at_readout": self.lost_at_readout,
+            "dropped_in_device": self.dropped_in_device, "read_out": self.read_out,
+            "links": {link.name: link.as_json() for link in self.links},
             **({} if self.second is None else {"second_camera": self.second.as_json()}),
-        }
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -189,12 +183,11 @@ class RunResult:
     @property
     def good(self) -> bool:
         """True when all events, edges and readings have one fate, no link failed, files are whole, the run kept up."""
+        if not self.ledger.balanced or self.too_late or self.scene_trouble:
+            return False
         links = self.links.values()
-        sound = self.ledger.balanced and all(
-            link.error is None and link.edges_balanced and link.readings_balanced for link in links
-        )
-        sound = sound and not any(link.file_troubles for link in links)
-        return sound and not self.too_late and not self.scene_trouble
+        balanced = all(link.edges_balanced and link.readings_balanced for link in links)
+        return balanced and not any(link.error is not None or link.file_troubles for link in links)
 
 
 @dataclass(frozen=True)
@@ -232,27 +225,22 @@ class Limits(Protocol):
     @property
     def max_drop(self) -> float:
         """Share of the events that a link may lose; negative: any."""
-        ...
 
     @property
     def min_rate_hz(self) -> float:
         """Least mean event rate at the read-out."""
-        ...
 
     @property
     def max_rate_hz(self) -> float:
         """Greatest mean event rate at the read-out."""
-        ...
 
     @property
     def max_latency_us(self) -> float:
         """Greatest 99th percentile of the time from an event to its bytes, on any link."""
-        ...
 
     @property
     def max_undersampled(self) -> float:
         """Greatest share of the solved pixel-steps whose light may have changed unseen."""
-        ...
 
 
 def judge(rules: Limits, result: RunResult) -> tuple[Judgement, ...]:
@@ -293,16 +281,12 @@ def _own(rules: Limits, result: RunResult) -> Iterator[Judgement]:
     if rules.max_drop >= 0:
         yield from (_drop(rules.max_drop, result, name, link) for name, link in result.links.items())
     rate_hz = result.ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0
-    if rules.min_rate_hz:
-        finding = f"{rate_hz:.4g} events/s, at least {rules.min_rate_hz:g}"
-        bound_hz = rules.min_rate_hz
-        figures = (rate_hz, bound_hz, "events/s")
-        yield Judgement("verdict.min_rate_hz", rate_hz >= bound_hz, finding, *figures, "at least")
-    if rules.max_rate_hz:
-        finding = f"{rate_hz:.4g} events/s, at most {rules.max_rate_hz:g}"
-        bound_hz = rules.max_rate_hz
-        figures = (rate_hz, bound_hz, "events/s")
-        yield Judgement("verdict.max_rate_hz", rate_hz <= bound_hz, finding, *figures, "at most")
+    if least_hz := rules.min_rate_hz:
+        finding = f"{rate_hz:.4g} events/s, at least {least_hz:g}"
+        yield Judgement("verdict.min_rate_hz", rate_hz >= least_hz, finding, rate_hz, least_hz, "events/s", "at least")
+    if most_hz := rules.max_rate_hz:
+        finding = f"{rate_hz:.4g} events/s, at most {most_hz:g}"
+        yield Judgement("verdict.max_rate_hz", rate_hz <= most_hz, finding, rate_hz, most_hz, "events/s", "at most")
     if rules.max_latency_us:
         yield from (_latency(rules.max_latency_us, name, link) for name, link in result.links.items())
     if rules.max_undersampled and result.undersampled_share is not None:

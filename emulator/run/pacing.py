@@ -106,13 +106,7 @@ _POLL_NS = 200_000
 
 
 class Lockstep:
-    """Limit of a run by the SYNCs that a bus has carried.
-
-    Parameters
-    ----------
-    syncs : ring of the received SYNCs.
-    period_ns : stream time of each of them, ns.
-    """
+    """Limit of a run by the SYNCs that a bus has carried, `period_ns` of stream time for each in the ring `syncs`."""
 
     def __init__(self, syncs: EdgeRing, period_ns: int, clock: Clock) -> None:
         self._syncs = syncs

@@ -506,12 +506,7 @@ class Session:
 
 
 class Operator:
-    """Access to a running session for a user; the record of changes contains the user's name.
-
-    Parameters
-    ----------
-    by : the name.
-    """
+    """Access to a running session for a user; the record of changes contains the user's name, `by`."""
 
     def __init__(self, session: Session, by: str) -> None:
         self.session = session

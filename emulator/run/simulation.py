@@ -19,7 +19,6 @@ import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NoReturn, Self
 
 import numpy as np
@@ -288,9 +287,7 @@ class Simulation:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _stop(self) -> None:
@@ -326,12 +323,12 @@ class Simulation:
         poses: dict[str | None, Pose] = {} if camera is None else {None: camera}
         poses.update(bodies.items())
         for name, pose in poses.items():
-            what = "the camera" if name is None else f"body {name!r}"
+            target = "the camera" if name is None else f"body {name!r}"
             if not isinstance(pose, Pose):
-                raise ValueError(f"{what}: a pose is an evstim.Pose, got {type(pose).__name__}")
+                raise ValueError(f"{target}: a pose is an evstim.Pose, got {type(pose).__name__}")
             if name not in self._paths:
                 movable = ", ".join(body or "the camera" for body in self._paths) or "nothing"
-                raise ValueError(f"{what} takes no poses in {self.rig.name}, where {movable} does; see `bodies`")
+                raise ValueError(f"{target} takes no poses in {self.rig.name}, where {movable} does; see `bodies`")
         return poses
 
     def _look(self, t_ns: int) -> SceneTruth:

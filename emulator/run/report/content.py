@@ -177,8 +177,7 @@ def _figure(value: float | None) -> str:
 
 def rig_file(rig: Rig) -> dict[str, Any] | None:
     """Return path, SHA-256 digest and replaced options of the rig's file; None for a rig without a file."""
-    source = rig.source
-    if source is None:
+    if (source := rig.source) is None:
         return None
     return {"path": source.path, "sha256": source.sha256, "options": dict(source.options)}
 
@@ -222,23 +221,14 @@ def numbers(of: ReportContent) -> dict[str, Any]:
     """Return the object of report.json, of plain types."""
     circumstances, machine = of.circumstances, environment()
     values = {
-        "schema": SCHEMA,
-        "verdict": of.verdict,
-        "words": verdict_words(of.rules),
-        **of.summary,
-        "rules": [rule.as_json() for rule in of.rules],
-        "title": of.rig.title,
-        "test": circumstances.test,
-        "rig_file": rig_file(of.rig),
-        "began": _date(circumstances.began),
-        "ended": _date(circumstances.ended),
+        "schema": SCHEMA, "verdict": of.verdict, "words": verdict_words(of.rules), **of.summary,
+        "rules": [rule.as_json() for rule in of.rules], "title": of.rig.title, "test": circumstances.test,
+        "rig_file": rig_file(of.rig), "began": _date(circumstances.began), "ended": _date(circumstances.ended),
         "settings": {"seed": of.rig.run.seed, "pace": of.rig.run.pace, "step_us": of.rig.run.step_us},
         "modelled": None if circumstances.modelled is None else circumstances.modelled.as_json(),
-        "timeline": _timeline(of),
-        "pixels": pixel_counts(of.seen),
-        "environment": machine,
+        "timeline": _timeline(of), "pixels": pixel_counts(of.seen), "environment": machine,
         "run": {"evstim": of.version, "machine": machine["system"], "python": machine["python"]},
-    }
+    }  # fmt: skip
     plain: dict[str, Any] = msgspec.to_builtins(values, str_keys=True)
     return plain
 
@@ -265,19 +255,11 @@ def pixel_counts(seen: Observation) -> dict[str, Any]:
     every = seen.on + seen.off
     width, total = every.shape[1], int(every.sum())
     busiest = np.argsort(every, axis=None, kind="stable")[::-1][:_BUSIEST]
+    places = [(int(k % width), int(k // width), int(every.flat[k])) for k in busiest if every.flat[k]]
     return {
         "count": every.size,
         "silent": int((every == 0).sum()),
-        "busiest": [
-            {
-                "x": int(k % width),
-                "y": int(k // width),
-                "events": int(every.flat[k]),
-                "share": int(every.flat[k]) / total,
-            }
-            for k in busiest
-            if every.flat[k]
-        ],
+        "busiest": [{"x": x, "y": y, "events": count, "share": count / total} for x, y, count in places],
     }
 
 

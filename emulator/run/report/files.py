@@ -125,14 +125,8 @@ def unfinished_page(rig: str, title: str, began: str) -> Document:
 
 
 def _sections(of: ReportContent, json_digest: str) -> Iterator[Section]:
-    yield _rules(of)
-    yield _run(of)
-    yield _timeline(of)
-    yield _ledger(of)
-    yield _latency(of)
-    yield _pictures(of)
-    yield _modelled(of)
-    yield _machine(of)
+    for section in (_rules, _run, _timeline, _ledger, _latency, _pictures, _modelled, _machine):
+        yield section(of)
     yield _signature(of, json_digest)
     if of.rig.source is not None:
         yield _file(of.rig.source.path, of.rig.source.text)
@@ -143,13 +137,9 @@ def _rules(of: ReportContent) -> Section:
         {**asdict(rule), "bound": None if rule.bound is None else f"{rule.side} {rule.bound:.6g}"} for rule in of.rules
     ]
     columns = [
-        Column("rule", "rule"),
-        Column("good", "verdict", "verdict"),
-        Column("figure", "figure", "number"),
-        Column("bound", "bound", "number"),
-        Column("unit", "unit"),
-        Column("finding", "finding"),
-    ]
+        Column("rule", "rule"), Column("good", "verdict", "verdict"), Column("figure", "figure", "number"),
+        Column("bound", "bound", "number"), Column("unit", "unit"), Column("finding", "finding"),
+    ]  # fmt: skip
     section = Section("Rules").table("All rules of this run, with figure and bound", columns, rows)
     unset = [f"verdict.{name}" for name in _OWN_RULES if not any(name in rule.rule for rule in of.rules)]
     if of.circumstances.test:
@@ -196,13 +186,9 @@ def _timeline(of: ReportContent) -> Section:
         f"Rates in bins of {bin_s:g} s. F, T and C are the faults, triggers and commands of the table.", "note"
     )
     columns = [
-        Column("label", "mark"),
-        Column("t_s", "stream time, s", "number"),
-        Column("until_s", "until, s", "number"),
-        Column("link", "link"),
-        Column("what", "what"),
-        Column("by", "by"),
-    ]
+        Column("label", "mark"), Column("t_s", "stream time, s", "number"), Column("until_s", "until, s", "number"),
+        Column("link", "link"), Column("what", "what"), Column("by", "by"),
+    ]  # fmt: skip
     rows = [
         {**asdict(happening), "t_s": f"{happening.t_s:.6f}", "until_s": _seconds(happening.until_s)}
         for happening in marked
@@ -223,15 +209,11 @@ def _seconds(value: float | None) -> str | None:
 
 
 _FAULT_COLUMNS = [
-    Column("link", "link"),
-    Column("number", "number on the link", "number"),
-    Column("kind", "kind"),
-    Column("hits", "hits", "number"),
-    Column("touched", "units affected", "number"),
-    Column("events_lost", "events lost", "number"),
-    Column("edges_lost", "edges lost", "number"),
+    Column("link", "link"), Column("number", "number on the link", "number"), Column("kind", "kind"),
+    Column("hits", "hits", "number"), Column("touched", "units affected", "number"),
+    Column("events_lost", "events lost", "number"), Column("edges_lost", "edges lost", "number"),
     Column("log_trouble", "fault log"),
-]
+]  # fmt: skip
 
 
 def _ledger(of: ReportContent) -> Section:
@@ -255,12 +237,9 @@ def _ledger(of: ReportContent) -> Section:
         for key, fate in zip(letters(all_fates), all_fates, strict=True)
     ]
     columns = [
-        Column("key", "key"),
-        Column("where", "where"),
-        Column("fate", "fate"),
-        Column("events", "events", "number"),
+        Column("key", "key"), Column("where", "where"), Column("fate", "fate"), Column("events", "events", "number"),
         Column("share", "share", "number"),
-    ]
+    ]  # fmt: skip
     return section.table("Fates of the events; the keys stand in the bars", columns, rows)
 
 
@@ -289,19 +268,12 @@ def _latency(of: ReportContent) -> Section:
 
 
 _LINK_COLUMNS = [
-    Column("link", "link"),
-    Column("state", "state"),
-    Column("digest", "digest", "code"),
-    Column("p50", "p50, us", "number"),
-    Column("p99", "p99, us", "number"),
-    Column("p999", "p99.9, us", "number"),
-    Column("max", "max, us", "number"),
-    Column("bound", "bound of p99, us", "number"),
-    Column("use", "line used", "number"),
-    Column("offset", "clock offset, us", "number"),
-    Column("ppm", "clock drift, ppm", "number"),
-    Column("error", "trouble"),
-]
+    Column("link", "link"), Column("state", "state"), Column("digest", "digest", "code"),
+    Column("p50", "p50, us", "number"), Column("p99", "p99, us", "number"), Column("p999", "p99.9, us", "number"),
+    Column("max", "max, us", "number"), Column("bound", "bound of p99, us", "number"),
+    Column("use", "line used", "number"), Column("offset", "clock offset, us", "number"),
+    Column("ppm", "clock drift, ppm", "number"), Column("error", "trouble"),
+]  # fmt: skip
 
 
 def _pictures(of: ReportContent) -> Section:
@@ -333,18 +305,13 @@ def _modelled(of: ReportContent) -> Section:
     if plan.effects and not plan.probed:
         section.text("Errors were not measured: the light frames belong to another program.")
     columns = [
-        Column("effect", "effect"),
-        Column("state", "state"),
+        Column("effect", "effect"), Column("state", "state"),
         Column("time_error_us", "time error without it, us", "number"),
-        Column("wrong_share", "wrong events without it", "number"),
-        Column("why", "why"),
-    ]
-    on = [
-        {**asdict(effect), "wrong_share": _share(effect.wrong_share)}
-        for effect in plan.effects
-        if effect.state != "off"
-    ]
-    section.table("Effects of the plan", columns, on)
+        Column("wrong_share", "wrong events without it", "number"), Column("why", "why"),
+    ]  # fmt: skip
+    on = [effect for effect in plan.effects if effect.state != "off"]
+    rows = [{**asdict(effect), "wrong_share": _share(effect.wrong_share)} for effect in on]
+    section.table("Effects of the plan", columns, rows)
     off = [effect.effect for effect in plan.effects if effect.state == "off"]
     section.text(f"Switched off, or without effect, in this rig and camera: {', '.join(off)}." if off else "")
     return section.listed([f"Note: {note}" for note in plan.notes])

@@ -31,11 +31,7 @@ INTERVAL_EDGES_US = np.logspace(0, 8, 81)
 
 
 class BinnedCounts:
-    """Counts in bins of stream time: when there are too many bins, each two become one.
-
-    Parameters
-    ----------
-    columns : number of counts in a bin.
+    """Counts in bins of stream time, `columns` in each; when there are too many bins, each two become one.
 
     Attributes
     ----------
@@ -151,11 +147,7 @@ class PictureStrip:
 
 
 class Observation:
-    """Statistics of the events and the statuses of a run.
-
-    Parameters
-    ----------
-    size : (width, height) of the sensor, pixels.
+    """Statistics of the events and the statuses of a run, with a sensor of `size` = (width, height) pixels.
 
     Attributes
     ----------

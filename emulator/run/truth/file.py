@@ -146,11 +146,7 @@ _CLOSE_S = 60.0  # a full queue is written in some seconds
 
 
 class TruthRecorder:
-    """Writes rows to `path`; only the constructor raises OSError.
-
-    Parameters
-    ----------
-    waits : whether `put` waits for room.
+    """Writer of rows to `path`, whose `put` waits for room where `waits` is True; only the constructor raises OSError.
 
     Attributes
     ----------

@@ -224,11 +224,7 @@ _ABSENT = {
 
 
 class TruthFile:
-    """The truth file of one run; a context manager.
-
-    Parameters
-    ----------
-    every : see `TruthSensor.record_truth`.
+    """The truth file of one run; a context manager. `every` is that of `TruthSensor.record_truth`.
 
     Attributes
     ----------
