@@ -113,6 +113,8 @@ class FrameStream:
     def clear(self) -> None:
         """Drop the queue; the next event begins a frame."""
         self._queue.clear()
+        if self._cut is not None:
+            self._encoder.take_back(np.frombuffer(self._cut.data, FRAME_WORD))
         self._queued, self._cut = 0, None
         self._times.end_frame()
 

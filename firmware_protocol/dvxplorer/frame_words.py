@@ -308,6 +308,12 @@ class FrameEncoder:
         """Begin a stream for a new reader; device time is zero at `epoch_us`."""
         self._state[:] = -1, -1, int(_NONE), epoch_us
 
+    def take_back(self, words: FrameWords) -> None:
+        """Go back to before the first word of time among the last `words`, (n,), which the reader does not get."""
+        times = words[words & (_GROUPS | _TIME) == _TIME]
+        if len(times):
+            self._state[_MS] -= 1 + (self.last_ms - int(times[0]) & (1 << _TIME_BITS) - 1)
+
     @property
     def last_ms(self) -> int:
         """Last millisecond of device time that was sent; -1: none."""

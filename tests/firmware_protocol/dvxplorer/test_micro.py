@@ -160,6 +160,43 @@ def test_time_words_come_each_millisecond_and_wrap_after_22_bits():
     assert decoder.faults.total == 0
 
 
+def times_on_the_wire(data):
+    """The times of time words, ms, and those of frames, us, of bytes as a reader receives them."""
+    words = np.frombuffer(data, "<u4")
+    is_time, is_first = (
+        (words & (1 << 31 | 1 << 27)) == 1 << 27,
+        (words & (7 << 26 | 1 << 31 | 1 << 21)) == 1 << 26 | 1 << 21,
+    )
+    ms = (words & (1 << 22) - 1)[is_time].astype(np.int64)
+    before = np.cumsum(is_time)[is_first] - 1
+    assert (before >= 0).all(), "a frame before the first time word"
+    return ms, 1000 * ms[before] + (words >> 11 & 1023)[is_first]
+
+
+@given(st.integers(0, 10**9), st.sampled_from([0.0, 100.0, 1000.0]))
+def test_times_increase_for_a_reader_that_takes_little_and_whose_queue_is_dropped(seed, period_us):
+    """dv-processing ends where one does not. Words beyond what a host requested are dropped with the queue."""
+    rng, stream, now_us = np.random.default_rng(seed), FrameStream((640, 480), 8192), 500
+    stream.start_time(now_us)
+    stream.period_us, received = period_us, b""
+    for _ in range(120):
+        act = rng.random()
+        if act < 0.5:
+            ahead_us, n = (int(rng.choice(numbers)) for numbers in ((0, 5, 1000, 3000, 2_000_000), (0, 1, 3, 50, 1000)))
+            events = np.zeros(n, EVENT)
+            events["t"] = np.sort(rng.integers(now_us, now_us + ahead_us + 1, n))
+            events["x"], events["y"] = rng.integers(0, 640, n), rng.integers(0, 480, n)
+            stream.put(events)
+            now_us += ahead_us
+        elif act < 0.85:
+            transfer = stream.take(now_us, int(rng.choice([4, 60, 600])))
+            received += b"" if transfer is None else transfer.data
+        else:
+            stream.clear()
+    for times in times_on_the_wire(received):
+        assert (np.diff(times) > 0).all()
+
+
 def test_the_two_firmwares_have_registers_of_their_own():
     _, new = running()
     assert (new.read(1, 0), new.read(1, 13), new.read(1, 14), new.read(3, 5)) == (640, 8, 9, 11)
