@@ -370,7 +370,7 @@ class Desk:
         for terminal, other in reversed(list(self.running.items())):  # readers first
             is_camera = other.startswith("evstim run")
             if not (IS_READER.match(command) if is_camera else command.startswith("evstim fault")):
-                code = terminal.interrupt(again=not is_camera)
+                code = terminal.interrupt()
                 assert not is_camera or code == 0 or LATE.search(terminal.output), f"{other}: {terminal.output}"
                 del self.running[terminal]
 

@@ -88,19 +88,12 @@ class Terminal:
         with self._news:
             return self._news.wait_for(lambda: re.search(pattern, self.text), within_s) is not None
 
-    def interrupt(self, *, again=False):
-        """Send what Ctrl-C sends, where the program still runs, and wait for its end; return its exit code.
-
-        With `again` it is sent each ten seconds, for a program without a handler of signals: Python discards the
-        exception where it is raised in a callback, and a reader would press Ctrl-C once more.
-        """
-        for _ in range(PATIENCE_S // 10 if again else 1):
-            group = os.tcgetpgrp(self._file)
-            if group != self._shell.pid:
-                with suppress(ProcessLookupError):
-                    os.killpg(group, signal.SIGINT)
-            if again and self._ends_within(10):
-                break
+    def interrupt(self):
+        """Send what Ctrl-C sends, where the program still runs, and wait for its end; return its exit code."""
+        group = os.tcgetpgrp(self._file)
+        if group != self._shell.pid:
+            with suppress(ProcessLookupError):
+                os.killpg(group, signal.SIGINT)
         return self.end()
 
     def end(self):
@@ -108,10 +101,6 @@ class Terminal:
         code = int(self._until(PROMPT)[1])
         self.is_idle = True
         return code
-
-    def _ends_within(self, seconds):
-        with self._news:
-            return self._news.wait_for(lambda: PROMPT.search(self.output), seconds) is not None
 
     @property
     def folder(self):
