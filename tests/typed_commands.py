@@ -58,7 +58,7 @@ class Terminal:
         shell = ["setsid", "--ctty", "bash", "--norc", "--noprofile", "--noediting", "-i"]
         settings = {**environment, "PS1": r"<exit $?> ", "TERM": "xterm", "COLUMNS": "250", "LINES": "50"}
         streams = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
-        self._shell = subprocess.Popen(shell, cwd=folder, env=settings, **streams)
+        self._shell = subprocess.Popen(shell, cwd=folder, env=settings, preexec_fn=_end_on_ctrl_c, **streams)
         os.close(theirs)
         self._file, self._raw, self._begun = ours, b"", 0
         self._news = threading.Condition()
@@ -141,6 +141,11 @@ class Terminal:
             match = self._news.wait_for(lambda: pattern.search(self.output), PATIENCE_S)
             assert match, f"no {pattern.pattern!r} in {self.output}"
             return match
+
+
+def _end_on_ctrl_c():
+    """End on SIGINT: where these tests run in the background of a shell, it is ignored, and so it would be here."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def plain(raw):
