@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -278,13 +279,17 @@ print("here", flush=True)
 while True:
     sim.step(1000)
 """
-    command = [sys.executable, "-c", code]
+    command = [sys.executable, "-c", f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler){code}"]
     program = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    assert program.stdout.readline() == "here\n"
-    program.send_signal(signal.SIGINT)
-    _, error = program.communicate(timeout=120)
-    assert error.strip().endswith("KeyboardInterrupt")
-    with pytest.raises(ProcessLookupError):
-        os.killpg(program.pid, 0)
+    try:
+        assert program.stdout.readline() == "here\n"
+        program.send_signal(signal.SIGINT)
+        _, error = program.communicate(timeout=120)
+        assert error.strip().endswith("KeyboardInterrupt")
+        with pytest.raises(ProcessLookupError):
+            os.killpg(program.pid, 0)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGKILL)
