@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
 
 import numpy as np
@@ -280,16 +281,18 @@ while True:
     sim.step(1000)
 """
     command = [sys.executable, "-c", f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler){code}"]
-    program = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    program = subprocess.Popen(command, start_new_session=True, **streams)
     try:
         assert program.stdout.readline() == "here\n"
         program.send_signal(signal.SIGINT)
         _, error = program.communicate(timeout=120)
         assert error.strip().endswith("KeyboardInterrupt")
+        deadline_s = time.monotonic() + 60  # helpers of multiprocessing end a moment later
         with pytest.raises(ProcessLookupError):
-            os.killpg(program.pid, 0)
+            while time.monotonic() < deadline_s:
+                os.killpg(program.pid, 0)
+                time.sleep(0.05)
     finally:
         with suppress(ProcessLookupError):
             os.killpg(program.pid, signal.SIGKILL)
