@@ -266,37 +266,20 @@ _DVS: Rows = (
     (POLARITY, "POLARITY", 0, 2),
     (SUBSAMPLING, "SUBSAMPLING_HORIZONTAL", 0, 3),
     (SUBSAMPLING + 1, "SUBSAMPLING_VERTICAL", 0, 3),
-    (8, "GLOBAL_HOLD", 1),
-    (9, "GLOBAL_RESET", 0),
-    (10, "GLOBAL_RESET_SKIP", 0),
-    (11, "TIMEOUT", 1),
-    (12, "TIMEOUT_US", 2000, 32),
-    (RATE, "READOUT_RATE", 8, 4),
-    (THRESHOLDS, "CONTRAST_THRESHOLD_ON", 9, 5),
-    (THRESHOLDS + 1, "CONTRAST_THRESHOLD_OFF", 9, 5),
-    (16, "AREA_BLOCK_X", 0, 5),
-    (17, "AREA_BLOCK_Y", 0, 4),
-    (BLOCK_AREA, "AREA_BLOCK", 0),
-    (CROP, "CROP_X", 0, 10),
-    (CROP + 1, "CROP_Y", 0, 10),
-    (CROP + 2, "CROP_WIDTH", SIZE[0], 10),
-    (CROP + 3, "CROP_HEIGHT", SIZE[1], 10),
-    (APPLY_CROP, "CROP_APPLY", 0),
-    (24, "FLIP_HORIZONTAL", 0),
-    (25, "FLIP_VERTICAL", 0),
-)
+    (8, "GLOBAL_HOLD", 1), (9, "GLOBAL_RESET", 0), (10, "GLOBAL_RESET_SKIP", 0),
+    (11, "TIMEOUT", 1), (12, "TIMEOUT_US", 2000, 32), (RATE, "READOUT_RATE", 8, 4),
+    (THRESHOLDS, "CONTRAST_THRESHOLD_ON", 9, 5), (THRESHOLDS + 1, "CONTRAST_THRESHOLD_OFF", 9, 5),
+    (16, "AREA_BLOCK_X", 0, 5), (17, "AREA_BLOCK_Y", 0, 4), (BLOCK_AREA, "AREA_BLOCK", 0),
+    (CROP, "CROP_X", 0, 10), (CROP + 1, "CROP_Y", 0, 10),
+    (CROP + 2, "CROP_WIDTH", SIZE[0], 10), (CROP + 3, "CROP_HEIGHT", SIZE[1], 10), (APPLY_CROP, "CROP_APPLY", 0),
+    (24, "FLIP_HORIZONTAL", 0), (25, "FLIP_VERTICAL", 0),
+)  # fmt: skip
 
 _IMU: Rows = (
-    (2, "RUN_ACCELEROMETER", 0),
-    (3, "RUN_GYROSCOPE", 0),
-    (4, "RUN_TEMPERATURE", 0),
-    (5, "ACCELEROMETER_RATE", 11, 4),
-    (6, "ACCELEROMETER_FILTER", 2, 2),
-    (7, "ACCELEROMETER_RANGE", 5, 4),
-    (8, "GYROSCOPE_RATE", 11, 4),
-    (9, "GYROSCOPE_FILTER", 2, 2),
-    (10, "GYROSCOPE_RANGE", 2, 3),
-)
+    (2, "RUN_ACCELEROMETER", 0), (3, "RUN_GYROSCOPE", 0), (4, "RUN_TEMPERATURE", 0),
+    (5, "ACCELEROMETER_RATE", 11, 4), (6, "ACCELEROMETER_FILTER", 2, 2), (7, "ACCELEROMETER_RANGE", 5, 4),
+    (8, "GYROSCOPE_RATE", 11, 4), (9, "GYROSCOPE_FILTER", 2, 2), (10, "GYROSCOPE_RANGE", 2, 3),
+)  # fmt: skip
 
 _SCANS_US = (10_000.0, 5_000.0, 2_000.0, 1_000.0, 500.0, 200.0, 100.0, 499.0, 199.0, 99.6, 65.0)
 """Period of a scan by the rate, us: `registers.scan_us` of the values that dv-processing writes to a DVXplorer."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from gymnasium.utils.env_checker import check_env
 
 pytestmark = pytest.mark.system
 
@@ -183,3 +184,12 @@ def test_a_wrong_rig_is_wrong_use(tmp_path):
     table.write_text("[nothing]\nx = 1\n")
     code, verdict, text = landing(tmp_path, "--table", table)
     assert (code, verdict) == (2, None), text
+
+
+@pytest.mark.filterwarnings("ignore:.*alternative render modes.*")
+def test_the_environment_passes_gymnasium_s_checker_and_its_law_is_better_than_none():
+    example = runpy.run_path(str(EXAMPLES / "environment.py"))
+    check_env(example["Pointing"](), skip_render_check=True)
+    idle, law = (example["flown"](law) for law in (lambda counts: np.zeros(2, np.float32), example["middle_of_events"]))
+    assert law > 0.7 * idle  # both are negative
+    assert example["flown"](example["middle_of_events"]) == law
