@@ -282,11 +282,13 @@ def _gravity_of(rig: Rig) -> Gravity:
     """Return the gravity that the scene implies."""
     from emulator.scene.terrain.table import TerrainParameters
     from emulator.sensor.imu import MOON_BELOW, WEIGHTLESS
+    from emulator.trajectory.live import GivenPath
     from emulator.trajectory.parameters import OrbitPath
 
     if isinstance(rig.scene, TerrainParameters):
         return MOON_BELOW
     path = getattr(rig.scene, "camera", None)
+    path = path.table if isinstance(path, GivenPath) else path
     return dataclasses.replace(WEIGHTLESS, gm_m3_s2=path.gm_m3_s2) if isinstance(path, OrbitPath) else WEIGHTLESS
 
 

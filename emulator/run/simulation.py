@@ -106,7 +106,7 @@ class _Program:
     def __init__(self) -> None:
         self.changed = threading.Condition()
         self.limit_ns, self.reached_ns = 0, -1
-        self.ended = False
+        self.stopping = self.ended = False
 
     def begin(self, light: Callable[[], Light], goes_on: Callable[[], bool]) -> None:
         """Begin at once: the first pose is there."""
@@ -120,7 +120,8 @@ class _Program:
             if self.limit_ns <= t_ns:
                 self.reached_ns = t_ns
                 self.changed.notify_all()
-            while self.limit_ns <= self.reached_ns and goes_on():  # the program may have gone back meanwhile
+            # The program may have gone back meanwhile.
+            while self.limit_ns <= self.reached_ns and not self.stopping and goes_on():
                 self.changed.wait(_LOOK_S)
         return self.limit_ns
 
@@ -293,6 +294,7 @@ class Simulation:
     def _stop(self) -> None:
         atexit.unregister(self._stop)
         with self._program.changed:
+            self._program.stopping = True  # also of a session that is not there yet
             if self._session is not None:
                 self._session.stop()
             self._program.changed.notify_all()
@@ -373,25 +375,21 @@ def _driven(rig: Rig, bodies: Collection[str]) -> tuple[Rig, dict[str | None, Si
         scene = dataclasses.replace(scene, camera=_driven_path(None, scene.camera, paths))
     tables = getattr(scene, "bodies", ())
     if unknown := sorted({*bodies} - {table.name for table in tables}):
-        names = ", ".join(table.name for table in tables if table.name) or "none with a name"
+        names = ", ".join(filter(None, (table.name for table in tables))) or "none with a name"
         raise ValueError(f"bodies: {rig.name} has no body {unknown[0]!r}; it has {names}")
-    moving = {table.name for table in tables if table.name and not isinstance(table.path, FixedPath)} | {*bodies}
-    if moving:
-        tables = tuple(
-            dataclasses.replace(table, path=_driven_path(table.name, table.path, paths))
-            if table.name in moving
-            else table
-            for table in tables
-        )
-        scene = dataclasses.replace(scene, bodies=tables)
+    named = {table.name: table.path for table in tables if table.name}
+    moving = {name: path for name, path in named.items() if name in bodies or not isinstance(path, FixedPath)}
+    driven = {name: _driven_path(name, path, paths) for name, path in moving.items()}
+    if driven:
+        bodies_table = [dataclasses.replace(table, path=driven.get(table.name, table.path)) for table in tables]
+        scene = dataclasses.replace(scene, bodies=tuple(bodies_table))
     return dataclasses.replace(rig, scene=scene), paths
 
 
 def _driven_path(name: str | None, table: TrajectoryParameters, paths: dict[str | None, SimulatedPath]) -> GivenPath:
     """Return a path for a program's poses, which begins as that of `table`, and add it to `paths`."""
-    if isinstance(table, LivePath):
-        start = Fixed(Pose(np.array(table.position_m), np.array(table.q_world_from_body)))
-        paths[name] = SimulatedPath(start)
+    if isinstance(table, LivePath):  # without its port
+        paths[name] = SimulatedPath(Fixed(Pose(np.array(table.position_m), np.array(table.q_world_from_body))))
     else:
         paths[name] = SimulatedPath(build_trajectory(table))
     return GivenPath(table, paths[name])

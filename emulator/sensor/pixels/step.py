@@ -427,7 +427,6 @@ class Workers:
         """Move the array as `advance` does; return the keys in one or two sorted lists, and the counts."""
         n = self._wanted(frame.light.size)
         self._reserve(n)
-
         shares: list[tuple[Keys, Tally]] = [(self._keys[0], Tally(0, 0, 0, 0, 0, 0))] * n
 
         def move(number: int, _: int) -> None:

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import evstim
-from emulator.run.simulation import LONGEST_US
+from emulator.run.assembly import _gravity_of
+from emulator.run.simulation import LONGEST_US, _driven
 from evstim import Pose, Simulation
 
 ORIGIN, AS_THE_WORLD = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
@@ -242,6 +243,24 @@ def test_a_scene_that_cannot_be_built_is_reported_and_no_thread_is_left():
     with pytest.raises(evstim.SceneError, match="inside"):
         Simulation(rig_of(inside))
     assert threading.active_count() == before
+
+
+def test_an_interrupt_while_the_scene_is_built_ends_the_thread(monkeypatch):
+    def interrupt(program, t_ns):
+        raise KeyboardInterrupt
+
+    before = threading.active_count()
+    monkeypatch.setattr("emulator.run.simulation._Program.go_to", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        Simulation(rig_of())
+    assert threading.active_count() == before
+
+
+def test_the_inertial_unit_feels_the_body_of_the_rig_s_orbit():
+    rig = evstim.load_rig("eros-flyover")
+    camera = dataclasses.replace(rig.camera, imu=evstim.ImuParameters())
+    driven, _ = _driven(dataclasses.replace(rig, camera=camera), ())
+    assert _gravity_of(driven).gm_m3_s2 == rig.scene.camera.gm_m3_s2 > 0
 
 
 def test_an_error_of_the_scene_ends_the_run_and_is_raised_from_then_on(monkeypatch):
