@@ -58,7 +58,9 @@ def test_a_host_that_stood_still_goes_on_with_all_that_was_delivered(
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
-        streaming = Streaming(guest, DV2, driver_pythons["dv2"], EVENTS)
+        # After it has stood still, a machine of QEMU lets a sleeping client wait for seconds while its USB goes on:
+        # dv-processing's queue of packets of 10 ms overflows then, and with it goes what the camera did deliver.
+        streaming = Streaming(guest, DV2, driver_pythons["dv2"], EVENTS, "--packet-ms", "200")
         streaming.wait_until_started()
         with guest.suspended():
             until_s = stream_time_s() + SUSPENDED_S
