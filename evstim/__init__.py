@@ -4,6 +4,7 @@
     evstim.events_from_frames       an array of frames in, events out, in one call
     evstim.run                      a whole rig: scene, sensor, camera and links; its events while it runs
     evstim.Simulation               a rig in step with your program, which gives the poses
+    evstim.dataset                  sequences of a rig with sampled parameters, with their truth
     evstim.representations          events as arrays for networks: counts, voxel grids, time surfaces
     evstim.read_events              a recording in any format that is written: its events
     evstim.SerialReceiver, ...      the ground side of a link: bytes in, events out
@@ -24,6 +25,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from emulator.campaign.dataset import Dataset, TruthSequence, dataset
+    from emulator.campaign.loading import CampaignError
     from emulator.light import MachineLacks, Scene, SceneError
     from emulator.optics.lens import LensParameters
     from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
@@ -155,27 +158,27 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EDGE", "EVENT", "IMU", "PRESETS", "BabblingIdiot", "BackgroundParameters", "Bare", "BasiliskPath", "BiasSlopes",
-    "BitFlips", "BodiesScene", "Body", "Burst", "BusOff", "Camera", "CanLink", "CanReceiver", "CanReceiverSettings",
-    "ChangedFrames", "CheckerboardScene", "ClockEstimate", "ClockEstimator", "ClockSettings", "ClockStep", "Clouds",
-    "ComparatorParameters", "ControlStall", "DavisReceiver", "DeadBus", "DefectParameters", "Delivery", "DescentPath",
-    "DrawnField", "EmptyTransfers", "ErrorFrames", "ExternalScene", "FifoOverflow", "FileLink", "FilePath", "FixedPath",
-    "Frame", "FrameParameters", "Gate", "GigeLink", "Glossy", "Hapke", "Heightmap", "Identifiers", "ImagerParameters",
-    "ImuParameters", "InsertedBytes", "InstrumentSettings", "IpChange", "JitterParameters", "Keyframe", "KeyframePath",
-    "KickParameters", "Lambert", "LateDatagrams", "LensParameters", "LinkDown", "LinkFailed", "LivePath", "LiveRun",
-    "LommelSeeliger", "LoopbackLink", "LostBytes", "LostDatagrams", "LostFrames", "LostHeartbeat", "LunarLambert",
-    "MachineLacks", "MissedWraps", "MovingPoint", "NoiseParameters", "OddBytes", "OrbitPath", "Overrun",
-    "PictureSettings", "Pose", "Profile", "RadiationParameters", "ReadoutParameters", "RecordingError",
-    "RecordingScene", "RefusedResends", "RegisterFlip", "Regolith", "ReorderedFrames", "RepeatedDatagrams",
-    "RepeatedEvents", "RepeatedFrames", "ResetParameters", "Ridge", "Rig", "RigError", "Ros2Link", "Ros2Scene",
-    "RunParameters", "RunResult", "RunStatus", "Scene", "SceneError", "SceneTruth", "SecondCamera", "SelectorSettings",
-    "Sensor", "SensorOptions", "SensorParameters", "SerialLink", "SerialReceiver", "ShortTransfers", "Simulation",
-    "SimulationState", "SimulationStep", "SlowControl", "SpicePath", "SpinPath", "StaleData", "Stall", "StarsScene",
-    "StuckLine", "Sun", "TcpLink", "TemperatureParameters", "TerrainScene", "TimeAhead", "TimeBack", "TimeFrozen",
-    "Trigger", "TriggerEdges", "UdpLink", "UdpPacketsLink", "Unplugged", "UsbGadgetLink", "UsbSilence", "UsbStall",
-    "UsbUnplugged", "UsbipLink", "Verdict", "VideoScene", "WrongBaud", "WrongVersion", "attitude_from_basilisk",
-    "attitude_from_opengl", "attitude_from_scalar_last", "attitude_from_spice", "build_scene", "events_from_frames",
-    "events_from_video", "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct",
-    "representations", "run", "shipped_rigs",
+    "BitFlips", "BodiesScene", "Body", "Burst", "BusOff", "Camera", "CampaignError", "CanLink", "CanReceiver",
+    "CanReceiverSettings", "ChangedFrames", "CheckerboardScene", "ClockEstimate", "ClockEstimator", "ClockSettings",
+    "ClockStep", "Clouds", "ComparatorParameters", "ControlStall", "Dataset", "DavisReceiver", "DeadBus",
+    "DefectParameters", "Delivery", "DescentPath", "DrawnField", "EmptyTransfers", "ErrorFrames", "ExternalScene",
+    "FifoOverflow", "FileLink", "FilePath", "FixedPath", "Frame", "FrameParameters", "Gate", "GigeLink", "Glossy",
+    "Hapke", "Heightmap", "Identifiers", "ImagerParameters", "ImuParameters", "InsertedBytes", "InstrumentSettings",
+    "IpChange", "JitterParameters", "Keyframe", "KeyframePath", "KickParameters", "Lambert", "LateDatagrams",
+    "LensParameters", "LinkDown", "LinkFailed", "LivePath", "LiveRun", "LommelSeeliger", "LoopbackLink", "LostBytes",
+    "LostDatagrams", "LostFrames", "LostHeartbeat", "LunarLambert", "MachineLacks", "MissedWraps", "MovingPoint",
+    "NoiseParameters", "OddBytes", "OrbitPath", "Overrun", "PictureSettings", "Pose", "Profile", "RadiationParameters",
+    "ReadoutParameters", "RecordingError", "RecordingScene", "RefusedResends", "RegisterFlip", "Regolith",
+    "ReorderedFrames", "RepeatedDatagrams", "RepeatedEvents", "RepeatedFrames", "ResetParameters", "Ridge", "Rig",
+    "RigError", "Ros2Link", "Ros2Scene", "RunParameters", "RunResult", "RunStatus", "Scene", "SceneError", "SceneTruth",
+    "SecondCamera", "SelectorSettings", "Sensor", "SensorOptions", "SensorParameters", "SerialLink", "SerialReceiver",
+    "ShortTransfers", "Simulation", "SimulationState", "SimulationStep", "SlowControl", "SpicePath", "SpinPath",
+    "StaleData", "Stall", "StarsScene", "StuckLine", "Sun", "TcpLink", "TemperatureParameters", "TerrainScene",
+    "TimeAhead", "TimeBack", "TimeFrozen", "Trigger", "TriggerEdges", "TruthSequence", "UdpLink", "UdpPacketsLink",
+    "Unplugged", "UsbGadgetLink", "UsbSilence", "UsbStall", "UsbUnplugged", "UsbipLink", "Verdict", "VideoScene",
+    "WrongBaud", "WrongVersion", "attitude_from_basilisk", "attitude_from_opengl", "attitude_from_scalar_last",
+    "attitude_from_spice", "build_scene", "dataset", "events_from_frames", "events_from_video", "iter_events",
+    "load_record", "load_rig", "parse_rig", "read_events", "reconstruct", "representations", "run", "shipped_rigs",
 ]  # fmt: skip
 
 __version__: str

@@ -26,7 +26,7 @@ from emulator.run.assembly import build_scene, build_session, link_setups, sched
 from emulator.run.kernels import parts_of, prepare, uncompiled
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
-from emulator.run.truth.source import check_truth
+from emulator.run.truth.source import TruthSelection, check_truth
 from evstim.deliveries import Delivery, forwarding
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
@@ -119,7 +119,7 @@ def run(
         raise ValueError("record: this rig has no link, so no event is delivered")
     loaded = with_options(loaded, seconds, seed, pace)
     if truth is not None:
-        check_truth(loaded, Path(truth), truth_every)
+        check_truth(loaded, TruthSelection(truth_every), Path(truth))
     _check_link(loaded, link)
     recorded, true = (None if path is None else Path(path) for path in (record, truth))
     return LiveRun(loaded, recorded, true, truth_every, link)
@@ -310,7 +310,7 @@ class LiveRun(Generic[Batch]):
             return
         from emulator.run.truth.source import TruthFile
 
-        with TruthFile(self.rig, self._truth, self._truth_every) as truth:
+        with TruthFile(self.rig, self._truth, TruthSelection(self._truth_every)) as truth:
             yield truth
         self.truth_trouble = truth.trouble
 

@@ -5,6 +5,7 @@ Columns of the table, one row for each run:
 index, campaign, outcome, error, success, margin, seed, KEY of each parameter
 verdict, broken, sim_s, frames, steps, undersampled_share, late_us
 events.*, link.NAME.*      fates and digests of the events
+truth.digest               of the truth that a run writes
 program.exit, program.trouble, result.*     how the program ended, and its result
 machine.*                  host, wall time, version: the only columns that may differ when a run is repeated
 
@@ -42,6 +43,7 @@ from emulator.campaign.sampling import Law, grid_digits, unit_points
 from emulator.rig.loading import Rig, rig_of_table
 from emulator.run.machine import pose_port
 from emulator.run.outcome import RunResult, good, judge
+from emulator.run.truth.source import TruthRefused, check_truth
 from emulator.tables.toml_text import shortened
 from emulator.tables.typed_table import KeyPath, TableError
 from transports.link.report import LinkReport
@@ -195,8 +197,10 @@ class Campaign:
             "campaign": {key: value for key, value in written.items() if key not in _NOT_OF_THE_RUNS},
             "rig": tomllib.loads(source.rig_text),
         }
-        canonical = json.dumps(self.content, sort_keys=True, default=str)
-        self.id = hashlib.blake2b(canonical.encode(), digest_size=8).hexdigest()
+        self.id = _digest(self.content)
+        # What is written of a run does not change it.
+        runs = {key: value for key, value in self.content["campaign"].items() if key != "truth"}
+        self._seeds = _digest(self.content | {"campaign": runs})
         self._grid = self._grid_values()
         self._check()
 
@@ -223,7 +227,7 @@ class Campaign:
         return self._seed("run", index)
 
     def _seed(self, purpose: str, index: int) -> int:
-        words = f"{self.id} {purpose} {index}".encode()
+        words = f"{self._seeds} {purpose} {index}".encode()
         return int.from_bytes(hashlib.blake2b(words, digest_size=8).digest()) >> 1
 
     def values(self, index: int) -> dict[str, Any]:
@@ -286,6 +290,11 @@ class Campaign:
             raise CampaignError(
                 f"{self.source.file}: a run would never end: give [set] run.seconds, or a [program] with ends_run"
             )
+        if settings.truth is not None:
+            try:
+                check_truth(rig, settings.truth.selection)
+            except TruthRefused as error:
+                raise CampaignError(f"{self.source.file}: truth: {error}") from error
         if settings.record and not rig.links:
             raise CampaignError(f"{self.source.file}: record: this rig has no link, so no event is delivered")
 
@@ -297,6 +306,11 @@ class Campaign:
                 return located(self.source, TableError(message, ("parameters", i)))
         message = f"the rig of run {index}: {'.'.join(map(str, error.path))}: {shortened(error)}"
         return located(self.source, TableError(message, ("set", *error.path)))
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    canonical = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.blake2b(canonical.encode(), digest_size=8).hexdigest()
 
 
 def _rig_keys(law: Law) -> list[str]:

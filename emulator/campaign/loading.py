@@ -6,6 +6,7 @@
     [set]                                 tables of a rig, laid over the rig's own
     [[parameters]]                        key, kind = "uniform" | "log-uniform" | "normal" | "integers" | "list"
     [program]                             the program under test
+    [truth]                               the truth that each run writes
     [report]                              content of the report
 
 A mistake raises CampaignError, whose message contains the file, the line, the key, the error and the allowed values.
@@ -32,6 +33,8 @@ from scipy.stats import binomtest
 
 from emulator.campaign.sampling import LAWS, Law, Sampling
 from emulator.rig.loading import find_rig, parse_rig, read_rig
+from emulator.run.truth.file import LAYERS
+from emulator.run.truth.source import TruthSelection
 from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
 from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types
 from firmware_protocol.bounds import Share, check_bounds
@@ -171,6 +174,34 @@ class Program:
 
 
 @dataclass(frozen=True)
+class SequenceTruth:
+    """Truth that each run writes with its events, as a sequence of a data set.
+
+    Attributes
+    ----------
+    rate_hz : light, depth, flow and labels a second.
+    layers : of "light", "depth", "flow", "labels", "poses" and "clean_events"; by default what the scene has of the
+        middle four.
+    format : "h5": a truth file, which readers of DSEC take for a recording; "npz": the same arrays for numpy.
+    """
+
+    rate_hz: Annotated[float, Meta(gt=0, le=1e6)] = 20.0
+    layers: tuple[str, ...] = ()
+    format: Literal["h5", "npz"] = "h5"
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        for layer in self.layers:
+            if layer not in LAYERS:
+                raise ValueError(unknown(layer, LAYERS))
+
+    @property
+    def selection(self) -> TruthSelection:
+        """What a run records."""
+        return TruthSelection(rate_hz=self.rate_hz, layers=self.layers or ("depth", "flow", "labels", "poses"))
+
+
+@dataclass(frozen=True)
 class Plots:
     """Content of the report.
 
@@ -205,6 +236,7 @@ class Settings:
     min_success : share of successes below which `evstim campaign` ends with 1.
     timeout_s : time after which a run is given up.
     record : suffix of each run's recording of the delivered events, such as ".npz"; none by default.
+    truth : truth that each run writes with its events; none by default.
     parameters : sampled parameters.
     program : the program under test.
     report : content of the report.
@@ -221,6 +253,7 @@ class Settings:
     min_success: Share = 0.0
     timeout_s: Annotated[float, Meta(gt=0, le=1e7)] = 3600.0
     record: str = ""
+    truth: SequenceTruth | None = None
     parameters: tuple[Law, ...] = ()
     program: Program | None = None
     report: Plots = field(default_factory=Plots)

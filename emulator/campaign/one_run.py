@@ -18,7 +18,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -37,6 +37,7 @@ from emulator.campaign.campaign import (
     parameter_columns,
     result_columns,
 )
+from emulator.campaign.dataset import check_layers, sequence_path, written_sequence
 from emulator.campaign.loading import CampaignError, Program
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import Rig, RigError
@@ -45,6 +46,7 @@ from emulator.run.link_process import LinkFailed
 from emulator.run.machine import on_a_free_pose_port, on_free_ports, pose_port
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
+from emulator.run.truth.source import RunTruth, TruthRefused
 from emulator.tables.toml_text import TextFileError, read_text
 from firmware_protocol.events import Events
 from transports.link.pacing import MonotonicClock
@@ -185,7 +187,7 @@ def run_row(campaign: Campaign, index: int, place: Place, on_session: Callable[[
     row |= parameter_columns(campaign.values(index))
     try:
         row |= _Run(campaign, index, place, on_session).row()
-    except MachineLacks as error:
+    except (MachineLacks, TruthRefused) as error:
         raise CampaignStopped(str(error)) from error
     except OSError as error:
         if error.errno in _FULL:
@@ -226,10 +228,10 @@ class _Run:
             self._make_folder()
         rig = self._rig()
         with ExitStack() as stack:
-            result = self._run(rig, stack)
+            result, columns = self._run(rig, stack)
             _check_space(result)
             row = result_columns(rig, result, self._digest.hexdigest())
-            return row | self._program_columns(stack)
+            return row | columns | self._program_columns(stack)
 
     def _make_folder(self) -> None:
         """Make the run's folder, without the files of an earlier, killed try."""
@@ -255,15 +257,27 @@ class _Run:
         rig = on_free_ports(dataclasses.replace(rig, run=dataclasses.replace(rig.run, threads=threads)), self._folder)
         return on_a_free_pose_port(rig)
 
-    def _run(self, rig: Rig, stack: ExitStack) -> RunResult:
-        with build_scene(rig) as scene:
-            session = build_session(rig, scene, link_setups(rig, self._record), MonotonicClock())
+    def _run(self, rig: Rig, stack: ExitStack) -> tuple[RunResult, Row]:
+        """Return the result, and the columns of the truth."""
+        with build_scene(rig) as scene, self._truth(rig) as truth:
+            session = build_session(rig, scene, link_setups(rig, self._record), MonotonicClock(), truth)
+            if truth is not None and self._settings.truth is not None:
+                check_layers(self._settings.truth, truth)
             self._on_session(session)
 
             def renew(status: RunStatus) -> None:
                 self._follow(session, status, stack, rig)
 
-            return session.run(schedule(rig), renew, self._take)
+            result = session.run(schedule(rig), renew, self._take)
+            if truth is not None and result.sim_seconds < rig.run.seconds:
+                raise SceneError(result.scene_trouble or "the run was stopped")
+        return result, {} if truth is None else {"truth.digest": truth.digest}
+
+    def _truth(self, rig: Rig) -> AbstractContextManager[RunTruth | None]:
+        truth = self._settings.truth
+        if truth is None:
+            return nullcontext()
+        return written_sequence(rig, truth, sequence_path(self._place.folder, self._index, truth))
 
     def _take(self, events: Events) -> None:
         if len(events):

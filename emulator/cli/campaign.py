@@ -343,12 +343,12 @@ def campaign(
         folder = where.folder or file.with_suffix("")
         indices = _wanted(loaded, share)
         in_part = share.only is not None or share.part is not None
-        todo = _begun(loaded, folder, indices)
+        todo = begun(loaded, folder, indices)
         with working_in(folder, alone=not in_part):
             todo = remaining(folder, todo)
             loaded.check_all(todo)
             progress = Progress(loaded, len(indices), len(indices) - len(todo))
-            _run(loaded, folder, todo, where, progress)
+            run_remaining(loaded, folder, todo, where, progress)
         return finish(loaded, folder, progress, where.report, in_part=in_part, as_json=json)
 
 
@@ -362,7 +362,7 @@ def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
         return range(loaded.runs) if share.part is None else part_of(share.part).indices(loaded.runs)
 
 
-def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
+def begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     """Make or check the folder, and return the runs that remain to be done."""
     try:
         remark = begin_folder(loaded, folder)
@@ -373,7 +373,8 @@ def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     return remaining(folder, indices)
 
 
-def _run(loaded: Campaign, folder: Path, todo: list[int], where: Placement, progress: Progress) -> None:
+def run_remaining(loaded: Campaign, folder: Path, todo: list[int], where: Placement, progress: Progress) -> None:
+    """Do the runs that remain, and note in `progress` their rows, an interruption, or why it could not go on."""
     if not todo:
         return
     if where.scheduler is None:

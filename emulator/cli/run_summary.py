@@ -230,11 +230,12 @@ class Truth:
 
 
 def _truth_file(rig: Rig, path: Path, every: int | None) -> Any:
-    from emulator.run.truth.source import TruthFile, TruthRefused, pictures_bytes
+    from emulator.run.truth.source import TruthFile, TruthRefused, TruthSelection
 
+    selection = TruthSelection(every)
     with failing(WRONG_USE, TruthRefused, at="--truth"), failing(LACKING, ImportError, at="--truth"):
-        file = TruthFile(rig, path, every)
-    rate_hz, bytes_a_second = pictures_bytes(rig, every)
+        file = TruthFile(rig, path, selection)
+    rate_hz, bytes_a_second = selection.pictures(rig)
     size = f"{bytes_a_second * (rig.run.seconds or 1) / 1e6:.2g} MB{'' if rig.run.seconds else ' a second'}"
     status.print(f"truth: {rate_hz:g} light frames a second, at most {size} of them in {path}", markup=False)
     return file

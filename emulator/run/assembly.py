@@ -61,7 +61,7 @@ from transports.registry import imported
 
 if TYPE_CHECKING:
     from emulator.plan.plan import Plan
-    from emulator.run.truth.source import TruthFile
+    from emulator.run.truth.source import RunTruth
     from emulator.sensor.imu import Carried, Gravity, ImuSource
     from emulator.sensor.parameters import ImuParameters
     from firmware_protocol.imu_samples import ImuSettings
@@ -182,7 +182,7 @@ def build_session(
     scene: Scene,
     setups: Sequence[LinkSetup[Any]],
     clock: Clock,
-    truth: TruthFile | None = None,
+    truth: RunTruth | None = None,
     *,
     has_host: bool = True,
 ) -> Session:

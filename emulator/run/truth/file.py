@@ -4,6 +4,8 @@
                                       unix_us, light_unit, absent, complete, missing_pictures, missing_events
                                       and, where the scene is seen through a lens: focal_px, centre_px,
                                       distortion (k1 k2 p1 p2 k3), radiance_per_light
+    /t_offset           () i8, us                   always 0: times of events are whole (as in DSEC)
+    /ms_to_idx          (k,) u8                     first event from millisecond j on (as in DSEC), at the end
     /labels/name        (b + 1,) text               name of each label; 0 is "sky"
     /poses/t            (m,) f8, us                 every light frame of the run
           /camera_position_m            (m, 3) f8         in the world
@@ -24,7 +26,8 @@
 
 All times are microseconds of stream time: the camera's own time where its clock has no error and is not reset.
 The world is right-handed, in metres; q_world_from_x turns coordinates along the axes of x into those along the world's.
-Quantities that a scene does not have are no data set, and `absent` contains the reason. While it is written, and after
+Quantities that a scene does not have, or that were not selected, are no data set; `absent` contains the reason of the
+former. While it is written, and after
 its writer was killed, the file opens as h5py.File(path, swmr=True).
 
 A separate process compresses the rows and waits for the disk (see `transports.recording.writer_process`). A message to
@@ -49,7 +52,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.camera import Given
 from emulator.sensor.origins import Origin
 from transports.guarded_reader import ForeignFileError, Limits, decoded, encoded, read_guarded
 from transports.recording.writer_process import WriterProcess, serve_writer
@@ -59,8 +61,10 @@ if TYPE_CHECKING:
 
 
 FORMAT, VERSION = "evstim-truth", 1
+LAYERS = ("light", "depth", "flow", "labels", "poses", "clean_events")
 
 _CHUNK_BYTES = 1 << 15
+_CHUNK = 1 << 20  # events at a time
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _EVENTS = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
 
@@ -73,13 +77,13 @@ class About:
     ----------
     size : (width, height).
     names : of the labels from 1 on.
-    gives : which of "poses", "depth", "flow", "labels" the scene has.
+    layers : what is written beside the events, of `LAYERS`.
     facts : attributes of the file.
     """
 
     size: tuple[int, int]
     names: Sequence[str] = ()
-    gives: Sequence[Given] = ()
+    layers: Sequence[str] = LAYERS
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -93,15 +97,16 @@ def create(path: Path, about: About) -> h5py.File:
     width, height = about.size
     file["labels/name"] = np.array(["sky", *about.names], h5py.string_dtype())
     bodies, picture = len(about.names), (height, width)
-    if "poses" in about.gives:
+    if "poses" in about.layers:
         _poses(file, bodies)
     _rows(file, "pictures/t", (), "<f8", unit="us")
-    _rows(file, "pictures/light", picture, "<f4", unit="1 at the sensor's reference, linear")
-    if "depth" in about.gives:
+    if "light" in about.layers:
+        _rows(file, "pictures/light", picture, "<f4", unit="1 at the sensor's reference, linear")
+    if "depth" in about.layers:
         _rows(file, "pictures/depth", picture, "<f4", unit="m along the boresight; inf: sky")
-    if "flow" in about.gives:
+    if "flow" in about.layers:
         _rows(file, "pictures/flow", (*picture, 2), "<f4", unit="px/s, to the right and down")
-    if "labels" in about.gives:
+    if "labels" in about.layers:
         _rows(file, "pictures/labels", picture, "<u2")
     _events(file, about)
     file.swmr_mode = True
@@ -120,10 +125,10 @@ def _poses(file: h5py.File, bodies: int) -> None:
 def _events(file: h5py.File, about: About) -> None:
     import h5py
 
-    for group in ("events", "clean_events"):
+    for group in ("events", "clean_events") if "clean_events" in about.layers else ("events",):
         for name, kind in _EVENTS.items():
             _rows(file, f"{group}/{name}", (), kind)
-        if "labels" in about.gives:
+        if "labels" in about.layers:
             _rows(file, f"{group}/label", (), "<u2")
         file[group].attrs.update(width=about.size[0], height=about.size[1])
     codes = {origin.name.lower(): int(origin) for origin in Origin}
@@ -196,7 +201,7 @@ def write_file(order: Mapping[str, Any]) -> NoReturn:
     if this process is killed.
     """
     path = Path(order["path"])
-    about = About(tuple(order["size"]), order["names"], order["gives"], order["facts"])
+    about = About(tuple(order["size"]), order["names"], order["layers"], order["facts"])
     serve_writer(lambda: create(path, about), lambda file: _write(file, path), lambda file: {})
     os._exit(0)  # without the library's clean-up, which would try to write failed data once more
 
@@ -207,8 +212,9 @@ def _write(file: h5py.File, path: Path) -> None:
 
     attributes = _write_rows(file)
     file.close()
-    with h5py.File(path, "r+") as closed:  # attributes cannot change while others may read
+    with h5py.File(path, "r+") as closed:  # neither attributes nor new data sets while others may read
         closed.attrs.update(attributes)
+        closed["t_offset"], closed["ms_to_idx"] = np.int64(0), _first_of_each_ms(closed["events/t"])
 
 
 def _write_rows(file: h5py.File) -> Mapping[str, Any]:
@@ -229,9 +235,17 @@ def _write_rows(file: h5py.File) -> Mapping[str, Any]:
     return {}
 
 
+def _first_of_each_ms(times_us: Any) -> npt.NDArray[np.uint64]:
+    """Return for each millisecond the number of events before it, up to that of the last event."""
+    counts = np.zeros(1 + int(times_us[-1]) // 1000 if len(times_us) else 0, np.uint64)
+    for start in range(0, len(times_us), _CHUNK):
+        numbers, of_each = np.unique(times_us[start : start + _CHUNK] // 1000, return_counts=True)
+        counts[numbers] += of_each.astype(np.uint64)
+    return np.cumsum(counts) - counts
+
+
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _LIMITS = Limits(memory_bytes=1 << 31, cpu_s=120)
-_CHUNK = 1 << 20
 
 
 def is_hdf5(path: Path) -> bool:

@@ -11,8 +11,12 @@ be truth of a run.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -26,7 +30,7 @@ from emulator.geometry.camera import SceneGeometry, Seen
 from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
-from emulator.run.truth.file import About, TruthRecorder
+from emulator.run.truth.file import LAYERS, About, Rows, TruthRecorder
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.origins import TracedSensor
 from emulator.sensor.parameters import KickParameters
@@ -35,10 +39,37 @@ from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from firmware_protocol.events import Events, join_events
 from transports.needs import install_command
 
-PICTURES_HZ = 25
-"""Light frames a second of stream time that are written, where no other number is chosen."""
 
-_PIXEL_BYTES = 18  # of light, depth, flow and labels together
+@dataclass(frozen=True)
+class TruthSelection:
+    """Content of a truth beside the events.
+
+    Attributes
+    ----------
+    every : light, depth, flow and labels are written of every n-th light frame; None: of `rate_hz` a second.
+    rate_hz : the first light frame from each multiple of 1 / rate_hz on.
+    layers : of `LAYERS`, as far as the scene has them.
+    """
+
+    every: int | None = None
+    rate_hz: float = 25.0
+    layers: tuple[str, ...] = LAYERS
+
+    def number(self, t_ns: int, frames: int) -> int:
+        """Return the number of the interval of a light frame at `t_ns`, after `frames` others; its first is written."""
+        return math.floor(t_ns * 1e-9 * self.rate_hz + 1e-6) if self.every is None else frames // self.every
+
+    def pictures(self, rig: Rig) -> tuple[float, float]:
+        """Return the number of light frames a second of a run, and the bytes a second of them, not compressed."""
+        step_hz = 1e6 / rig.run.step_us
+        pictures_hz = min(step_hz, self.rate_hz) if self.every is None else step_hz / self.every
+        width, height = rig.camera.size
+        pixel_bytes = sum(size for layer, size in _PIXEL_BYTES.items() if layer in self.layers)
+        return pictures_hz, pictures_hz * width * height * pixel_bytes
+
+
+ALL = TruthSelection()
+_PIXEL_BYTES = {"light": 4, "depth": 4, "flow": 8, "labels": 2}
 
 _CLEAN = ("threshold_on", "threshold_off")  # parameters that may change while the clean sensor runs
 
@@ -60,23 +91,26 @@ class TruthSensor(TracedSensor):
     """A sensor of a run whose events have their truth; `record_truth` comes before the first light frame."""
 
     def record_truth(
-        self, recorder: TruthRecorder, clean: Sensor, geometry: SceneGeometry | None, every: int | None = None
+        self,
+        put: Callable[[Rows], None],
+        clean: Sensor | None,
+        geometry: SceneGeometry | None,
+        selection: TruthSelection,
     ) -> None:
-        """Send the truth to `recorder`.
+        """Send the truth to `put`.
 
         Parameters
         ----------
-        clean : the ideal sensor.
+        clean : the ideal sensor, for clean events.
         geometry : of the scene; None where it has none.
-        every : depth, flow, labels and light are written of every n-th light frame; None: of `PICTURES_HZ` a second.
         """
-        self._recorder = recorder
+        self._put = put
         self._clean = clean
         self._geometry = geometry
-        self._every = every
+        self._selection = selection
         self._seen = Seen.of(self.parameters.width, self.parameters.height)
         self._labels = np.zeros_like(self._seen.labels)
-        self._gives = frozenset() if geometry is None else geometry.gives
+        self._gives = frozenset() if geometry is None else geometry.gives & {*selection.layers}
         self._count, self._number = 0, -1
         self._labelled_us = -math.inf
         self._events = _Queue("events")
@@ -85,7 +119,7 @@ class TruthSensor(TracedSensor):
     def adjust(self, name: str, value: float) -> None:
         """Set a parameter of the sensor, and a threshold of the clean one too."""
         super().adjust(name, value)
-        if name in _CLEAN:
+        if self._clean is not None and name in _CLEAN:
             self._clean.adjust(name, value)
 
     def with_kicks(self, kicks: KickParameters) -> None:
@@ -94,7 +128,8 @@ class TruthSensor(TracedSensor):
     def reset(self, frame: LightFrame) -> None:
         """Start at the time of `frame`."""
         super().reset(frame)
-        self._clean.reset(frame)
+        if self._clean is not None:
+            self._clean.reset(frame)
         self._count, self._number = 0, -1
         self._record(frame)
 
@@ -102,7 +137,8 @@ class TruthSensor(TracedSensor):
         """Move to the time of `frame` and return the sensor's events; see `Sensor.expose`."""
         events = super().expose(frame)
         self._events.add(events, self.origins)
-        self._clean_events.add(self._clean.expose(frame))
+        if self._clean is not None:
+            self._clean_events.add(self._clean.expose(frame))
         self._record(frame)
         return events
 
@@ -110,22 +146,23 @@ class TruthSensor(TracedSensor):
         """Return the events that have not left yet; events that wait for a later frame have the last frame's labels."""
         events = super().finish()
         self._events.add(events, self.origins)
-        self._clean_events.add(self._clean.finish())
-        self._recorder.put(self._event_rows(math.inf, self._labels))
+        if self._clean is not None:
+            self._clean_events.add(self._clean.finish())
+        self._put(self._event_rows(math.inf, self._labels))
         return events
 
     def _record(self, frame: LightFrame) -> None:
         """Record the poses of a frame, and of some the rest with the events up to it."""
         rows = self._pose_rows(frame.t_ns)
-        number = frame.t_ns * PICTURES_HZ // 10**9 if self._every is None else self._count // self._every
+        number = self._selection.number(frame.t_ns, self._count)
         if number != self._number:
             rows |= self._frame_rows(frame)
         self._count, self._number = self._count + 1, number
         if rows:
-            self._recorder.put(rows)
+            self._put(rows)
 
     def _pose_rows(self, t_ns: int) -> dict[str, Any]:
-        placed = self._geometry.places(t_ns) if self._geometry is not None else None
+        placed = self._geometry.places(t_ns) if self._geometry is not None and "poses" in self._gives else None
         if placed is None:
             return {}
         rows = {
@@ -140,8 +177,10 @@ class TruthSensor(TracedSensor):
 
     def _frame_rows(self, frame: LightFrame) -> dict[str, Any]:
         t_ns = frame.t_ns
-        rows: dict[str, Any] = {"pictures/t": np.array([t_ns / 1000]), "pictures/light": frame.light[None]}
-        if self._geometry is not None:
+        rows: dict[str, Any] = {"pictures/t": np.array([t_ns / 1000])}
+        if "light" in self._selection.layers:
+            rows["pictures/light"] = frame.light[None]
+        if self._geometry is not None and self._gives - {"poses"}:
             self._geometry.look(t_ns, self._seen)
         for name in sorted(self._gives - {"poses"}):
             rows[f"pictures/{name}"] = getattr(self._seen, name)[None]
@@ -197,62 +236,77 @@ class TruthRefused(ValueError):
     """There can be no truth of this run; the message contains the reason."""
 
 
-def check_truth(rig: Rig, path: Path, every: int | None = None) -> None:
-    """Raise TruthRefused where no truth of the rig can be written to `path`, ImportError where h5py is missing."""
-    if path.suffix not in SUFFIXES:
+def check_truth(rig: Rig, selection: TruthSelection = ALL, path: Path | None = None) -> None:
+    """Raise TruthRefused where there is no truth of the rig, or not in `path`, ImportError where h5py is missing."""
+    if path is not None and path.suffix not in SUFFIXES:
         raise TruthRefused(f"{path} must end in {' or '.join(SUFFIXES)}")
-    if every is not None and every < 1:
-        raise TruthRefused(f"every {every}th picture: it must be 1 or more")
+    if selection.every is not None and selection.every < 1:
+        raise TruthRefused(f"every {selection.every}th picture: it must be 1 or more")
     if SCENES[rig.scene.kind].events:
         raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: their origin is not known")
-    if find_spec("h5py") is None:
+    if path is not None and find_spec("h5py") is None:
         raise ImportError(f"it needs h5py: {install_command('files')}")
 
 
-def pictures_bytes(rig: Rig, every: int | None) -> tuple[float, float]:
-    """Return the number of light frames a second in the truth of a run, and their bytes a second, not compressed."""
-    step_hz = 1e6 / rig.run.step_us
-    pictures_hz = min(step_hz, PICTURES_HZ) if every is None else step_hz / every
-    width, height = rig.camera.size
-    return pictures_hz, pictures_hz * width * height * _PIXEL_BYTES
-
-
+_OF_EVERY_SCENE = ("light", "clean_events")
 _ABSENT = {
     "checkerboard": "depth and poses: a pattern on the chip has no distance and no place",
     "video": "depth, flow, labels and poses: a video does not contain them",
 }
 
 
-class TruthFile:
-    """The truth file of one run; a context manager. `every` is that of `TruthSensor.record_truth`.
+class RunTruth(ABC):
+    """Truth of one run, for `build_session`; a context manager.
 
     Attributes
     ----------
-    trouble : reason why the file is not complete, for people; "" where it is. Valid after `close`.
+    about : description of the run. Valid after `begin`.
+    trouble : reason why it is not complete, for people; "" where it is. Valid after `close`.
     """
 
-    def __init__(self, rig: Rig, path: Path, every: int | None = None) -> None:
-        check_truth(rig, path, every)
+    about: About
+
+    def __init__(self, rig: Rig, selection: TruthSelection) -> None:
         self._rig = rig
-        self._path = path
-        self._every = every
-        self._recorder: TruthRecorder | None = None
+        self._selection = selection
+        self._digest = hashlib.blake2b(digest_size=8)
         self.trouble = ""
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Begin a file or arrays, of `about`; raises OSError."""
+
+    @abstractmethod
+    def _put(self, rows: Rows) -> None:
+        """Take rows, which the run may change afterwards."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Finish; a second call does nothing."""
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that was written, of a run that is not paced: the same run has the same one."""
+        return self._digest.hexdigest()
 
     def begin(self, sensor: EventSource, scene: Scene) -> None:
         """Record the truth of a `TruthSensor` of the run; raises OSError where the file cannot be."""
         if not isinstance(sensor, TruthSensor):
             raise TypeError("truth needs a sensor that traces its events")
         run, geometry = self._rig.run, scene.geometry()
-        self._recorder = TruthRecorder(self._path, _about(self._rig, geometry), waits=run.pace != "realtime")
-        clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(own_pixels, threads=run.threads))
-        sensor.record_truth(self._recorder, clean, geometry, self._every)
+        self.about = _about(self._rig, geometry, self._selection.layers)
+        self._open()
+        clean = None
+        if "clean_events" in self._selection.layers:
+            clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(own_pixels, threads=run.threads))
+        sensor.record_truth(self._take, clean, geometry, self._selection)
 
-    def close(self) -> None:
-        """Finish the file; a second call does nothing."""
-        if self._recorder is not None:
-            self._recorder.close()
-            self.trouble = self._recorder.trouble
+    def _take(self, rows: Rows) -> None:
+        if self._rig.run.pace == "free":
+            for name, values in rows.items():
+                self._digest.update(name.encode())
+                self._digest.update(np.ascontiguousarray(values).data)
+        self._put(rows)
 
     def __enter__(self) -> Self:
         return self
@@ -261,7 +315,53 @@ class TruthFile:
         self.close()
 
 
-def _about(rig: Rig, geometry: SceneGeometry | None) -> About:
+class TruthFile(RunTruth):
+    """Truth in an HDF5 file."""
+
+    def __init__(self, rig: Rig, path: Path, selection: TruthSelection = ALL) -> None:
+        check_truth(rig, selection, path)
+        super().__init__(rig, selection)
+        self._path = path
+        self._recorder: TruthRecorder | None = None
+
+    def _open(self) -> None:
+        self._recorder = TruthRecorder(self._path, self.about, waits=self._rig.run.pace != "realtime")
+
+    def _put(self, rows: Rows) -> None:
+        assert self._recorder is not None
+        self._recorder.put(rows)
+
+    def close(self) -> None:
+        """Finish the file; a second call does nothing."""
+        if self._recorder is not None:
+            self._recorder.close()
+            self.trouble = self._recorder.trouble
+
+
+class TruthArrays(RunTruth):
+    """Truth in memory, by the names of the data sets of a truth file."""
+
+    def __init__(self, rig: Rig, selection: TruthSelection = ALL) -> None:
+        check_truth(rig, selection)
+        super().__init__(rig, selection)
+        self._rows: dict[str, list[npt.NDArray[Any]]] = {}
+
+    def _open(self) -> None:
+        """Do nothing: there is no row yet."""
+
+    def _put(self, rows: Rows) -> None:
+        for name, values in rows.items():
+            self._rows.setdefault(name, []).append(values.copy())
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return the data sets; each that had no row is missing."""
+        return {name: np.concatenate(rows) for name, rows in self._rows.items()}
+
+    def close(self) -> None:
+        """Do nothing: memory is always whole."""
+
+
+def _about(rig: Rig, geometry: SceneGeometry | None, selected: tuple[str, ...]) -> About:
     """Return the description of the run in the file."""
     camera, paced = rig.camera, rig.run.pace == "realtime"
     width, height = camera.size
@@ -272,8 +372,10 @@ def _about(rig: Rig, geometry: SceneGeometry | None) -> About:
         **_lens_facts(rig),
     }  # fmt: skip
     if geometry is None:
-        return About(camera.size, facts=facts | {"absent": facts["absent"] or "depth, flow, labels and poses"})
-    return About(camera.size, geometry.names, sorted(geometry.gives), facts)
+        layers = [layer for layer in selected if layer in _OF_EVERY_SCENE]
+        return About(camera.size, (), layers, facts | {"absent": facts["absent"] or "depth, flow, labels and poses"})
+    layers = [layer for layer in selected if layer in _OF_EVERY_SCENE or layer in geometry.gives]
+    return About(camera.size, geometry.names, layers, facts)
 
 
 def _lens_facts(rig: Rig) -> dict[str, Any]:

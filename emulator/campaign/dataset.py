@@ -1,0 +1,305 @@
+"""Data sets: sequences of events with their truth, each a run of a campaign.
+
+    DIR/dataset.toml              the campaign: `evstim campaign again DIR/dataset.toml 17` repeats a sequence
+       /sequences/000017.h5       a truth file, see `emulator.run.truth.file`; .npz: the same arrays by the same names
+       /manifest.json             seed, parameters, digests and file of each sequence
+       /README.md                 a data card, made of the manifest
+
+A sequence is a function of the campaign's content and its index. Its file appears whole, under its name, or not at all;
+the row of its run is written after it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.campaign.campaign import Campaign, Row
+from emulator.campaign.loading import CampaignError, SequenceTruth, Source, laid_over
+from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
+from emulator.run.assembly import build_scene, build_session, schedule
+from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
+from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
+from firmware_protocol.events import EVENT, Events
+from transports.link.pacing import MonotonicClock
+
+_OWN_KEYS = ("rig", "count", "record", "program", "truth")
+_MOST_BYTES = 1 << 22
+
+
+@dataclass(frozen=True)
+class Sequences:
+    """Number, length and content of the sequences of a data set.
+
+    Attributes
+    ----------
+    seconds : length of each, of stream time.
+    seed : of everything random.
+    vary : further keys of a campaign file, such as `parameters`, `sampling` and `set`; or a TOML file that has them.
+    """
+
+    count: int
+    seconds: float
+    truth: SequenceTruth
+    seed: int = 1
+    vary: Mapping[str, Any] | str | Path | None = None
+
+
+def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
+    """Return the campaign of a data set of a rig, to be written as `file`; raises CampaignError and RigError."""
+    rig_file = find_rig(str(rig)).absolute()
+    rig_text = read_rig(rig_file)
+    parsed = parse_rig(rig_text, str(rig_file), rig_file.stem)
+    if parsed.trigger is not None or parsed.second_camera is not None:
+        reason = "a data set is of one camera without links: remove [trigger] and [second_camera]"
+        raise CampaignError(f"{rig_file}: {reason}")
+    vary, truth = sequences.vary, sequences.truth
+    table = dict(_read(Path(vary)) if isinstance(vary, str | Path) else vary or {})
+    if wrong := [key for key in _OWN_KEYS if key in table]:
+        raise CampaignError(f"vary: {', '.join(wrong)}: this is given by the data set itself")
+    run = {"seconds": sequences.seconds, "pace": "free", "step_us": _step_us(parsed.run.step_us, truth.rate_hz)}
+    settings = laid_over({"links": [], "faults": [], "run": run}, table.get("set", {}))
+    named = str(rig_file if Path(rig).is_file() else rig)
+    own = {"rig": named, "truth": dataclasses.asdict(truth), "set": settings}
+    count = {} if table.get("sampling") == "grid" else {"count": sequences.count}
+    table = {"seed": sequences.seed} | table | count | own
+    text = "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
+    return Source(str(file), text, str(rig_file), rig_text)
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return read_toml(read_text(file, _MOST_BYTES))
+    except TomlError as error:
+        raise CampaignError(error.at(str(file))) from error
+    except (TextFileError, OSError) as error:
+        raise CampaignError(f"{file}: {error}") from error
+
+
+def _step_us(step_us: int, rate_hz: float) -> int:
+    """Return the longest step up to `step_us` that divides the time between two truths; `step_us` where none does."""
+    period_us = round(1e6 / rate_hz)
+    if abs(period_us * rate_hz - 1e6) > 1e-3:
+        return step_us
+    return next(step for step in range(min(step_us, period_us), 0, -1) if period_us % step == 0)
+
+
+def _toml(value: Any) -> str:
+    """Return a value on one line of TOML."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value) if isinstance(value, str | bool) else str(value)
+
+
+def sequence_path(folder: Path, index: int, truth: SequenceTruth) -> Path:
+    """Return the file of a sequence."""
+    return folder / "sequences" / f"{index:06d}.{truth.format}"
+
+
+@contextmanager
+def written_sequence(rig: Rig, truth: SequenceTruth, path: Path) -> Iterator[RunTruth]:
+    """Give the truth of a run, and put it in place as `path` where the block ends without an error.
+
+    Raises OSError where there is no room, and TruthRefused.
+    """
+    path.parent.mkdir(exist_ok=True)
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    selection = truth.selection
+    recorded = TruthFile(rig, part, selection) if truth.format == "h5" else TruthArrays(rig, selection)
+    try:
+        with recorded:
+            yield recorded
+        if recorded.trouble:
+            full = "No space left" in recorded.trouble
+            raise OSError(errno.ENOSPC if full else errno.EIO, recorded.trouble, str(path))
+        if isinstance(recorded, TruthArrays):
+            with part.open("wb") as file:
+                np.savez_compressed(file, **recorded.arrays())  # type: ignore[arg-type]
+        part.replace(path)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def check_layers(truth: SequenceTruth, recorded: RunTruth) -> None:
+    """Raise TruthRefused for layers that were named and that the scene does not have."""
+    if missing := [layer for layer in truth.layers if layer not in recorded.about.layers]:
+        reason = recorded.about.facts["absent"] or "it has no surfaces"
+        raise TruthRefused(f"truth.layers: this scene has no {', '.join(missing)} ({reason})")
+
+
+@dataclass(frozen=True, eq=False)
+class TruthSequence:
+    """A sequence of a data set.
+
+    Attributes
+    ----------
+    index, seed : of its run.
+    values : of the parameters, by key.
+    arrays : data sets of a truth file by their names, such as "pictures/depth".
+    names : of the labels from 1 on.
+    digest : of the arrays.
+    """
+
+    index: int
+    seed: int
+    values: Mapping[str, Any]
+    arrays: Mapping[str, npt.NDArray[Any]]
+    names: tuple[str, ...]
+    digest: str
+
+    @property
+    def events(self) -> Events:
+        """The events, (n,) EVENT, as the sensor reads them out."""
+        events = np.zeros(len(self.arrays.get("events/t", ())), EVENT)
+        for field, name in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
+            if len(events):
+                events[field] = self.arrays[f"events/{name}"]
+        return events
+
+
+class Dataset(Sequence[TruthSequence]):
+    """A data set whose sequences are made when they are read: `data[3]` is the same on any machine, each time.
+
+    It is what torch's DataLoader takes for a map-style data set.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._campaign = Campaign(source)
+
+    def __len__(self) -> int:
+        return self._campaign.runs
+
+    @overload
+    def __getitem__(self, index: int) -> TruthSequence: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[TruthSequence]: ...
+    def __getitem__(self, index: int | slice) -> TruthSequence | list[TruthSequence]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"sequence {index} of {len(self)}")
+        return self._made(index % len(self))
+
+    def _made(self, index: int) -> TruthSequence:
+        campaign, truth = self._campaign, self._campaign.settings.truth
+        assert truth is not None, "the campaign of a data set has a truth"
+        rig = campaign.rig(index)
+        with build_scene(rig) as scene, TruthArrays(rig, truth.selection) as recorded:
+            session = build_session(rig, scene, [], MonotonicClock(), recorded)
+            check_layers(truth, recorded)
+            session.run(schedule(rig))
+        names = tuple(recorded.about.names)
+        return TruthSequence(
+            index, campaign.seed(index), campaign.values(index), recorded.arrays(), names, recorded.digest
+        )
+
+
+def dataset(  # noqa: PLR0913 - one call that names all it needs
+    rig: str | Path,
+    count: int,
+    *,
+    seconds: float = 1.0,
+    truth: Sequence[str] = (),
+    rate_hz: float = 20.0,
+    vary: Mapping[str, Any] | str | Path | None = None,
+    seed: int = 1,
+) -> Dataset:
+    """Return a data set of a rig: sequences of events with their truth, made when they are read.
+
+    Parameters
+    ----------
+    rig : name of a shipped rig, or path of a rig file.
+    count : number of sequences.
+    seconds : length of each, of stream time.
+    truth : "light", "depth", "flow", "labels", "poses", "clean_events"; by default what the scene has of the middle
+        four.
+    rate_hz : light, depth, flow and labels a second.
+    vary : sampled parameters, as keys of a campaign file: {"parameters": [{"key": ..., "kind": "uniform", ...}]}, or a
+        TOML file with them. Without any, sequences differ by their seeds.
+    seed : of everything random.
+
+    Raises
+    ------
+    CampaignError, RigError
+        The rig or a parameter cannot be used; the message names it.
+    """
+    sequences = Sequences(count, seconds, SequenceTruth(rate_hz, tuple(truth)), seed, vary)
+    return Dataset(dataset_source(rig, Path("dataset.toml").absolute(), sequences))
+
+
+def write_manifest(campaign: Campaign, folder: Path, rows: Sequence[Row]) -> dict[str, Any]:
+    """Write the manifest and the data card of the sequences that are done, and return the manifest; raises OSError."""
+    truth = campaign.settings.truth
+    assert truth is not None, "the campaign of a data set has a truth"
+    sequences = [
+        {
+            "file": str(sequence_path(folder, row["index"], truth).relative_to(folder)),
+            "index": row["index"],
+            "seed": row["seed"],
+            "values": campaign.values(row["index"]),
+            "seconds": row["sim_s"],
+            "events": row["events.read_out"],
+            "events_digest": row["events.digest"],
+            "truth_digest": row["truth.digest"],
+        }
+        for row in rows
+        if row["outcome"] == "ok"
+    ]
+    manifest = {
+        "format": "evstim-dataset",
+        "version": 1,
+        "evstim": version("evstim"),
+        "id": campaign.id,
+        "rig": Path(campaign.source.rig_file).stem,
+        "sequences_of_the_whole": campaign.runs,
+        **campaign.content,
+        "sequences": sequences,
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=1, default=str) + "\n")
+    (folder / "README.md").write_text(_card(campaign, sequences, truth))
+    return manifest
+
+
+def _card(campaign: Campaign, sequences: Sequence[Mapping[str, Any]], truth: SequenceTruth) -> str:
+    """Return the data card: content, origin and limits of the data."""
+    rig = campaign.rig(0)
+    width, height = rig.camera.size
+    events = sum(sequence["events"] for sequence in sequences)
+    seconds = sum(sequence["seconds"] for sequence in sequences)
+    layers = ", ".join(truth.layers) or "depth, flow, labels and poses, as far as the scene has them"
+    laws = "".join(
+        f"| `{table['key']}` | {', '.join(f'{name} {value}' for name, value in table.items() if name != 'key')} |\n"
+        for table in campaign.content["campaign"].get("parameters", [])
+    )
+    return f"""# {rig.title or rig.name}
+
+Simulated events with truth, made by evstim {version("evstim")}. No real camera was used.
+
+- {len(sequences)} of {campaign.runs} sequences; together {seconds:.6g} s and {events} events
+- camera `{rig.camera.model}`, {width} x {height} pixels; rig `{rig.name}`
+- truth: {layers}; {truth.rate_hz:g} times a second; the cause of each event
+- layout: page *Recordings and truth* of evstim's documentation
+- times of events are whole microseconds of stream time, without errors of a camera's clock or link
+- `manifest.json`: seed, parameters and digests of each sequence, which are the same on any machine
+- `evstim campaign again dataset.toml INDEX` makes a sequence again
+
+| sampled | law |
+|---|---|
+| seed | each sequence its own |
+{laws}
+How close the simulated camera is to a real one: page *What it is worth* of that documentation. Licences of the rig's
+shape models and images hold for what is drawn of them.
+"""

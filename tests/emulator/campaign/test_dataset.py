@@ -1,0 +1,220 @@
+"""Data sets: the same sequences as files, as arrays, by any number of workers and after a kill; hostile input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+import evstim
+from emulator.campaign.campaign import Campaign
+from emulator.campaign.dataset import Sequences, dataset_source
+from emulator.campaign.loading import SequenceTruth
+from emulator.cli.app import _main
+from emulator.rig.loading import shipped_rigs
+from transports.recording.files import read_events
+
+COMMAND = [sys.executable, "-c", "from emulator.cli import main; main()"]
+RIG = """
+title = "A ball before a small sensor"
+[scene]
+kind = "bodies"
+[scene.camera]
+kind = "keyframes"
+look_at_m = [0.0, 0.0, 0.0]
+up = [0.0, -1.0, 0.0]
+keyframes = [{ t_s = 0.0, position_m = [0.0, 0.0, -8.0] }, { t_s = 0.6, position_m = [4.0, 0.0, -7.0] }]
+[[scene.bodies]]
+name = "ball"
+shape = "globe"
+[camera]
+[camera.sensor]
+width = 64
+height = 48
+[camera.sensor.noise]
+rms = 0.07
+[[links]]
+kind = "loopback"
+[run]
+step_us = 7000
+"""
+VARY = """
+[[parameters]]
+key = "camera.sensor.threshold_on"
+kind = "uniform"
+low = 0.1
+high = 0.4
+"""
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    path = tmp_path_factory.mktemp("rig") / "ball.toml"
+    path.write_text(RIG)
+    path.with_name("vary.toml").write_text(VARY)
+    return path
+
+
+def command(rig, folder, *more, count=3):
+    options = ["--count", str(count), "--seconds", "0.2", "--vary", rig.with_name("vary.toml"), *more]
+    return [*COMMAND, "dataset", rig, "--out", folder, *map(str, options)]
+
+
+def made(rig, folder, *more, count=3, code=0):
+    ended = subprocess.run(command(rig, folder, *more, count=count), capture_output=True, text=True, check=False)
+    assert ended.returncode == code, ended.stderr
+    return ended
+
+
+def digests(folder):
+    sequences = json.loads((folder / "manifest.json").read_text())["sequences"]
+    return [(s["file"], s["seed"], s["values"], s["events_digest"], s["truth_digest"]) for s in sequences]
+
+
+@pytest.fixture(scope="module")
+def folder(rig, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made") / "data"
+    made(rig, folder, "--workers", "1")
+    return folder
+
+
+@pytest.mark.system
+def test_sequences_do_not_depend_on_the_number_of_workers_or_the_format(rig, folder, tmp_path):
+    made(rig, tmp_path / "data", "--workers", "2", "--format", "npz")
+    names, others = digests(folder), digests(tmp_path / "data")
+    assert [name for name, *_ in others] == [f"sequences/00000{k}.npz" for k in range(3)]
+    assert [rest for _, *rest in names] == [rest for _, *rest in others]
+    for name, *_ in names:
+        arrays = np.load((tmp_path / "data" / name).with_suffix(".npz"))
+        with h5py.File(folder / name) as file:
+            for key in arrays.files:
+                np.testing.assert_array_equal(file[key][:], arrays[key])
+            assert len(file["events/t"]) > 100
+            assert "light" not in file["pictures"]
+            assert "clean_events" not in file
+
+
+@pytest.mark.system
+def test_sequences_in_memory_are_those_of_the_files(rig, folder):
+    data = evstim.dataset(rig, 3, seconds=0.2, vary=rig.with_name("vary.toml"))
+    assert len(data) == 3
+    for sequence, (name, seed, values, _, digest) in zip(data, digests(folder), strict=True):
+        assert (sequence.seed, sequence.values, sequence.digest) == (seed, values, digest)
+        with h5py.File(folder / name) as file:
+            for key, array in sequence.arrays.items():
+                np.testing.assert_array_equal(file[key][:], array)
+    assert data[-1].digest == data[2].digest == data[1:][1].digest
+    assert sequence.names == ("ball",)
+    with pytest.raises(IndexError, match="sequence 3 of 3"):
+        data[3]
+
+
+def test_truth_is_at_multiples_of_its_period(folder):
+    with h5py.File(folder / "sequences" / "000000.h5") as file:
+        np.testing.assert_array_equal(file["pictures/t"][:], np.arange(5) * 50_000)
+
+
+@pytest.mark.parametrize(("step_us", "rate_hz", "expected"), [(7000, 20, 6250), (80_000, 20, 50_000), (5000, 30, 5000)])
+def test_the_step_divides_the_period_where_one_can(rig, tmp_path, step_us, rate_hz, expected):
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG.replace("step_us = 7000", f"step_us = {step_us}"))
+    source = dataset_source(path, tmp_path / "d.toml", Sequences(1, 1.0, SequenceTruth(rate_hz)))
+    assert Campaign(source).rig(0).run.step_us == expected
+
+
+def test_readers_of_dsec_take_a_sequence_for_a_recording(folder):
+    path = folder / "sequences" / "000000.h5"
+    events = read_events(path)
+    with h5py.File(path) as file:
+        np.testing.assert_array_equal(events["t"], file["events/t"][:])
+        firsts = file["ms_to_idx"][:].astype(int)
+        assert file["t_offset"][()] == 0
+    # What the data set's own slicer supposes: everything before the index is before its millisecond, nothing after.
+    assert len(firsts) == 1 + events["t"][-1] // 1000
+    for ms, first in enumerate(firsts):
+        assert first == np.searchsorted(events["t"], ms * 1000)
+
+
+@pytest.mark.system
+def test_an_interrupted_data_set_goes_on_and_is_the_same(rig, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    made(rig, whole, count=8)
+    for number in (signal.SIGKILL, signal.SIGINT):
+        process = subprocess.Popen(
+            command(rig, killed, "--workers", "1", count=8),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
+        before = len(list(killed.glob("rows/*.parquet")))
+        while len(list(killed.glob("rows/*.parquet"))) < before + 2:
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(number)
+        assert process.wait(60) in (-signal.SIGKILL, 1)
+    assert len(digests(killed)) < 8  # that of the interrupt, with its manifest
+    for path in killed.glob("sequences/0*.h5"):  # each file is whole
+        with h5py.File(path) as file:
+            assert file.attrs["complete"]
+    made(rig, killed, count=8)
+    assert digests(whole) == digests(killed)
+    assert sorted(os.listdir(killed / "sequences")) == [f"{k:06d}.h5" for k in range(8)]
+
+
+@pytest.mark.system
+def test_another_data_set_does_not_go_into_the_folder(rig, folder):
+    before = digests(folder)
+    ended = made(rig, folder, "--rate", "10", code=2)
+    assert "campaign.truth.rate_hz was 20.0, is 10.0" in " ".join(ended.stderr.split())
+    assert digests(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--truth", "pose"), "poses"),
+        (("--truth", "depth,heat"), "heat"),
+        (("--rate", "0"), "rate_hz"),
+        (("--count", "0"), "--count"),
+        (("--seconds", "nan"), "--seconds"),
+        (("--vary", "no.toml"), "no.toml"),
+        (("--workers", "0"), "--workers"),
+    ],
+)
+def test_mistakes_are_refused_with_their_reason(rig, tmp_path, capsys, options, message):
+    assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), "--json", *options]) == 2
+    assert message in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+
+
+@pytest.mark.system
+def test_a_layer_that_the_scene_does_not_have_ends_it_at_once(tmp_path):
+    folder = tmp_path / "data"
+    options = ["--count", "4", "--seconds", "0.02", "--truth", "flow,depth"]
+    ended = subprocess.run(
+        [*COMMAND, "dataset", "checkerboard", "--out", folder, *options], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 3
+    assert "this scene has no depth" in " ".join(ended.stderr.split())
+    assert not list(folder.glob("sequences/*"))
+
+
+def test_of_each_shipped_rig_there_is_a_data_set_or_a_reason(tmp_path):
+    refused = {}
+    for name in shipped_rigs():
+        try:
+            Campaign(dataset_source(name, tmp_path / "d.toml", Sequences(2, 0.1, SequenceTruth())))
+        except evstim.CampaignError as error:
+            refused[name] = str(error)
+    assert set(refused) == {"can-demo", "stars-stereo", "stars-two-families"}
+    assert all("one camera without links" in reason for reason in refused.values())
+
+
+@pytest.mark.parametrize("key", ["rig", "count", "record", "program", "truth"])
+def test_what_varies_cannot_replace_the_data_set(rig, key):
+    with pytest.raises(evstim.CampaignError, match=key):
+        evstim.dataset(rig, 2, vary={key: 1})
