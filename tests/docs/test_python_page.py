@@ -1,4 +1,4 @@
-"""The examples of docs/python.md and docs/reports.md run as they are printed."""
+"""The examples of docs/python.md, docs/reports.md and docs/datasets.md run as they are printed."""
 
 import os
 import re
@@ -15,7 +15,10 @@ PAGE = (ROOT / "docs/python.md").read_text()
 FENCE = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 BLOCKS = FENCE.findall(PAGE)
 TESTING = [block for block in FENCE.findall((ROOT / "docs/reports.md").read_text()) if "@pytest" not in block]
+DATASETS = FENCE.findall((ROOT / "docs/datasets.md").read_text())
 TITLES = [PAGE[: PAGE.index(block)].rpartition("\n## ")[2].partition("\n")[0] for block in BLOCKS]
+
+IDS = [*TITLES, *(f"testing {k}" for k in range(len(TESTING))), *(f"data set {k}" for k in range(len(DATASETS)))]
 
 
 def test_the_page_has_its_examples():
@@ -24,7 +27,7 @@ def test_the_page_has_its_examples():
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("block", [*BLOCKS, *TESTING], ids=[*TITLES, *(f"testing {k}" for k in range(len(TESTING)))])
+@pytest.mark.parametrize("block", [*BLOCKS, *TESTING, *DATASETS], ids=IDS)
 def test_an_example_runs(block, tmp_path):
     script = tmp_path / "example.py"
     script.write_text(block)

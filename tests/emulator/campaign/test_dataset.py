@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -212,6 +214,16 @@ def test_of_each_shipped_rig_there_is_a_data_set_or_a_reason(tmp_path):
             refused[name] = str(error)
     assert set(refused) == {"can-demo", "stars-stereo", "stars-two-families"}
     assert all("one camera without links" in reason for reason in refused.values())
+
+
+def test_what_the_page_varies_can_vary():
+    page = Path(__file__).parents[3] / "docs/datasets.md"
+    vary = tomllib.loads(page.read_text().partition("```toml\n")[2].partition("```")[0])
+    campaign = Campaign(dataset_source("rendezvous", Path("d.toml"), Sequences(16, 0.1, SequenceTruth(), vary=vary)))
+    rigs = [campaign.rig(k) for k in range(16)]
+    assert len({rig.camera.sensor.noise for rig in rigs}) == 2
+    for value in ("threshold_on", "corner_max_hz", "temperature"):
+        assert len({getattr(rig.camera.sensor, value) for rig in rigs}) == 16
 
 
 @pytest.mark.parametrize("key", ["rig", "count", "record", "program", "truth"])
