@@ -33,7 +33,7 @@ from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_
 from firmware_protocol.events import EVENT, Events
 from transports.link.pacing import MonotonicClock
 
-_OWN_KEYS = ("rig", "count", "record", "program", "truth")
+_GIVEN_KEYS = ("rig", "count", "record", "program", "truth")
 _MOST_BYTES = 1 << 22
 
 
@@ -65,14 +65,14 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
         raise CampaignError(f"{rig_file}: {reason}")
     vary, truth = sequences.vary, sequences.truth
     table = dict(_read(Path(vary)) if isinstance(vary, str | Path) else vary or {})
-    if wrong := [key for key in _OWN_KEYS if key in table]:
+    if wrong := [key for key in _GIVEN_KEYS if key in table]:
         raise CampaignError(f"vary: {', '.join(wrong)}: this is given by the data set itself")
     run = {"seconds": sequences.seconds, "pace": "free", "step_us": _step_us(parsed.run.step_us, truth.rate_hz)}
     settings = laid_over({"links": [], "faults": [], "run": run}, table.get("set", {}))
     named = str(rig_file if Path(rig).is_file() else rig)
-    own = {"rig": named, "truth": dataclasses.asdict(truth), "set": settings}
+    content = {"rig": named, "truth": dataclasses.asdict(truth), "set": settings}
     count = {} if table.get("sampling") == "grid" else {"count": sequences.count}
-    table = {"seed": sequences.seed} | table | count | own
+    table = {"seed": sequences.seed} | table | count | content
     text = "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
     return Source(str(file), text, str(rig_file), rig_text)
 

@@ -197,7 +197,7 @@ class SequenceTruth:
 
     @property
     def selection(self) -> TruthSelection:
-        """What a run records."""
+        """Content of the truth of each run."""
         return TruthSelection(rate_hz=self.rate_hz, layers=self.layers or ("depth", "flow", "labels", "poses"))
 
 

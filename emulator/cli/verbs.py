@@ -83,7 +83,7 @@ _VERBS = {
             "emulator.cli.campaign:verbs",
             "Run a rig many times over sampled parameters, and report on the table of all runs.",
         ),
-        "dataset": ("emulator.cli.dataset:dataset", "Make sequences of events with truth, over sampled parameters."),
+        "dataset": ("emulator.cli.campaign:dataset", "Make sequences of events with truth, over sampled parameters."),
         "accuracy": (
             "laboratory.verbs.accuracy:verbs",
             "Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",

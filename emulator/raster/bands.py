@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.raster.compiled import entry, kernel, lane
 from emulator.raster.layout import (
     BAND,
     Band,
@@ -41,9 +40,11 @@ from emulator.raster.layout import (
     XLow,
     YHigh,
     YLow,
+    entry,
 )
 from emulator.raster.pixel import TOLERANCE, pixel_light
 from emulator.raster.rows import add_facet
+from emulator.sensor.numerics.compiled import kernel, lane
 
 _ON_A_SIDE = 1e-9  # pixels: a middle so near a facet's side lies on it
 

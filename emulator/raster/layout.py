@@ -3,6 +3,9 @@
 A vertex (n, 8) float64: screen place and velocity in px and px/s, w = 1 / depth in 1/m and its rate in 1/m/s, validity.
 A facet (m, 16) float64: planes p(x, y) = p0 + px x + py y of radiance L, of its rate at a fixed point G and of w; the
 range of w and of the screen box; and the sign of its winding, +1 seen from outside, -1 seen from inside.
+
+The renderer's loops are `lane` too where they are called at one place or two: a call that is left passes the seven
+arrays of `Data` as some sixty numbers, which took 8 to 20 % of the time of a light frame.
 """
 
 from __future__ import annotations
@@ -12,6 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from firmware_protocol.compiled import entry_of
+
+entry = entry_of("emulator.raster", "emulator.sensor.numerics")
+"""Compile a function for calls from Python; it releases the GIL."""
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]

@@ -19,7 +19,6 @@ The time derivative of an integral of L is that of G less the flux of L through 
 
 from __future__ import annotations
 
-from emulator.raster.compiled import lane
 from emulator.raster.layout import (
     CULLED,
     SHOWABLE,
@@ -40,6 +39,7 @@ from emulator.raster.layout import (
     YLow,
 )
 from emulator.raster.lines import Contents, resolve
+from emulator.sensor.numerics.compiled import lane
 
 
 @lane

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.raster.compiled import entry, lane
 from emulator.raster.layout import (
     BAND,
     CULLED,
@@ -37,8 +36,10 @@ from emulator.raster.layout import (
     XLow,
     YHigh,
     YLow,
+    entry,
 )
 from emulator.raster.topology import Topology
+from emulator.sensor.numerics.compiled import lane
 
 _THINNEST_PX = 1e-5  # a facet that is thinner has no gradient: rounding would be amplified beyond 1e-8 of its light
 _FARTHEST_PX = 1e15  # far beyond any frame; keeps conversions to integers valid

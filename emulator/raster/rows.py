@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from emulator.raster.compiled import lane, vector_kernel
 from emulator.raster.layout import Band, Data, Floats, G, Ints, L, Plane, Sign
 from emulator.raster.pixel import flux, is_still, less, piece, plane_of
+from emulator.sensor.numerics.compiled import lane, vector_kernel
 
 
 class _Edge(NamedTuple):

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.raster.compiled import entry, kernel
-from emulator.raster.layout import Bytes, Ints
+from emulator.raster.layout import Bytes, Ints, entry
+from emulator.sensor.numerics.compiled import kernel
 
 
 @dataclass(frozen=True, eq=False)

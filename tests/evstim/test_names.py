@@ -10,9 +10,10 @@ import evstim
 
 NAMES = [
     "BabblingIdiot", "BackgroundParameters", "Bare", "BasiliskPath", "BiasSlopes", "BitFlips", "BodiesScene", "Body",
-    "Burst", "BusOff", "Camera", "CanLink", "CanReceiver", "CanReceiverSettings", "ChangedFrames", "CheckerboardScene",
+    "Burst", "BusOff", "Camera", "CampaignError", "CanLink", "CanReceiver", "CanReceiverSettings", "ChangedFrames",
+    "CheckerboardScene",
     "ClockEstimate", "ClockEstimator", "ClockSettings", "ClockStep", "Clouds", "ComparatorParameters", "ControlStall",
-    "DavisReceiver",
+    "Dataset", "DavisReceiver",
     "DeadBus", "DefectParameters", "Delivery", "DescentPath", "DrawnField", "EDGE", "EVENT", "EmptyTransfers",
     "ErrorFrames", "ExternalScene", "FifoOverflow", "FileLink", "FilePath", "FixedPath", "Frame", "FrameParameters",
     "Gate", "GigeLink", "Glossy",
@@ -30,10 +31,11 @@ NAMES = [
     "SecondCamera", "SelectorSettings", "Sensor", "SensorOptions", "SensorParameters", "SerialLink", "SerialReceiver",
     "ShortTransfers", "SlowControl", "SpicePath", "SpinPath", "StaleData", "Stall", "StarsScene", "StuckLine", "Sun",
     "TcpLink",
-    "TemperatureParameters", "TerrainScene", "TimeAhead", "TimeBack", "TimeFrozen", "Trigger", "TriggerEdges",
+    "TemperatureParameters", "TerrainScene", "TimeAhead", "TimeBack", "TimeFrozen", "Trigger", "TriggerEdges", "TruthSequence",
     "UdpLink", "UdpPacketsLink", "Unplugged", "UsbGadgetLink", "UsbSilence", "UsbStall", "UsbUnplugged", "UsbipLink",
     "Verdict", "VideoScene", "WrongBaud", "WrongVersion", "attitude_from_basilisk", "attitude_from_opengl",
-    "attitude_from_scalar_last", "attitude_from_spice", "build_scene", "events_from_frames", "events_from_video",
+    "attitude_from_scalar_last", "attitude_from_spice", "build_scene", "dataset", "events_from_frames",
+    "events_from_video",
     "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct", "representations", "run",
     "shipped_rigs",
 ]  # fmt: skip

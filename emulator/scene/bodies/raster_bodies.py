@@ -28,6 +28,7 @@ from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, SceneP
 from emulator.light import NOTHING, LastArrays, Light, PixelLight, Region, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Renderer, Screen, View
+from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_middles
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
@@ -39,7 +40,6 @@ from emulator.scene.bodies.world import BodyWorld, rigid_groups
 from emulator.scene.world import WorldScene
 from emulator.threads import available_threads
 from emulator.trajectory.pose import Pose
-from emulator.truth.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
 
 _NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 

@@ -27,13 +27,13 @@ from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import LastArrays, Light, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
+from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
 from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError
-from emulator.truth.surfaces import Instants, instants, motion_of, write_depth_and_flow
 
 _REACH = 2.0  # standard deviations
 

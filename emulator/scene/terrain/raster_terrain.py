@@ -28,6 +28,7 @@ from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, SceneP
 from emulator.light import NOTHING, LastArrays, Light, Region
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Owners, Renderer, Screen, Topology, View, join, prepare
+from emulator.raster.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, Sunlight, rate_of_doubtful
@@ -49,7 +50,6 @@ from emulator.scene.terrain.world import TerrainWorld
 from emulator.scene.world import WorldScene
 from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
-from emulator.truth.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
 
 Facets = Callable[[int], tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]]
 """Function from a stream time to the facet at each pixel without distortion, and the facets, see `nearest_along`."""

@@ -27,12 +27,8 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays, Seen
 from emulator.raster import Renderer, Screen, View, join, prepare
-from emulator.raster.layout import W, WHighest, WLowest
+from emulator.raster.layout import W, WHighest, WLowest, entry
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
-from firmware_protocol.compiled import entry_of
-
-entry = entry_of("emulator.truth", "emulator.raster")
-"""Compile a function for calls from Python; it releases the GIL."""
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]

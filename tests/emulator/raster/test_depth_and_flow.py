@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from emulator.geometry.camera import Pinhole, Rays, Seen
 from emulator.optics.lens import LensParameters
 from emulator.optics.through import Through
+from emulator.raster.surfaces import NearestSurface
 from emulator.rig.kinds import CAMERA_MODELS
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import find_shape, load_mesh
@@ -23,7 +24,6 @@ from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath, SpinPath
-from emulator.truth.surfaces import NearestSurface
 
 SIZE = (96, 72)
 CAMERA = Pinhole.of_field(SIZE, 40.0)

@@ -1,1 +1,0 @@
-"""Ground truth beside the light of a frame, computed apart from it: the nearest surface, depth, and optical flow."""
