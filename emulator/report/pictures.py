@@ -48,7 +48,7 @@ def white_of(light: Light) -> float:
 
 
 def event_picture(light: Light, events: Events, *, white: float | None = None, dimming: float = 0.25) -> Rgb:
-    """Draw events over the light in which they arose.
+    """Draw events over the light in which they arose; raises ValueError for events outside the picture.
 
     Parameters
     ----------
@@ -56,11 +56,6 @@ def event_picture(light: Light, events: Events, *, white: float | None = None, d
     events : (n,) EVENT, sorted by time; where a pixel has several the last is seen.
     white : the light drawn as full white; `white_of` the picture unless given.
     dimming : level of white, as a share of the screen's range; 1 is best for light without events.
-
-    Raises
-    ------
-    ValueError
-        Events outside the picture.
     """
     height, width = light.shape
     if len(events) and (events["x"].max() >= width or events["y"].max() >= height):
