@@ -432,15 +432,11 @@ def _places(samples: _Samples) -> Trajectory:
         return Keyframes(samples.since_first_ns(), [Pose(p, STILL.q_world_from_body) for p in places], velocities)
     if kind == "HERMITE" and velocities is None:
         raise TrajectoryError("INTERPOLATION = HERMITE needs velocities in all lines")
-    degree = 1 if kind == "LINEAR" else _degree(samples.meta)
-    return PolynomialPath(samples.since_first_ns(), places, degree, velocities if kind == "HERMITE" else None)
-
-
-def _degree(meta: dict[str, str]) -> int:
-    text = meta.get("INTERPOLATION_DEGREE", "")
-    if not text.isdecimal():
-        raise TrajectoryError(f"INTERPOLATION = {meta['INTERPOLATION']} needs INTERPOLATION_DEGREE, a whole number")
-    return int(text)
+    degree = "1" if kind == "LINEAR" else samples.meta.get("INTERPOLATION_DEGREE", "")
+    if not degree.isdecimal():
+        interpolation = samples.meta["INTERPOLATION"]
+        raise TrajectoryError(f"INTERPOLATION = {interpolation} needs INTERPOLATION_DEGREE, a whole number")
+    return PolynomialPath(samples.since_first_ns(), places, int(degree), velocities if kind == "HERMITE" else None)
 
 
 def _world_from_body(meta: dict[str, str], cells: list[str]) -> _Floats:
