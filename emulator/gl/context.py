@@ -82,7 +82,7 @@ class GlReport:
 def open_context() -> moderngl.Context:
     """Make an offscreen context in this thread; its owner releases it.
 
-    Raises MachineLacks with the driver's message, its meaning and the packages to install; or with the available
+    Raises SceneError with the driver's message, its meaning and the packages to install; or with the available
     renderers, where none is the wanted one.
     """
     text = os.environ.get(WANTED, "").strip()
