@@ -174,16 +174,12 @@ _NS_PER_S = 1_000_000_000
 
 
 class Cycle:
-    """Turns made since time zero at a constant rate.
+    """Turns made since time zero at a constant rate; the attribute `rate_hz` is the exact one.
 
     Parameters
     ----------
     rate_hz : turns per second, of either sign; 0 stands still. A `Fraction` is taken exactly.
     start_turns : phase at time zero.
-
-    Attributes
-    ----------
-    rate_hz : turns per second, exactly.
     """
 
     def __init__(self, rate_hz: Fraction | float, start_turns: Fraction | float = 0.0) -> None:

@@ -26,7 +26,7 @@ points in each pixel, without time derivative; the CPU gives the exact mean (doc
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -82,11 +82,8 @@ class GlReport:
 def open_context() -> moderngl.Context:
     """Make an offscreen context in this thread; its owner releases it.
 
-    Raises
-    ------
-    SceneError
-        With the driver's message, its meaning and the packages to install; or with the available renderers, where none
-        is the wanted one.
+    Raises SceneError with the driver's message, its meaning and the packages to install; or with the available
+    renderers, where none is the wanted one.
     """
     text = os.environ.get(WANTED, "").strip()
     part_of_name = "" if text.lower() in _PAINTERS else text
@@ -150,7 +147,9 @@ def _contexts() -> Iterator[moderngl.Context]:
     """Yield a context of each device that works, for the caller to release; raise the first failure if none does."""
     failure: SceneError | None = None
     works = False
-    for index in _device_indices():
+    # None leaves the choice to glcontext, which reads the environment.
+    indices: Iterable[int | None] = [None] if "GLCONTEXT_DEVICE_INDEX" in os.environ else range(_MOST_DEVICES)
+    for index in indices:
         try:
             context = _open_device(index)
         except SceneError as error:
@@ -162,14 +161,6 @@ def _contexts() -> Iterator[moderngl.Context]:
             yield context
     if not works and failure is not None:
         raise failure
-
-
-def _device_indices() -> Iterator[int | None]:
-    """Yield the devices to try; None leaves the choice to glcontext, which reads the environment."""
-    if "GLCONTEXT_DEVICE_INDEX" in os.environ:
-        yield None
-    else:
-        yield from range(_MOST_DEVICES)
 
 
 def _open_device(index: int | None) -> moderngl.Context:

@@ -56,13 +56,7 @@ class Readback:
 
     @property
     def target(self) -> moderngl.Framebuffer:
-        """Framebuffer for the next light frame.
-
-        Raises
-        ------
-        SceneError
-            All slots hold light frames that were not taken.
-        """
+        """Framebuffer for the next light frame; raises SceneError when all slots hold frames that were not taken."""
         if not self._free:
             raise SceneError(f"{MOST_PENDING} light frames are pending: take one before the next is drawn")
         return self._free[0].target
@@ -72,13 +66,7 @@ class Readback:
         self._sent.append(self._free.popleft())
 
     def receive(self, out: Light) -> None:
-        """Write the oldest pending light frame into `out`, (height, width) float32.
-
-        Raises
-        ------
-        SceneError
-            None is pending.
-        """
+        """Write the oldest pending light frame into `out`, (height, width) float32; raises SceneError without one."""
         if not self._sent:
             raise SceneError("no light frame is pending: draw one before it is taken")
         place = self._sent.popleft()
@@ -136,10 +124,7 @@ class Rectangle:
 class RenderTarget:
     """A context in this thread, for light frames of `size` = (width, height), `samples` x `samples` a pixel.
 
-    Raises
-    ------
-    SceneError
-        There is no GL, or the light frame is too large for it.
+    Raises SceneError where there is no GL, or the light frame is too large for it.
     """
 
     def __init__(self, size: tuple[int, int], samples: int) -> None:
@@ -148,9 +133,14 @@ class RenderTarget:
         self.context = open_context()
         self.renderer = renderer_name(self.context)
         try:
-            with self.context:
-                _require_fits(self.context, size, (size[0] * samples, size[1] * samples))
-                self._build()
+            with self.context as gl:
+                fine_size = (size[0] * samples, size[1] * samples)
+                _require_fits(gl, size, fine_size)
+                self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
+                self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
+                self._readback = Readback(gl, size)
+                self._mean = gl.program(vertex_shader=_CORNERS, fragment_shader=_MEAN % {"samples": samples})
+                self._cover = gl.vertex_array(self._mean, [])
         except SceneError:
             self.close()
             raise
@@ -160,15 +150,6 @@ class RenderTarget:
         if self._is_open:
             self._is_open = False
             self.context.release()
-
-    def _build(self) -> None:
-        gl, n = self.context, self.samples
-        fine_size = (self.size[0] * n, self.size[1] * n)
-        self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
-        self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
-        self._readback = Readback(gl, self.size)
-        self._mean = gl.program(vertex_shader=_CORNERS, fragment_shader=_MEAN % {"samples": n})
-        self._cover = gl.vertex_array(self._mean, [])
 
     def draw(
         self,

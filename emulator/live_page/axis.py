@@ -30,10 +30,8 @@ _MOMENTS = (LineKind.START, LineKind.EXPOSURE_START, LineKind.EXPOSURE_END, Line
 class TimeAxis:
     """Collection of what a run's time axis shows.
 
-    Parameters
-    ----------
-    imu_unit : kind of the camera's inertial unit, for its scales; None where it has none.
-    has_frames : whether the camera can read frames.
+    `imu_unit` is the kind of the camera's inertial unit, for its scales, None where it has none; with `has_frames` the
+    camera can read frames.
     """
 
     def __init__(self, imu_unit: int | None, *, has_frames: bool) -> None:

@@ -73,10 +73,6 @@ class _Row:
         same = (change.what, change.link, change.by) == (other.what, other.link, other.by) and change.by == "live page"
         return same and other.after is not None and 0 <= other.t_ns - self.until_ns <= _MERGE_NS
 
-    def with_step(self, other: Change) -> _Row:
-        """Return the row with a further step."""
-        return _Row(self.number, dataclasses.replace(self.change, after=other.after), other.t_ns)
-
 
 class ChangeList:
     """List of the changes of a run from outside, the newest last; its length is bounded."""
@@ -110,8 +106,8 @@ class ChangeList:
         self._made_of, self._rows = len(changes), []
         for number in range(max(0, len(changes) - _NEWEST), len(changes)):
             change = changes[number]
-            if self._rows and self._rows[-1].joins(change):
-                self._rows[-1] = self._rows[-1].with_step(change)
+            if self._rows and (row := self._rows[-1]).joins(change):
+                self._rows[-1] = _Row(row.number, dataclasses.replace(row.change, after=change.after), change.t_ns)
             else:
                 self._rows.append(_Row(number, change, change.t_ns))
         self._newest = {row.change.what: row for row in self._rows if row.change.after is not None}
@@ -202,12 +198,9 @@ _MOST_SEED = 2**63 - 1
 class Repeats:
     """Request of a viewer to start the run again with another seed, and the totals of the run before.
 
-    Parameters
-    ----------
-    obstacle : reason why the run cannot be started again; "" where it can.
-
     Attributes
     ----------
+    obstacle : reason why the run cannot be started again; "" where it can.
     before : seed, totals, verdict and number of changes of the run before; None in the first one.
     place : (port, token) of the page, which the next run keeps; None before the first page.
     seed : requested seed; None where no viewer has requested a new run.

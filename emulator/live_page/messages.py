@@ -79,12 +79,9 @@ class Picture:
 
     Attributes
     ----------
-    light : (height, width) uint16
-        Codes, as made by `light_codes`.
-    place : (active,) uint32
-        Pixels with events, row * width + column, increasing.
-    last : (active,) int8
-    count : (active,) uint8
+    light : (height, width) uint16 codes, as made by `light_codes`.
+    place : (active,) uint32, pixels with events, row * width + column, increasing.
+    last, count : (active,) int8 and uint8.
     events : all events of the interval, drawn or not.
     every : one in so many of them is drawn.
     """
@@ -177,18 +174,14 @@ Inject = Callable[[dict[str, Any], RunStatus], dict[str, Any]]
 
 
 class ViewerCommands:
-    """Execution of the commands of viewers.
+    """Execution of the commands of viewers; `paused`: the run is to pause before its next step.
 
     Parameters
     ----------
-    trigger : Function that makes an edge on the cameras' external input, at a time of CLOCK_MONOTONIC (ns), with a
+    trigger : function that makes an edge on the cameras' external input, at a time of CLOCK_MONOTONIC (ns), with a
         number; None where the rig has a trigger of its own.
     can_pause : whether the run may be paused: only one that is not paced, and that no bus drives.
     repeats : receiver of the request for a new run; None where there can be none.
-
-    Attributes
-    ----------
-    paused : whether the run is to pause before its next step.
     """
 
     def __init__(
@@ -257,7 +250,11 @@ class ViewerCommands:
                 self._operator.session.stop()
                 return {"did": "the run ends"}
             case {"do": "trigger"}:
-                return self._triggered()
+                if self._trigger is None:
+                    raise ValueError("this rig has a [trigger] of its own")
+                self._triggers += 1
+                self._trigger(time.monotonic_ns(), self._triggers)
+                return {"did": f"trigger {self._triggers}"}
             case {"do": "pause" | "step" | "resume" as order}:
                 return self._ordered(order)
         raise ValueError("a run cannot execute this command")
@@ -286,13 +283,6 @@ class ViewerCommands:
             return {"did": f"{change.what} = {change.before:.4g} again"}
         answer = self._inject({"request": "end", "link": change.link, "number": change.fault}, self.status)
         return answer if "error" in answer else {"did": f"end of {answer['kind']} on {answer['link']}"}
-
-    def _triggered(self) -> dict[str, Any]:
-        if self._trigger is None:
-            raise ValueError("this rig has a [trigger] of its own")
-        self._triggers += 1
-        self._trigger(time.monotonic_ns(), self._triggers)
-        return {"did": f"trigger {self._triggers}"}
 
     def _ordered(self, order: str) -> dict[str, Any]:
         if not self._can_pause:

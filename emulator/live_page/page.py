@@ -183,9 +183,7 @@ def with_trigger_button(setups: Sequence[LinkSetup[Any]]) -> tuple[list[LinkSetu
 class LivePage:
     """The page of one run, in a process of its own; raises OSError where it cannot listen at `address`.
 
-    Attributes
-    ----------
-    url : address to open in a browser; the page of a run that was started again keeps it.
+    `url` is the address to open in a browser; the page of a run that was started again keeps it.
     """
 
     def __init__(self, rig: Rig, address: Address, commands: ViewerCommands, repeats: Repeats | None = None) -> None:

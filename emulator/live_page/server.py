@@ -249,10 +249,8 @@ _HEADERS = {
 class PageServer:
     """Web server of one run's page.
 
-    Parameters
-    ----------
-    greeting : function that returns the first message for a viewer.
-    command : function that forwards a viewer's parsed command; False where too many wait already.
+    `greeting` returns the first message for a viewer. `command` forwards a viewer's parsed command; it returns False
+    where too many wait already.
     """
 
     def __init__(

@@ -156,10 +156,8 @@ def _transfer(lens: LensParameters, size: tuple[int, int], cells: tuple[int, int
 class Veiled(OtherLight):
     """A scene with the scattered light of a lens.
 
-    Parameters
-    ----------
-    scene : the scene, in light on the pixels; closed with this one.
-    lens : the lens, of which only the shares and the shape of scattered light count.
+    `scene` is in light on the pixels, and closed with this one; of `lens` only the shares and the shape of scattered
+    light count.
     """
 
     def __init__(self, scene: Scene, lens: LensParameters) -> None:

@@ -193,13 +193,9 @@ _LEAST_BLUR_PX = 0.1
 
 
 class Through(OtherLight):
-    """The scene that `build` makes for a pinhole camera, seen through a lens on `chip`.
+    """The scene that `build` makes for a pinhole camera, seen through a lens on `chip`; `threads` as in `BlurWorkers`.
 
     Raises SceneError where the lens folds the image over itself; also errors of `build`.
-
-    Parameters
-    ----------
-    threads : number of threads that blur, as in `BlurWorkers`.
     """
 
     def __init__(

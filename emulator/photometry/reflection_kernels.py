@@ -118,12 +118,9 @@ def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out:
 
 @entry_of("emulator.photometry")
 def reflect(kind: int, p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
-    """Write r, 1/sr, of `count` points.
+    """Write r, 1/sr, of `count` points by a `Law`, `kind` and `p`.
 
-    Parameters
-    ----------
-    kind, p : a `Law`.
-    mu0, mu, chord2 : (count,) cosines of incidence and emission, and q of the module docstring, 0 to 4.
+    `mu0`, `mu` and `chord2` are (count,) cosines of incidence and emission, and q of the module docstring, 0 to 4.
     """
     if kind == _LAMBERT:
         for i in range(count):

@@ -297,12 +297,14 @@ def _corner_hz(p: SensorParameters, current: float) -> float:
 
 def chip_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
     """Return the cost of each effect of the chip."""
+    imager = p.imager
     return [
         Decision("dark current", "its share of the darkest light; never left out", None, _dim(p, scene), choice=False),
         _temperature(p, scene, tolerance),
-        *_efficiencies(p, scene),
-        _of_light("PRNU", 2 * p.imager.prnu, {"prnu": 0.0}, p, scene),
-        _of_light("DCNU", 2 * p.imager.dcnu, {"dcnu": 0.0}, p, scene, of_dark=True),
+        _of_light("system efficiency", abs(1 / imager.system_efficiency - 1), {"system_efficiency": 1.0}, p, scene),
+        _of_light("quantum efficiency", abs(1 / imager.quantum_efficiency - 1), {"quantum_efficiency": 1.0}, p, scene),
+        _of_light("PRNU", 2 * imager.prnu, {"prnu": 0.0}, p, scene),
+        _of_light("DCNU", 2 * imager.dcnu, {"dcnu": 0.0}, p, scene, of_dark=True),
         *_shot_noise(p, scene),
         _hot_pixels(p, scene),
         _dead_pixels(p),
@@ -325,15 +327,6 @@ def _temperature(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Dec
     share = (over(more_leak, scene) if more_leak else 0.0) + more_dark * _dim(p, scene)
     off = {"temperature": {"celsius": REFERENCE_CELSIUS}}
     return Decision("temperature", "change of leak and of dark current", drift_us, share, off)
-
-
-def _efficiencies(p: SensorParameters, scene: Probe) -> list[Decision | None]:
-    return [
-        _of_light("system efficiency", abs(1 / p.imager.system_efficiency - 1), {"system_efficiency": 1.0}, p, scene),
-        _of_light(
-            "quantum efficiency", abs(1 / p.imager.quantum_efficiency - 1), {"quantum_efficiency": 1.0}, p, scene
-        ),
-    ]
 
 
 def _of_light(

@@ -62,11 +62,9 @@ class StepSource(Protocol):
     @property
     def step_ns(self) -> int:
         """Length of the next step, ns."""
-        ...
 
     def observe(self, frame: LightFrame) -> None:
         """Observe a frame."""
-        ...
 
 
 class FixedSteps:
@@ -133,9 +131,7 @@ def sample(frame: LightFrame, dark: float, pixels: int = _SAMPLE_PIXELS) -> Samp
 def error_us(before: Sampled, middle: Sampled, after: Sampled) -> tuple[Floats, Floats]:
     """Estimate the timestamp error in the step from `middle` to `after`.
 
-    Returns
-    -------
-    Error (n,), us, of each pixel's events, and the pixels' weights (n,): |D|, which goes as their number of events.
+    It is (n,), us, of each pixel's events, beside the pixels' weights (n,): |D|, which goes as their number of events.
     """
     seen = _look(before, middle, after)
     with np.errstate(divide="ignore", invalid="ignore"):

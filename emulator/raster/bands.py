@@ -151,9 +151,7 @@ def alone(nearest: Ints, r: int, c: int) -> int:
 def nearest_facets(data: Data, lists: Lists, depth: Floats, nearest: Ints, held: Ints, out: Ints) -> None:
     """Write the facet that is the nearest at each pixel's middle, (height, width); -1 for none.
 
-    Parameters
-    ----------
-    depth, nearest, held : of `Scratch`.
+    `depth`, `nearest` and `held` are those of `Scratch`.
     """
     height, width = out.shape
     for number in range(-(-height // BAND)):

@@ -225,12 +225,7 @@ def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
 
 @lane
 def pixel_light(data: Data, column: int, row: int, listed: Ints, scratch: Scratch) -> tuple[float, float]:
-    """Return light and rate of a pixel.
-
-    Parameters
-    ----------
-    listed : (n,) facets that touch the pixel; sorted in place.
-    """
+    """Return light and rate of a pixel; the facets that touch it, `listed`, (n,), are sorted in place."""
     facets, over, keys = data.facets, data.over, scratch.keys
     n = len(listed)
     for i in range(n):

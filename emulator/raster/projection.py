@@ -111,11 +111,8 @@ def set_up(
 ) -> int:
     """Write facets (m, 16), kinds (m,), the bands of each (m, 2), and the touched rows and columns (4,).
 
-    Return the entries in all bands' lists.
-
-    Parameters
-    ----------
-    spans : first band and the one after the last; equal where the facet is skipped.
+    Return the entries in all bands' lists. `spans` are the first band and the one after the last; equal where the facet
+    is skipped.
     """
     height, width = shape
     touched[0], touched[1], touched[2], touched[3] = height, 0, width, 0
@@ -185,11 +182,9 @@ def set_up(
 
 @entry
 def bucket(spans: Ints, starts: Ints, listed: Ints) -> None:
-    """Write the facets of each band: those of band b are listed[starts[b]:starts[b + 1]], in ascending order.
+    """Write the facets of each band, by the `spans` of `set_up`.
 
-    Parameters
-    ----------
-    spans : of `set_up`.
+    Those of band b are listed[starts[b]:starts[b + 1]], in ascending order.
     """
     # Counts two places ahead become beginnings one place ahead, which move to the ends as facets are listed.
     starts[:] = 0

@@ -66,10 +66,8 @@ def _room_for(pairs: int) -> dict[str, Any]:
 class Renderer:
     """Draws surfaces of one topology on one screen; its methods are not for use by several threads at a time.
 
-    Parameters
-    ----------
-    topology : facets of all surfaces, see `prepare` and `join`.
-    threads : number of threads that draw bands of rows; the light frames are the same to the last bit.
+    `topology` has the facets of all surfaces, see `prepare` and `join`. `threads` draw bands of rows; the light frames
+    are the same to the last bit with any number of them.
     """
 
     def __init__(self, topology: Topology, screen: Screen, threads: int = 1) -> None:

@@ -300,10 +300,8 @@ class Facets:
     def on(self, faces: Ints, over: Ints) -> Topology:
         """Return the topology with patches at the end; it is valid until the next call.
 
-        Parameters
-        ----------
-        faces : (n, 3), corners of patches, numbered from 0; their vertices and radiances follow all others.
-        over : (n,), the facet on which each lies, a row of `shades`.
+        `faces`, (n, 3), are the corners of patches, numbered from 0; their vertices and radiances follow all others.
+        `over`, (n,), is the facet on which each lies, a row of `shades`.
         """
         t, m, end = self._surfaces, self._end, self._end + len(faces)
         self._make_room(end)

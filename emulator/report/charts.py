@@ -225,19 +225,15 @@ def quantile_chart(rows: Sequence[Quantiles], unit: str) -> str:
     high = 10.0 ** max(math.ceil(math.log10(max(positive)) + 0.05), round(math.log10(low)) + 1)
     axis = Axis(unit, low, high, log=True)
     bottom = _TOP + 62.0 * len(rows)
-    parts = _quantile_axis(axis, bottom)
-    for number, row in enumerate(rows):
-        parts += _quantile_row(row, axis, _TOP + 62.0 * number)
-    described = "; ".join(_described(row) for row in rows)
-    return _svg(bottom + _BELOW, f"{unit}, logarithmic axis. {described}", parts)
-
-
-def _quantile_axis(axis: Axis, bottom: float) -> list[str]:
     parts = []
     for value in axis.ticks:
         x = _quantile_x(axis, value)
         parts += [_line(x, _TOP, x, bottom, "grid"), _text(x, bottom + 20, _tick_text(value, axis), "middle")]
-    return [*parts, _text(_WIDTH / 2, bottom + 44, axis.label, "middle")]
+    parts.append(_text(_WIDTH / 2, bottom + 44, axis.label, "middle"))
+    for number, row in enumerate(rows):
+        parts += _quantile_row(row, axis, _TOP + 62.0 * number)
+    described = "; ".join(_described(row) for row in rows)
+    return _svg(bottom + _BELOW, f"{unit}, logarithmic axis. {described}", parts)
 
 
 def _quantile_x(axis: Axis, value: float) -> float:

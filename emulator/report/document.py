@@ -122,12 +122,9 @@ def signature(subject: Sequence[str]) -> Section:
 
 
 class Document:
-    """A document: a verdict in colour and words, then sections.
+    """A document: a heading and the line below it, a verdict in colour and words, then sections.
 
-    Parameters
-    ----------
-    title, subtitle : heading, and the line below it.
-    verdict, words : kind of the verdict, and its words; "": the document has none.
+    `verdict` is the kind of the verdict, and `words` are its words; "": the document has none.
     """
 
     def __init__(self, title: str, subtitle: str = "", verdict: str = "", words: str = "") -> None:

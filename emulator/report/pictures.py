@@ -48,7 +48,7 @@ def white_of(light: Light) -> float:
 
 
 def event_picture(light: Light, events: Events, *, white: float | None = None, dimming: float = 0.25) -> Rgb:
-    """Draw events over the light in which they arose.
+    """Draw events over the light in which they arose; raises ValueError for events outside the picture.
 
     Parameters
     ----------
@@ -56,17 +56,14 @@ def event_picture(light: Light, events: Events, *, white: float | None = None, d
     events : (n,) EVENT, sorted by time; where a pixel has several the last is seen.
     white : the light drawn as full white; `white_of` the picture unless given.
     dimming : level of white, as a share of the screen's range; 1 is best for light without events.
-
-    Raises
-    ------
-    ValueError
-        Events outside the picture.
     """
     height, width = light.shape
     if len(events) and (events["x"].max() >= width or events["y"].max() >= height):
         raise ValueError(f"there are events outside the {width} x {height} picture: it belongs to another sensor")
     top = white_of(light) if white is None else white
-    grey = _srgb(np.clip(light / top, 0.0, 1.0) if top > 0 else np.zeros_like(light))
+    linear = np.clip(light / top, 0.0, 1.0) if top > 0 else np.zeros_like(light)
+    # Encoded for a screen (IEC 61966-2-1).
+    grey = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - 0.055)
     picture = np.repeat(np.rint(255 * dimming * grey).astype(np.uint8)[:, :, None], 3, axis=2)
     picture[events["y"], events["x"]] = np.where(events["on"][:, None], ON_RGB, OFF_RGB)
     return picture
@@ -104,11 +101,6 @@ def save_png(path: Path, rgb: Rgb) -> None:
         Image.fromarray(rgb).save(path, "PNG")
     except OSError as error:
         raise SceneError(f"the picture {path} cannot be written: {error.strerror or error}") from error
-
-
-def _srgb(linear: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Encode linear light 0 to 1 for a screen (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - 0.055)
 
 
 _FASTEST = 1  # of zlib's levels: three times as fast as the default, files a tenth longer

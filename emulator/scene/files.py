@@ -38,10 +38,8 @@ def read_array(path: Path) -> npt.NDArray[Any]:
 def read_in_child(reader: str, path: Path, limits: Limits | None = None) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays that the function `reader`, "module:name", reads from `path`, a regular file or a folder.
 
-    Raises
-    ------
-    SceneError
-        With the file's name: the reader's error, or the end of its process. MachineLacks if its library is missing.
+    Raises SceneError with the file's name: the reader's error, or the end of its process; MachineLacks if its library
+    is missing.
     """
     try:
         return {name: np.asarray(values) for name, values in read_guarded(reader, path, limits=limits).items()}
@@ -90,10 +88,7 @@ def cached_array(
 ) -> npt.NDArray[T]:
     """Return the array that `make` computes, from the cache where it has this array.
 
-    Parameters
-    ----------
-    made_from : the inputs, which are compared by their repr.
-    kind : of what `make` gives.
+    `made_from` are the inputs, which are compared by their repr; `kind` is that of what `make` gives.
     """
     digest = hashlib.sha256(f"{_FORMAT} {name} {made_from!r}".encode()).hexdigest()[:24]
     path = cache_folder() / f"{name}-{digest}.npy"

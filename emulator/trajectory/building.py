@@ -55,14 +55,7 @@ from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.joints import Jointed, JointPath
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Orbit
-from emulator.trajectory.live import (
-    GivenPath,
-    LivePoses,
-    PoseReceiver,
-    ReceivedPath,
-    SimulatedPath,
-    close_receivers,
-)
+from emulator.trajectory.live import GivenPath, LivePoses, PoseReceiver, ReceivedPath, SimulatedPath, close_receivers
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt, looking_along
 from emulator.trajectory.parameters import (
     BasiliskPath,
@@ -176,7 +169,11 @@ class _Reader:
                 self._add(Pose(values[:3], values[3:]))
             case ["pause", *numbers]:
                 (seconds,) = _flight_numbers(numbers, 1)
-                self._pause(seconds)
+                if seconds < 0 or not self.flight.samples.poses:
+                    raise ValueError("a pause needs a pose before it, and time that does not go back")
+                if seconds:
+                    self.t_ns += round(seconds * 1e9) - self.period_ns
+                    self._add(self.flight.samples.poses[-1])
             case [command, *_] if command[0].isalpha():
                 self.flight.left_out[command] += 1
             case numbers:
@@ -187,13 +184,6 @@ class _Reader:
     def _place(self, angles: npt.NDArray[np.float64]) -> None:
         self.angles = angles
         self._add(Pose(angles[:3], _flight_attitude(*(math.radians(a) for a in angles[3:]))))
-
-    def _pause(self, seconds: float) -> None:
-        if seconds < 0 or not self.flight.samples.poses:
-            raise ValueError("a pause needs a pose before it, and time that does not go back")
-        if seconds:
-            self.t_ns += round(seconds * 1e9) - self.period_ns
-            self._add(self.flight.samples.poses[-1])
 
     def _add(self, pose: Pose) -> None:
         self.flight.samples.times_ns.append(self.t_ns)
@@ -397,18 +387,12 @@ def _spinning(p: SpinPath) -> Spinning:
 
 @runtime_checkable
 class HasCameraPath(Protocol):
-    """A scene whose camera moves on a path.
-
-    Attributes
-    ----------
-    camera_path : of the camera, on the scene's time.
-    path_time : stream time to scene time.
-    """
+    """A scene whose camera moves on a path."""
 
     @property
     def camera_path(self) -> Trajectory:
-        """See the class."""
+        """Path of the camera, on the scene's time."""
 
     @property
     def path_time(self) -> Timescale:
-        """See the class."""
+        """Stream time to scene time."""

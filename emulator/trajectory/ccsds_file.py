@@ -159,11 +159,7 @@ class PolynomialPath(Trajectory):
     """
 
     def __init__(
-        self,
-        times_ns: Sequence[int],
-        places_m: npt.ArrayLike,
-        degree: int,
-        velocities_m_s: npt.ArrayLike | None = None,
+        self, times_ns: Sequence[int], places_m: npt.ArrayLike, degree: int, velocities_m_s: npt.ArrayLike | None = None
     ) -> None:
         self._places_m = np.asarray(places_m, np.float64)
         self._velocities = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
@@ -210,9 +206,8 @@ class PolynomialPath(Trajectory):
         return measured_bounds(self.pose, instants_between(self._times_ns))
 
     def _through(self, first: int) -> KroghInterpolator:
-        from scipy.interpolate import (
-            KroghInterpolator,  # loaded where it is used: it takes longer than the rest of a short run's imports
-        )
+        # Loaded where it is used: it takes longer than the rest of a short run's imports.
+        from scipy.interpolate import KroghInterpolator
 
         used = slice(first, first + self._used)
         steps = (self._times_ns[used] - self._times_ns[first]) / self._step_ns(first)
@@ -353,9 +348,7 @@ def parse_aem(text: str) -> CcsdsPath:
 
 
 def _parse(
-    text: str,
-    read: Callable[[dict[str, str], list[str]], _Floats],
-    build: Callable[[_Samples], Trajectory],
+    text: str, read: Callable[[dict[str, str], list[str]], _Floats], build: Callable[[_Samples], Trajectory]
 ) -> CcsdsPath:
     segments = list(_segments(text, read))
     if not segments:
@@ -439,15 +432,11 @@ def _places(samples: _Samples) -> Trajectory:
         return Keyframes(samples.since_first_ns(), [Pose(p, STILL.q_world_from_body) for p in places], velocities)
     if kind == "HERMITE" and velocities is None:
         raise TrajectoryError("INTERPOLATION = HERMITE needs velocities in all lines")
-    degree = 1 if kind == "LINEAR" else _degree(samples.meta)
-    return PolynomialPath(samples.since_first_ns(), places, degree, velocities if kind == "HERMITE" else None)
-
-
-def _degree(meta: dict[str, str]) -> int:
-    text = meta.get("INTERPOLATION_DEGREE", "")
-    if not text.isdecimal():
-        raise TrajectoryError(f"INTERPOLATION = {meta['INTERPOLATION']} needs INTERPOLATION_DEGREE, a whole number")
-    return int(text)
+    degree = "1" if kind == "LINEAR" else samples.meta.get("INTERPOLATION_DEGREE", "")
+    if not degree.isdecimal():
+        interpolation = samples.meta["INTERPOLATION"]
+        raise TrajectoryError(f"INTERPOLATION = {interpolation} needs INTERPOLATION_DEGREE, a whole number")
+    return PolynomialPath(samples.since_first_ns(), places, int(degree), velocities if kind == "HERMITE" else None)
 
 
 def _world_from_body(meta: dict[str, str], cells: list[str]) -> _Floats:

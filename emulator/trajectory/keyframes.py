@@ -122,10 +122,8 @@ def _splines(seconds: _Floats, places: _Floats, velocities: _Floats | None, turn
 
     RotationSpline's own call takes 0.2 ms, as it checks and copies; its polynomials (`interpolator`) take 4 us.
     """
-    from scipy.interpolate import (  # loaded where it is used: it takes longer than the rest of a short run's imports
-        CubicHermiteSpline,
-        PPoly,
-    )
+    # Loaded where it is used: it takes longer than the rest of a short run's imports.
+    from scipy.interpolate import CubicHermiteSpline, PPoly
     from scipy.spatial.transform import Rotation, RotationSpline
 
     if len(seconds) == 1:

@@ -256,10 +256,8 @@ class Descent(Trajectory):
 
 def _depression(gates: Sequence[Gate]) -> PPoly:
     """Return the boresight's depression, rad, as a function of seconds; between gates it stays between theirs."""
-    from scipy.interpolate import (  # loaded where it is used: it takes longer than the rest of a short run's imports
-        PchipInterpolator,
-        PPoly,
-    )
+    # Loaded where it is used: it takes longer than the rest of a short run's imports.
+    from scipy.interpolate import PchipInterpolator, PPoly
 
     radians = [math.radians(gate.depression_deg) for gate in gates]
     if len(gates) == 1:

@@ -368,16 +368,13 @@ class SceneClock:
 class PoseReceiver:
     """A UDP port that receives the poses of numbered bodies; the owner closes it.
 
+    Raises OSError with the remedy where the port is not available.
+
     Parameters
     ----------
     host, port : address to listen on; port 0 takes any free one.
     allow : addresses whose datagrams are used; empty: all, for a port that only this machine reaches.
     clock : the wall clock that the kernel stamps datagrams with, ns.
-
-    Raises
-    ------
-    OSError
-        The port is not available; the message contains the remedy.
     """
 
     def __init__(

@@ -35,12 +35,9 @@ _ALONG = 1e-9
 
 
 class Looking(Trajectory):
-    """The path of `place`, with the boresight on `target_m`, (3,) in the world.
+    """The path of `place`, with the boresight on `target_m`, (3,) in the world, and `up`, (3,), up in the picture.
 
-    Parameters
-    ----------
-    up : (3,) direction in the world that is up in the picture.
-    times_ns : instants at which its turning is measured, see `measured`.
+    `times_ns` are the instants at which its turning is measured, see `measured_bounds`.
     """
 
     def __init__(self, place: Trajectory, target_m: npt.ArrayLike, up: npt.ArrayLike, times_ns: Sequence[int]) -> None:
@@ -130,10 +127,7 @@ class Spinning(Trajectory):
 class PlaceAndAttitude(Trajectory):
     """The places of one trajectory with the attitudes of another, each at its own times.
 
-    Parameters
-    ----------
-    places, attitudes : the two.
-    places_zero_ns, attitudes_zero_ns : the time on each that is time 0 here.
+    `places_zero_ns` and `attitudes_zero_ns` are the time on each that is time 0 here.
     """
 
     def __init__(

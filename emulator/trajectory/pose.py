@@ -260,9 +260,8 @@ def from_scalar_last(q: npt.ArrayLike) -> Quaternion:
 
 def from_basilisk(sigma_cn: npt.ArrayLike) -> Quaternion:
     """Return the attitude of Modified Rodrigues Parameters (3,), of the camera's frame from the inertial one."""
-    from scipy.spatial.transform import (
-        Rotation,  # loaded where it is used: it takes longer than the rest of a short run's imports
-    )
+    # Loaded where it is used: it takes longer than the rest of a short run's imports.
+    from scipy.spatial.transform import Rotation
 
     # An MRP set of `C from N` names the turn that takes N's axes into C's, which is world from camera.
     return _signed(Rotation.from_mrp(sigma_cn).as_quat(scalar_first=True))

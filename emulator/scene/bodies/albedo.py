@@ -38,7 +38,7 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lit_surface import cut_facets, split_sides
-from emulator.scene.bodies.mesh import Mesh
+from emulator.scene.bodies.mesh import Mesh, facet_vectors
 from emulator.scene.bodies.table import Clouds
 from emulator.scene.bodies.textures import CLAMP, MIRROR, REPEAT
 
@@ -55,8 +55,7 @@ def mean_albedo(mesh: Mesh) -> float:
     """Return the mean over the area; albedo is linear over facets."""
     if mesh.albedo is None:
         return 1.0
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
     return float((areas * mesh.albedo.mean(axis=1)).sum() / areas.sum())
 
 
@@ -173,8 +172,7 @@ def _uneven(mesh: Mesh, uv: Floats, texture: Texture) -> npt.NDArray[np.int64]:
     mean, deviation = texture.around((_PLACES @ uv).reshape(-1, 2), np.repeat(longest / 3, count))
     mean, within = mean.reshape(-1, count), (deviation**2).reshape(-1, count).mean(axis=1)
     left = np.sqrt(within + ((mean - mean @ _FLAT) ** 2).mean(axis=1))
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
     varies = left > _UNEVEN * np.maximum(mean.mean(axis=1), _DARKEST * texture.mean)
     order = np.argsort(-area * left, kind="stable")
     return np.asarray(order[(varies & (longest > _LEAST_PX))[order]])
@@ -184,17 +182,12 @@ def _divided(mesh: Mesh, uv: Floats, texture: Texture, chosen: npt.NDArray[np.in
     lengths = _sides_px(uv, texture)
     split = np.zeros(mesh.faces.shape, bool)
     split[chosen] = lengths[chosen] > 0.5 * lengths[chosen].max(axis=1, keepdims=True)
-    split = _on_both_sides(mesh, split)
+    start, end = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1).astype(np.int64)
+    number = np.minimum(start, end) * len(mesh.vertices) + np.maximum(start, end)
+    split = np.isin(number, number[split])  # each side that one of its facets divides
     middle = (uv + np.roll(uv, -1, axis=1)) / 2
     parts = [cut_facets(uv[..., k], middle[..., k], split) for k in range(2)]
     return split_sides(mesh, split), np.stack(parts, axis=2)
-
-
-def _on_both_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return the mask with each side that one of its facets divides."""
-    start, end = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1).astype(np.int64)
-    number = np.minimum(start, end) * len(mesh.vertices) + np.maximum(start, end)
-    return np.isin(number, number[split])
 
 
 def _at_corners(mesh: Mesh, uv: Floats, texture: Texture) -> Floats:

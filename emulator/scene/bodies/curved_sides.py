@@ -74,9 +74,8 @@ def _bends(mesh: Mesh, sides: Numbers) -> Floats:
 def with_middles(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
     """Return a smooth surface with points in the middle of sides that bend by more than `least_m`.
 
-    Returns
-    -------
-    The surface, whose last vertices are these points; its sides, in the same order; and the mesh with all of them cut.
+    The last vertices of the surface are these points. Its sides come in the same order, then the mesh with all of them
+    cut.
     """
     everywhere = np.ones(mesh.faces.shape, np.bool_)
     sides, number = middles_of(mesh, everywhere)

@@ -99,17 +99,6 @@ float sunlit(vec3 s) {
 """`float sunlit(vec3 in_shadow_map)`: the visible share of the Sun's disc at a point."""
 
 
-class ShadowCaster:
-    """A mesh that casts shadows, as coarse as the resolution of the map allows."""
-
-    def __init__(self, context: moderngl.Context, program: moderngl.Program, mesh: Mesh) -> None:
-        self.array = context.vertex_array(
-            program,
-            [(context.buffer(mesh.vertices.astype(np.float32)), "3f", "position")],
-            index_buffer=context.buffer(mesh.faces),
-        )
-
-
 class ShadowMap:
     """The shadow map of one scene.
 
@@ -120,44 +109,42 @@ class ShadowMap:
 
     Attributes
     ----------
+    range_m : depth of the map.
     lift_m : distance by which points are lifted along their normals before the map is read.
     coarse_m : size of cells in which the meshes of shadow casters are simplified.
     """
 
     def __init__(self, context: moderngl.Context, radius_m: float, pixel_m: float) -> None:
-        self._context, self._range_m = context, 2 * radius_m
-        fine = 2 ** math.ceil(math.log2(max(1.0, self._range_m / pixel_m)))
+        self._context, self.range_m = context, 2 * radius_m
+        fine = 2 ** math.ceil(math.log2(max(1.0, self.range_m / pixel_m)))
         texels = min(max(fine, _LEAST_TEXELS), _MOST_TEXELS)
         self._depths = context.depth_texture((texels, texels))
         self._depths.compare_func = ""
         self._depths.repeat_x = self._depths.repeat_y = False
         self._target = context.framebuffer(depth_attachment=self._depths)
         self._program = context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
-        self._program["range_m"] = self._range_m
-        self.texel_m = self._range_m / texels
+        self._program["range_m"] = self.range_m
+        self.texel_m = self.range_m / texels
         self.lift_m = _LIFT_TEXELS * self.texel_m
         self.coarse_m = _COARSE_TEXELS * self.texel_m
 
-    @property
-    def range_m(self) -> float:
-        """Depth of the map."""
-        return self._range_m
-
-    def caster(self, mesh: Mesh) -> ShadowCaster:
-        """Take a mesh into the context's memory."""
-        return ShadowCaster(self._context, self._program, mesh)
+    def caster(self, mesh: Mesh) -> moderngl.VertexArray:
+        """Take a mesh that casts shadows, as coarse as the resolution of the map allows, into the context's memory."""
+        gl = self._context
+        positions = [(gl.buffer(mesh.vertices.astype(np.float32)), "3f", "position")]
+        return gl.vertex_array(self._program, positions, index_buffer=gl.buffer(mesh.faces))
 
     def from_world(self, sun: Vector, centre_m: Vector) -> Matrix:
         """Return shadow_from_world, (4, 4), for a Sun in the direction (3,) and the sphere's centre (3,)."""
         z = -unit(sun)
         x = unit(np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))]))
-        axes = np.vstack([x / self._range_m, np.cross(z, x) / self._range_m, z])
+        axes = np.vstack([x / self.range_m, np.cross(z, x) / self.range_m, z])
         matrix = np.eye(4)
         matrix[:3, :3] = axes
-        matrix[:3, 3] = np.array([0.5, 0.5, self._range_m / 2]) - axes @ centre_m
+        matrix[:3, 3] = np.array([0.5, 0.5, self.range_m / 2]) - axes @ centre_m
         return matrix
 
-    def render(self, casters: Iterable[tuple[ShadowCaster, npt.NDArray[np.float64]]]) -> None:
+    def render(self, casters: Iterable[tuple[moderngl.VertexArray, npt.NDArray[np.float64]]]) -> None:
         """Draw the whole map: each caster with its shadow_from_body, (4, 4)."""
         gl = self._context
         self._target.use()
@@ -166,7 +153,7 @@ class ShadowMap:
         gl.front_face, gl.cull_face = "cw", "front"
         for caster, shadow_from_body in casters:
             self._program["shadow_from_body"] = tuple(shadow_from_body.T.ravel())
-            caster.array.render()
+            caster.render()
 
     def use(self) -> None:
         """Put the map where shaders look for it."""
@@ -255,10 +242,7 @@ class Frame:
 class Facets:
     """One mesh in a context's memory, with its law of reflection.
 
-    Parameters
-    ----------
-    shadows : the shadow map; None for no shadows.
-    at_vertices : read the map at the vertices only.
+    `shadows` is the shadow map, None for no shadows; with `at_vertices` it is read at the vertices only.
     """
 
     def __init__(
@@ -365,16 +349,13 @@ class _Part:
     mesh: Mesh
     corners: Matrix
     facets: Facets | None = None
-    caster: ShadowCaster | None = None
+    caster: moderngl.VertexArray | None = None
 
 
 class GlBodies(GlScene[BodyWorld]):
     """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by GL.
 
-    Raises
-    ------
-    SceneError
-        A shape or a path cannot be used, the camera begins inside a body, or there is no GL.
+    Raises SceneError where a shape or a path cannot be used, the camera begins inside a body, or there is no GL.
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.bodies.textures import MOST_PIXELS, REPEAT, WRAPS, base_colour, decoded, mean_of, transformed
+from emulator.scene.bodies.textures import MOST_PIXELS, REPEAT, WRAPS, base_colour, decoded, transformed
 
 _MOST_BYTES = 1 << 28
 _MOST = {"nodes": 10_000, "parts": 256, "facets": 4_000_000, "corners": 12_000_000, "animated properties": 1024}
@@ -313,7 +313,7 @@ class _File(ModelContents):
         self._notes["textures of metallic and roughness count by their mean"] = None
         if (texture[0], channel) not in self._means:
             pixels = self._pixels(texture[0])
-            self._means |= {(texture[0], k): mean_of(pixels, k) for k in (1, 2)}
+            self._means |= {(texture[0], k): float(pixels[:, :, k].mean()) / 255 for k in (1, 2)}
         return self._means[texture[0], channel]
 
     def _texture(self, material: _Object, attributes: _Object, count: int, where: str) -> _Object | None:

@@ -104,10 +104,7 @@ def choose(
 def dim_at_plane(count: int, radius: float, cosines: Floats, shares: Floats) -> None:
     """Write the Sun's share above tangent planes, and raise the cosines of incidence to its mean; see `cast_shadow`.
 
-    Parameters
-    ----------
-    radius : of the Sun, rad.
-    cosines, shares : (2, count), now and an instant later.
+    `radius` is that of the Sun, rad; `cosines` and `shares` are (2, count), now and an instant later.
     """
     for i in range(count):
         for m in range(2):
@@ -173,12 +170,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Poses at an instant, and shortly before and after for rates.
-
-    Attributes
-    ----------
-    between_s : stream time from `before` to `after`, s.
-    """
+    """Poses at an instant, and shortly before and after for rates; `between_s` is the stream time between these, s."""
 
     now: Poses
     before: Poses
@@ -332,7 +324,7 @@ class Lighting:
         sharp: Collection[int],
         sides: Mapping[int, Sides],
     ) -> list[_Lit]:
-        where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in zip(*_both(group), strict=True)}
+        where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in group.placed}
         lit = []
         point = facet = 0
         for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True)):
@@ -353,7 +345,7 @@ class Lighting:
         """Yield each group that has shadow polygons, with their `SharpShadows`."""
         firsts = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
         for g, (group, tree) in enumerate(zip(self._groups, self._trees, strict=True)):
-            members = [(k, pose) for k, pose in zip(*_both(group), strict=True) if self._bodies[k].sharp]
+            members = [(k, pose) for k, pose in group.placed if self._bodies[k].sharp]
             if tree is not None and members:
                 parts = [receivers_of(surfaces[k], pose, firsts[k]) for k, pose in members]
                 yield g, SharpShadows(group.members[0], tree, parts, _NEAR * tree.radius_m, self._pool)
@@ -436,15 +428,11 @@ class Lighting:
             dim(tree, body.points, chosen, count, moved, tangent, near_m, shares)
 
 
-def _both(group: RigidGroup) -> tuple[tuple[int, ...], tuple[Pose, ...]]:
-    return group.members, group.poses
-
-
 def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequence[Mesh]) -> TriangleTree | None:
     """Return the triangles that cast the shadows of a group, in its frame."""
     parts = [
         shadow_triangles(meshes[k]) @ pose.world_from_body.T + pose.position_m
-        for k, pose in zip(*_both(group), strict=True)
+        for k, pose in group.placed
         if parameters.shadows and parameters.bodies[k].throws_shadow
     ]
     return build_tree(np.concatenate(parts)) if parts else None

@@ -120,10 +120,7 @@ def find_shape(name: str) -> Path:
 def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
     """Read a shape model whose unit of length is `units_m` metres (1000: kilometres, as in most published models).
 
-    Raises
-    ------
-    SceneError
-        With the file's name, the fault and, where it is known, the line.
+    Raises SceneError with the file's name, the fault and, where it is known, the line.
     """
     if not (np.isfinite(units_m) and units_m > 0):
         raise SceneError(f"units of {units_m} m for {path.name}: a unit of length is a positive number of metres")

@@ -175,7 +175,7 @@ def _albedo(number: int, words: list[str]) -> float:
     except ValueError:
         value = math.nan
     if not 0 <= value <= _BRIGHTEST:
-        _refuse_wavefront(number, words, f"'usemtl albedo_A' with a number of 0 to {_BRIGHTEST:g}")
+        _refuse(number, words, f"'usemtl albedo_A' with a number of 0 to {_BRIGHTEST:g}")
     return value
 
 
@@ -183,25 +183,21 @@ def _point(number: int, words: list[str]) -> list[float]:
     try:
         x, y, z = (float(word) for word in words[1:4])
     except ValueError:
-        _refuse_wavefront(number, words, "'v x y z' with three numbers")
+        _refuse(number, words, "'v x y z' with three numbers")
     return [x, y, z]
 
 
 def _corners(number: int, words: list[str], count: int) -> list[int]:
     """Return the vertices of a facet, from 0; vertices may be defined later in the file."""
     if not 4 <= len(words) <= 1 + _MOST_CORNERS:
-        _refuse_wavefront(number, words, f"'f a b c' with three to {_MOST_CORNERS} corners")
+        _refuse(number, words, f"'f a b c' with three to {_MOST_CORNERS} corners")
     try:
         named = [int(word.partition("/")[0][:18]) for word in words[1:]]
     except ValueError:
-        _refuse_wavefront(number, words, "'f a b c' with whole numbers, each perhaps with /texture/normal")
+        _refuse(number, words, "'f a b c' with whole numbers, each perhaps with /texture/normal")
     return [n - 1 if n > 0 else count + n if n < 0 else -1 for n in named]
 
 
 def _triangles(corners: list[int]) -> list[int]:
     first = corners[0]
     return [n for pair in itertools.pairwise(corners[1:]) for n in (first, *pair)]
-
-
-def _refuse_wavefront(number: int, words: list[str], expected: str) -> NoReturn:
-    raise PlateTableError(f"line {number}: {' '.join(words)[:60]!r} is not {expected}")

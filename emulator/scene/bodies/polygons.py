@@ -92,9 +92,7 @@ class Wide(NamedTuple):
 def cut(polygon: Floats, n: int, cutter: Cutter, out: Floats) -> int:
     """Write the part of a polygon that a cutter keeps; return its corners.
 
-    Parameters
-    ----------
-    polygon, out : (ROOM, 6), place and velocity.
+    `polygon` and `out` are (ROOM, 6), place and velocity.
     """
     ax, ay, az, d, bx, by, bz, e = cutter
     count = 0
@@ -134,9 +132,7 @@ def copy_corners(polygon: Floats, n: int, out: Floats) -> None:
 def side_of(plane: Floats, side: Segment, rates: Segment) -> Cutter:
     """Return the cutter through a side that keeps the part to its left, seen from outside.
 
-    Parameters
-    ----------
-    plane : unit normal of the polygon's plane.
+    `plane` is the unit normal of the polygon's plane.
     """
     nx, ny, nz = plane[0], plane[1], plane[2]
     x, y, z, ex, ey, ez = side

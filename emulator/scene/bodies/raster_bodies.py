@@ -145,15 +145,11 @@ _LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a 
 _NO_FACETS = np.zeros((0, 3), np.int32)
 _THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thread could start
 
-_Floats = npt.NDArray[np.float64]
-
 
 def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 0) -> RasterBodies:
     """Return the bodies of `parameters` before `pinhole`; raises SceneError.
 
-    Parameters
-    ----------
-    threads : number of threads that draw; 0: those of the machine for a large light frame, else one.
+    `threads` is the number of threads that draw; 0: those of the machine for a large light frame, else one.
     """
     large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
     return RasterBodies(parameters, pinhole, threads=threads or (available_threads() if large else 1))
@@ -162,10 +158,10 @@ def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 
 class RasterBodies(WorldScene[BodyWorld]):
     """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by the CPU; raises SceneError.
 
-    Parameters
-    ----------
-    threads : number of threads that draw; the light frames are the same to the last bit.
+    With any number of `threads` the light frames are the same to the last bit.
     """
+
+    has_rate = True
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
         super().__init__(BodyWorld(parameters, pinhole))
@@ -205,11 +201,6 @@ class RasterBodies(WorldScene[BodyWorld]):
         self.light_and_rate(t_ns, light, self._spare)
         if light is not out:
             out[...] = light
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the renderer gives the exact derivative."""
-        return True
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
@@ -290,14 +281,14 @@ class RasterBodies(WorldScene[BodyWorld]):
         )
 
 
-def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, _Floats, _Floats]]:
+def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, Floats, Floats]]:
     """Return for each body the first body of its rigid group, and in the frame of that one its vertices.
 
     Apart are those in the middle of sides, which are drawn where the side is cut.
     """
     placed = {}
     for group in rigid_groups(parameters.bodies):
-        for k, pose in zip(group.members, group.poses, strict=True):
+        for k, pose in group.placed:
             vertices = surfaces[k].vertices
             if k != group.members[0]:
                 vertices = vertices @ pose.world_from_body.T + pose.position_m
@@ -306,13 +297,11 @@ def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> lis
     return [placed[k] for k in range(len(surfaces))]
 
 
-def _in_camera_axes(parts: Sequence[tuple[int, _Floats, float]], motion: Motion) -> tuple[_Floats, _Floats]:
+def _in_camera_axes(parts: Sequence[tuple[int, Floats, float]], motion: Motion) -> tuple[Floats, Floats]:
     """Return points in camera axes and their velocities, (n, 3) m and m a second of stream time.
 
-    Parameters
-    ----------
-    parts : a body's number, points in its frame as `move` takes them, and the distance from the camera at which they
-        are drawn, as a share of their own.
+    `parts` are a body's number, points in its frame as `move` takes them, and the distance from the camera at which
+    they are drawn, as a share of their own.
     """
     out = np.empty((2, sum(len(points) for _, points, _ in parts), 3))
     instants = motion.now, motion.before, motion.after

@@ -290,10 +290,7 @@ def list_crossed(
 ) -> int:
     """List facets before the camera of which one or two corners are hidden; return how many.
 
-    Parameters
-    ----------
-    is_hidden : (n,), of each vertex: 1, 0, or -1 where that is not known.
-    crossed : (facets,), numbers of rows.
+    `is_hidden`, (n,), is 1 or 0 for each vertex, -1 where that is not known; `crossed`, (facets,), takes their rows.
     """
     count = 0
     for rows in (facets.uncut, facets.parts):

@@ -357,10 +357,7 @@ def cast_polygons(
 
     Return the first free row and triangle, and the most shadows on one facet, including those beyond the room.
 
-    Parameters
-    ----------
-    near_m : triangles count that reach as high above a facet's plane.
-    first : the first row and triangle to write.
+    Triangles count that reach `near_m` above a facet's plane; `first` is the first row and triangle to write.
     """
     suns, listed = memory
     corners, sun, eye = receivers.corners, around.sun, around.eye
@@ -444,8 +441,8 @@ def with_narrow_penumbras(parameters: BodiesParameters, meshes: Sequence[Mesh], 
     """Return the flat-shaded bodies in whose group a penumbra is at most so wide, half the group behind its edge."""
     bodies: set[int] = set()
     for group in rigid_groups(parameters.bodies):
-        members = zip(group.members, group.poses, strict=True)
-        points = np.concatenate([meshes[k].vertices @ pose.world_from_body.T + pose.position_m for k, pose in members])
+        placed = group.placed
+        points = np.concatenate([meshes[k].vertices @ pose.world_from_body.T + pose.position_m for k, pose in placed])
         half_m = float(np.linalg.norm(np.ptp(points, axis=0))) / 2
         if 2 * math.tan(parameters.sun.radius_rad) * half_m <= widest_m:
             bodies.update(k for k in group.members if not parameters.bodies[k].smooth)
@@ -455,9 +452,7 @@ def with_narrow_penumbras(parameters: BodiesParameters, meshes: Sequence[Mesh], 
 def receivers_of(surface: Surface, pose: Pose, first_facet: int = 0) -> Receivers:
     """Return the facets of a flat-shaded surface that have an area, in the frame in which the surface has the pose.
 
-    Parameters
-    ----------
-    first_facet : its number among those of all bodies.
+    `first_facet` is the number of the surface's first facet among those of all bodies.
     """
     corners = (surface.vertices @ pose.world_from_body.T + pose.position_m)[surface.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -33,10 +33,7 @@ _RINGS = 8  # times that normals, and then their spread, are averaged with the v
 def smooth_ground(mesh: Mesh, coarse: Mesh, places: Floats, share: float) -> Floats:
     """Return 1 on smooth ground, 0 on rough ground, a short ramp between, for places (n, 3) m on the surface.
 
-    Parameters
-    ----------
-    coarse : the body with at most some thousand facets, for its gravity.
-    share : of the surface that is smooth.
+    `coarse` is the body with at most some thousand facets, for its gravity; `share` of the surface is smooth.
     """
     if share <= 0:
         return np.zeros(len(places))

@@ -55,28 +55,19 @@ def decoded(data: bytes, where: str, most_pixels: int) -> npt.NDArray[np.uint8]:
 
 def base_colour(pixels: npt.NDArray[np.uint8], weights: Sequence[float]) -> _Image:
     """Return the luminance of sRGB pixels, (height, width) powers of two, with linear `weights` of red, green, blue."""
+    from PIL import Image
+
     s = np.arange(256) / 255
     linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
     tables = [(weight * linear).astype(np.float32) for weight in weights]
-    out = np.empty(pixels.shape[:2], np.float32)
+    out: _Image = np.empty(pixels.shape[:2], np.float32)
     for start in range(0, len(out), _LINES):
         part = pixels[start : start + _LINES]
         out[start : start + _LINES] = sum(table[part[:, :, k]] for k, table in enumerate(tables))
-    return _resized(out)
-
-
-def _resized(image: _Image) -> _Image:
-    from PIL import Image
-
-    height, width = (min(1 << max(side - 1, 0).bit_length(), _MOST_SIDE) for side in image.shape)
-    if (height, width) == image.shape:
-        return image
-    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR))
-
-
-def mean_of(pixels: npt.NDArray[np.uint8], channel: int) -> float:
-    """Return the mean of a linear channel, 0 to 1."""
-    return float(pixels[:, :, channel].mean()) / 255
+    height, width = (min(1 << max(side - 1, 0).bit_length(), _MOST_SIDE) for side in out.shape)
+    if (height, width) == out.shape:
+        return out
+    return np.asarray(Image.fromarray(out).resize((width, height), Image.Resampling.BILINEAR))
 
 
 def transformed(uv: _Floats, offset: Sequence[float], scale: Sequence[float], angle_rad: float) -> _Floats:

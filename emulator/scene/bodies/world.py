@@ -43,12 +43,7 @@ class PlacedBody:
 
 
 class Arrangement:
-    """A camera and the bodies before it.
-
-    Attributes
-    ----------
-    ranges_m : (bodies,), each body's closest range to the camera, from origin to origin.
-    """
+    """A camera and the bodies before it; `ranges_m`, (bodies,): the closest range of each, from origin to origin."""
 
     def __init__(self, camera: Trajectory, bodies: Sequence[PlacedBody], time: Timescale) -> None:
         self._camera, self._bodies = camera, bodies
@@ -148,6 +143,9 @@ def _norms(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 class BodyWorld:
     """The bodies of `parameters` before `pinhole`, as every renderer needs them.
 
+    Raises SceneError where a shape or a path cannot be used, the camera begins inside a body, or nothing is large
+    enough to be seen.
+
     Attributes
     ----------
     parameters : with a body for each node of a model file.
@@ -157,11 +155,6 @@ class BodyWorld:
     placed : the path of each body.
     arrangement : poses and ranges.
     ranges_m : (bodies,), the closest range of each body's origin.
-
-    Raises
-    ------
-    SceneError
-        A shape or a path cannot be used, the camera begins inside a body, or nothing is large enough to be seen.
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
@@ -209,20 +202,14 @@ class BodyWorld:
     def as_seen(self, k: int) -> Mesh:
         """Return the shape of body k with as much detail as is visible at its closest range."""
         if k not in self._as_seen:
-            self._as_seen[k] = self._gathered(k)
+            mesh, cell_m = self.meshes[k], self.parameters.detail_px * self.metres_a_pixel(k)
+            seen = mesh if facet_size_m(mesh) > cell_m else coarser(mesh, cell_m)
+            if seen is not mesh:
+                facets = f"{len(seen.faces)} of {len(mesh.faces)} facets"
+                name = self.parameters.bodies[k].shape
+                self._notes.append(f"{name}: {facets}: the others are too small to be seen")
+            self._as_seen[k] = seen
         return self._as_seen[k]
-
-    def _gathered(self, k: int) -> Mesh:
-        mesh, name = self.meshes[k], str(self.parameters.bodies[k].shape)
-        cell_m = self.parameters.detail_px * self.metres_a_pixel(k)
-        if facet_size_m(mesh) > cell_m:
-            return mesh
-        seen = coarser(mesh, cell_m)
-        if seen is not mesh:
-            self._notes.append(
-                f"{name}: {len(seen.faces)} of {len(mesh.faces)} facets: the others are too small to be seen"
-            )
-        return seen
 
     def metres_a_pixel(self, k: int) -> float:
         """Return the width of a pixel on body k at its closest range, m."""
@@ -259,16 +246,15 @@ class BodyWorld:
 
 @dataclass(frozen=True, eq=False)
 class RigidGroup:
-    """Bodies, by number, and the pose of each in the frame of the first.
-
-    Attributes
-    ----------
-    members : numbers of the bodies, ascending.
-    poses : of each member, in the frame of the first.
-    """
+    """Bodies, by ascending number, and the pose of each in the frame of the first."""
 
     members: tuple[int, ...]
     poses: tuple[Pose, ...]
+
+    @property
+    def placed(self) -> tuple[tuple[int, Pose], ...]:
+        """Each body's number with its pose."""
+        return tuple(zip(self.members, self.poses, strict=True))
 
 
 def rigid_groups(bodies: Sequence[BodyTable]) -> list[RigidGroup]:

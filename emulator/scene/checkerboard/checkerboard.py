@@ -126,11 +126,9 @@ class Checkerboard(Scene):
     def _draw(self, t_ns: int, out: Light) -> None:
         board = self._board(t_ns)
         if self._sin == 0.0:
-            along_x, along_y = (
-                _box_wave(self._size[0], board.cos, board.u),
-                _box_wave(self._size[1], board.cos, board.v),
-            )
-            _outer(along_x, along_y * self._half, self._middle, out)
+            (width, height), half = self._size, self._half
+            wave_x, wave_y = _box_wave(width, board.cos, board.u), _box_wave(height, board.cos, board.v)
+            _outer(wave_x, wave_y * half, self._middle, out)
         else:
             _turned(board, out)
 

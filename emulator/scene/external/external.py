@@ -73,14 +73,9 @@ def _light_table(hello: Hello) -> npt.NDArray[np.float32] | None:
 
 
 class ImageQueue:
-    """The images of a connection in the order of their times.
+    """The images of a connection, which has `p.slots` slots, in the order of their times; `path` is the camera's.
 
     Those since the last light frame stay, at most `_KEPT`, for single pixels at times in between.
-
-    Parameters
-    ----------
-    connection : to the renderer, with `p.slots` slots.
-    path : of the camera, or None.
 
     Attributes
     ----------
@@ -221,10 +216,7 @@ class ImageQueue:
 class External(Scene):
     """The images of a renderer through `pinhole`, in units of radiance; made by `open_external`.
 
-    Parameters
-    ----------
-    white_w_m2_sr : radiance of the value 1.
-    threads : number of threads that draw; 0: by the machine.
+    `white_w_m2_sr` is the radiance of the value 1, `threads` the number of threads that draw, 0: by the machine.
     """
 
     has_rate = True

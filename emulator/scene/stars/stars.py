@@ -48,12 +48,7 @@ class Sky:
 
 
 class StarsGeometry(SceneGeometry):
-    """The geometry of a sky; label k is the k-th moving point.
-
-    Parameters
-    ----------
-    sigma_px : standard deviation of the blur.
-    """
+    """The geometry of a sky with a blur of standard deviation `sigma_px`; label k is the k-th moving point."""
 
     gives: frozenset[Given] = frozenset({"poses", "depth", "flow", "labels"})
 
@@ -106,10 +101,7 @@ Floats = npt.NDArray[np.float64]
 class StarField(Scene):
     """The sky of `parameters` through `lens` on `chip`, in light relative to the sensor's reference.
 
-    Raises
-    ------
-    SceneError
-        A path cannot be used.
+    Raises SceneError where a path cannot be used.
     """
 
     has_rate = True
@@ -246,13 +238,7 @@ class StarField(Scene):
 
 
 def stars_of(parameters: StarsParameters) -> Stars:
-    """Return the stars of a sky, brightest first.
-
-    Raises
-    ------
-    MachineLacks
-        The package of the catalogue is not installed.
-    """
+    """Return the stars of a sky, brightest first; raises MachineLacks without the package of the catalogue."""
     if parameters.drawn is not None:
         return draw_field(parameters.drawn)
     if parameters.catalogue == "gaia":

@@ -102,9 +102,7 @@ def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any
 def add_box_and_rate(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any) -> Any:
     """Do as `add_box`, and add the rate of what it adds to MOMENTS `sums` from `at` + RATES on.
 
-    Parameters
-    ----------
-    box : as in `add_box`, and behind it the posts of the level that the box moves a second, x and y.
+    `box` is as in `add_box`, and behind it the posts of the level that the box moves a second, x and y.
     """
 
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:

@@ -24,7 +24,6 @@ where u is the height of the eye's direction over level ground: light from all a
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -38,7 +37,7 @@ from emulator.gl.render_target import RenderTarget, depth_terms
 from emulator.photometry.reflectance import Reflectance
 from emulator.scene.terrain.ground import Ground
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
-from emulator.scene.terrain.raster_terrain import RasterTerrain, TerrainGeometry
+from emulator.scene.terrain.raster_terrain import RasterTerrain, TerrainGeometry, facet_px
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.scene.world import GlScene
@@ -131,10 +130,7 @@ class GroundView:
 class GroundMesh:
     """A ground in a context's memory.
 
-    Parameters
-    ----------
-    cells : of `shading`.
-    reach, crowd : see `Quadtree`.
+    `cells` are of `shading`; for `reach` and `crowd` see `Quadtree`.
     """
 
     def __init__(
@@ -210,10 +206,7 @@ def shading(ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np
 
     Where a finer grid lies in a coarser one, the coarser one's cells are the means of the finer one's.
 
-    Parameters
-    ----------
-    sunlit : (grids, rows, columns), visible share of the Sun's disc at each post.
-    sun : (3,) unit, towards it.
+    `sunlit`, (grids, rows, columns), is the visible share of the Sun's disc at each post; `sun`, (3,), is towards it.
     """
     grids = [_cells(z, ground.post_m(k), sunlit[k], sun) for k, z in enumerate(ground.heights_m)]
     for finer, coarser in itertools.pairwise(grids):
@@ -242,17 +235,14 @@ _NEAR_SHARE = 0.25  # of the camera's height: nothing is nearer, along the bores
 class GlTerrain(GlScene[TerrainWorld]):
     """The ground of `parameters` as `pinhole` sees it, in radiance.
 
-    Raises
-    ------
-    SceneError
-        The map or the path cannot be used, the camera is below the ground, or there is no GL.
+    Raises SceneError where the map or the path cannot be used, the camera is below the ground, or there is no GL.
     """
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole) -> None:
         world = TerrainWorld(parameters, pinhole)
         super().__init__(world, RenderTarget(pinhole.size, parameters.samples))
         self._own_facets: RasterTerrain | None = None
-        reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
+        reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX), LEAST_REACH)
         self._tree = Quadtree(world.ground, reach)
         sunlit = world.sunlit()
         with self._render_target.context as gl:
@@ -278,10 +268,7 @@ class GlTerrain(GlScene[TerrainWorld]):
         pose = world.camera.pose(scene_ns)
         view = self._view(pose, world.height_m(scene_ns, pose))
         blocks = self._tree.blocks(pose.position_m, world.planes(pose))
-        return partial(self._render_target.begin, partial(self._render, view, blocks))
-
-    def _render(self, view: GroundView, blocks: list[npt.NDArray[np.int32]], _: moderngl.Context) -> None:
-        self._mesh.render(view, self._world.sun, blocks)
+        return partial(self._render_target.begin, lambda _: self._mesh.render(view, world.sun, blocks))
 
     def _view(self, pose: Pose, height_m: float) -> GroundView:
         world = self._world
@@ -296,9 +283,3 @@ class GlTerrain(GlScene[TerrainWorld]):
             world.irradiance_w_m2,
             world.parameters.ambient_w_m2,
         )
-
-
-def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
-    """Return the side of a facet; two facets are a quad."""
-    affordable = math.sqrt(2 * pinhole.width * pinhole.height / p.most_facets)
-    return max(p.detail_px, affordable) if p.detail_px else _FINEST_PX

@@ -163,12 +163,9 @@ class Pyramid:
 
 
 def build_pyramid(ground: Ground, sun_radii: Heights, sun: npt.NDArray[np.float64], levels: int) -> Pyramid:
-    """Return `levels` levels of `ground`.
+    """Return `levels` levels of `ground`, in the light of `sun`, (3,) unit, towards it.
 
-    Parameters
-    ----------
-    sun_radii : (grids, rows, columns), height of the Sun's middle over the horizon of each post, in its radii.
-    sun : (3,) unit, towards it.
+    `sun_radii`, (grids, rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
     """
     table = _table(ground, levels)
     posts = int(table[-1, 0] + table[-1, 1] * table[-1, 2])

@@ -48,12 +48,9 @@ class _Map:
 
 
 def load_heightmap(p: Heightmap, body_radius_m: float) -> Ground:
-    """Read a map.
+    """Read a map; raises SceneError where it cannot be read, has too many holes, or its units make no ground.
 
-    Raises
-    ------
-    SceneError
-        It cannot be read, has too many holes, or its units make no ground; MachineLacks where pillow is missing.
+    Raises MachineLacks where pillow is missing.
     """
     read = _read(Path(p.path))
     try:
@@ -118,7 +115,11 @@ def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
     heights = _numbers(arrays["heights"])
     if "nodata" in arrays:
         _mark_nodata(heights, str(arrays["nodata"]))
-    _require_range(heights)
+    highest = float(np.abs(heights[np.isfinite(heights)]).max(initial=0.0))
+    if highest > _HIGHEST:
+        raise SceneError(
+            f"has heights of up to {highest:g}: the value for no data must be NaN, or be named by GDAL_NODATA"
+        )
     scale = arrays.get("scale", np.zeros(0))
     if not scale.size:
         return _Map(heights)
@@ -135,14 +136,6 @@ def _numbers(array: npt.NDArray[np.generic]) -> Floats:
         raise SceneError(f"holds {array.dtype} of shape {array.shape}: heights are numbers in rows and columns")
     with np.errstate(invalid="ignore"):  # signalling NaN become holes like the others
         return np.asarray(array, np.float64)
-
-
-def _require_range(heights: Floats) -> None:
-    highest = float(np.abs(heights[np.isfinite(heights)]).max(initial=0.0))
-    if highest > _HIGHEST:
-        raise SceneError(
-            f"has heights of up to {highest:g}: the value for no data must be NaN, or be named by GDAL_NODATA"
-        )
 
 
 def _mark_nodata(heights: Floats, text: str) -> None:

@@ -43,12 +43,7 @@ _BLENDED = _f(_BLEND / (1.0 - _BLEND))
 
 @vector_kernel
 def footprints(row: int, first: int, projection: Projection, turn: Floats, unit_m: float, s: Floats32) -> None:
-    """Write the boxes of a row of pixels, unit vectors to the eye, and whether they are doubtful.
-
-    Parameters
-    ----------
-    first : column.
-    """
+    """Write the boxes of a row of pixels from column `first` on, unit vectors to the eye, and which are doubtful."""
     _eyes(row, first, projection, turn, s)
     _sides(s)
     _boxes(_f(2.0 / (unit_m * (MOST_POSTS - 2))), s)

@@ -123,9 +123,7 @@ def keep_row(s: Floats32) -> None:
 def corner_hits(row: int, first: int, sight: Sight, posts: Posts, s: Floats32, places: Ints32) -> None:
     """Write the hits of a row of corners, relative to the camera, and the planes of the pixels right of them and below.
 
-    Parameters
-    ----------
-    first : column.
+    `first` is the first column.
     """
     _planes(row, first, sight, s)
     _on_facets(row, first, sight.projection, sight.turn, posts.grids.unit_m, s)
@@ -188,10 +186,7 @@ def write_levels(
 ) -> None:
     """Write the level of each place: the finest one there whose 2^level is not below the size.
 
-    Parameters
-    ----------
-    top : coarsest level.
-    place : of the camera.
+    `top` is the coarsest level, `place` the camera's place.
     """
     levels, unit = posts.levels, posts.grids.unit_m
     level, lowest = 0, 0  # a place's level is nearly always that of its neighbour

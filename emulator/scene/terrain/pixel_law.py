@@ -153,9 +153,7 @@ def _angles(towards: Floats, s: Floats32, sums: Floats32, inputs: Floats) -> Non
 def footprint_moves(motion: Motion, s: Floats32) -> None:
     """Write the rates of footprints and of directions to the eye, and each pixel's moment.
 
-    Parameters
-    ----------
-    motion : of places that turn with the camera, relative to it, in the world.
+    `motion` is that of places that turn with the camera, relative to it, in the world.
     """
     vx, vy, vz = _f(motion.velocity[0]), _f(motion.velocity[1]), _f(motion.velocity[2])
     txy, txz, tyz = _f(motion.turning[0, 1]), _f(motion.turning[0, 2]), _f(motion.turning[1, 2])  # antisymmetric
@@ -210,10 +208,7 @@ def rate_of_doubtful(
 ) -> None:
     """Write the rate of doubtful pixels of rows first to last, from the light frame and the motion of the ground.
 
-    Parameters
-    ----------
-    motion : of ground points in camera axes.
-    doubtful : of `shade_rows`, 1 for doubtful pixels.
+    `motion` is that of ground points in camera axes; `doubtful` is of `shade_rows`, 1 for doubtful pixels.
     """
     owner, facets = sight.owner, sight.facets
     focal, middle_column, middle_row = sight.projection

@@ -75,9 +75,7 @@ def shade_rows(
 ) -> None:
     """Write the light of rows first to last, which pixels are doubtful, and the rate of light.
 
-    Parameters
-    ----------
-    motion : of `footprint_moves`.
+    `motion` is that of `footprint_moves`.
     """
     moving = out.rate.size > 0
     s, places, unit_m = tile.fields, tile.places, posts.grids.unit_m

@@ -45,12 +45,7 @@ Float32s = npt.NDArray[np.float32]
 
 
 class _Split(NamedTuple):
-    """Rules for the division of blocks, see the module docstring, and the ground's grids.
-
-    Attributes
-    ----------
-    rows, columns : posts of each grid.
-    """
+    """Rules for the division of blocks, see the module docstring; the ground's grids, and rows and columns of each."""
 
     unit_m: float
     reach_m: float
@@ -93,10 +88,8 @@ class Quadtree:
     def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:
         """Return the blocks to draw of each grid: (n, 3) first column and row, posts from vertex to vertex; near first.
 
-        Parameters
-        ----------
-        camera_m : (3,) in the world.
-        planes : (n, 3) inward normals, in the world, of the planes through the camera that bound the view.
+        `camera_m`, (3,), is its place in the world; `planes`, (n, 3), are the inward normals, in the world, of the
+        planes through the camera that bound the view.
         """
         chosen = self._chosen(camera_m, planes)
         return [np.ascontiguousarray(chosen[chosen[:, 0] == k, 1:]) for k in range(self._ground.grids)]
@@ -141,11 +134,10 @@ def level_count(ground: Ground) -> int:
 
 def block_facets() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
     """Return a block's corners, (n, 2) column and row, and its facets, (m, 3), counter-clockwise from above."""
-    side = BLOCK + 1
-    rows, columns = np.mgrid[:side, :side]
+    rows, columns = np.mgrid[:SIDE, :SIDE]
     corners = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.int32)
-    low = (rows[:-1, :-1] * side + columns[:-1, :-1]).ravel()
-    a, b, c, d = low, low + 1, low + side, low + side + 1
+    low = (rows[:-1, :-1] * SIDE + columns[:-1, :-1]).ravel()
+    a, b, c, d = low, low + 1, low + SIDE, low + SIDE + 1
     return corners, np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3).astype(np.int32)
 
 

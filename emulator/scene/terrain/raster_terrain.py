@@ -131,28 +131,21 @@ def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotio
 _NEAREST_SHARE = 1e-3  # of the least height of the camera: facets are cut this near
 _FIRST_BLOCKS = 256
 _FINEST_PX = 1.0
-_COARSER = 2.0
+_COARSER = 2.0  # light has the fine map's detail and its height (`pixel_shading`), so facets twice as large are enough
 _BAND = 32  # rows that a thread shades at a time
 _FAINT = 0.1  # of the mean of the light frame: changes of less light are not refined
 _HEIGHTS = 4097  # of the eye's direction, in the table of the ambient light
 
 
 def build_terrain(parameters: TerrainParameters, pinhole: Pinhole, threads: int = 0) -> RasterTerrain:
-    """Return the ground of `parameters` before `pinhole`; raises SceneError.
-
-    Parameters
-    ----------
-    threads : number of threads that draw; 0: those of the machine.
-    """
+    """Return the ground of `parameters` before `pinhole`, drawn by `threads`, 0: the machine's; raises SceneError."""
     return RasterTerrain(parameters, pinhole, threads=threads or available_threads())
 
 
 class RasterTerrain(WorldScene[TerrainWorld]):
     """The ground of `parameters` as `pinhole` sees it, in radiance, drawn by the CPU; raises SceneError.
 
-    Parameters
-    ----------
-    threads : number of threads that draw; the light frames are the same to the last bit.
+    With any number of `threads` the light frames are the same to the last bit.
     """
 
     has_rate = True
@@ -160,7 +153,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, threads: int = 1) -> None:
         world = TerrainWorld(parameters, pinhole)
         super().__init__(world)
-        self._reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
+        self._reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX, _COARSER), LEAST_REACH)
         self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.sun, level_count(world.ground) + 1)
         world.ground = dataclasses.replace(world.ground, albedo=None)  # it is part of the light now; a map is large
         world.ground = self._pyramid.shared(world.ground)
@@ -271,14 +264,14 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         share = -(-len(chosen) // self._threads)
         unit_m, posts = self._world.ground.unit_m, self._posts
 
-        def fill(k: int) -> None:
+        def fill(k: int, _: int) -> None:
             first, last = k * share, min((k + 1) * share, len(chosen))
             reach_m, crowd, room = self._reach * unit_m, self._tree.crowd, self._blocks.vertices
             block_vertices(
                 chosen, first, last, posts.heights, posts.levels, unit_m, reach_m, crowd, motion.camera, room
             )
 
-        self._pool.each(lambda k, _: fill(k), self._threads)
+        self._pool.each(fill, self._threads)
 
 
 class _Blocks:
@@ -307,13 +300,10 @@ class _Blocks:
         return View(positions, velocities, self._dark[: count * CORNERS], self._dark[: count * CORNERS])
 
 
-def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
-    """Return the side of a facet; light has the fine map's detail and its height (`pixel_shading`), so twice is enough.
-
-    Two facets are a quad.
-    """
+def facet_px(p: TerrainParameters, pinhole: Pinhole, finest_px: float, coarser: float = 1.0) -> float:
+    """Return the side of a facet: `coarser` times what the rig gives, or `finest_px`; two facets are a quad."""
     affordable = math.sqrt(2 * pinhole.width * pinhole.height / p.most_facets)
-    return max(_COARSER * p.detail_px, affordable) if p.detail_px else _FINEST_PX
+    return max(coarser * p.detail_px, affordable) if p.detail_px else finest_px
 
 
 def _rows(band: int, height: int) -> tuple[int, int]:

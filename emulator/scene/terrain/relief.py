@@ -239,10 +239,7 @@ def fractal(
 ) -> Floats:
     """Return a periodic fractional Brownian surface, (posts, posts) m.
 
-    Parameters
-    ----------
-    above_per_m, upto_per_m : its frequencies are above the first, up to the second.
-    rough : C of the module docstring, in m^(1 - H).
+    Its frequencies are above `above_per_m`, up to `upto_per_m`; `rough` is C of the module docstring, in m^(1 - H).
     """
     across = np.fft.fftfreq(posts, post_m)
     k = np.hypot(across[:, None], np.fft.rfftfreq(posts, post_m))

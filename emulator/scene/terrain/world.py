@@ -66,10 +66,7 @@ def horizon_slopes(ground: Ground, azimuth_deg: float) -> Slopes:
 def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: float, out: Slopes) -> None:
     """Write the horizons' slopes on one grid, (rows, columns); the Sun is towards higher rows.
 
-    Parameters
-    ----------
-    drift : columns by which lines move towards the Sun, a row.
-    length_m : of a line between two lattice rows.
+    Lines move towards the Sun by `drift` columns a row; between two lattice rows they are `length_m` long.
     """
     rows, columns = heights.shape[1], heights.shape[2]
     spread = abs(drift) * (rows - 1)
@@ -171,17 +168,14 @@ _APART_NS = 20_000_000
 class TerrainWorld:
     """The world of `parameters` before `pinhole`.
 
+    Raises SceneError where the map or the path cannot be used, or the camera is below the ground.
+
     Attributes
     ----------
     sun : (3,) unit, towards it.
     irradiance_w_m2 : sunlight on a surface that faces the Sun.
     motion_bound_px_s : from the path's speed, turning and height, sampled once a second of the first four minutes.
     distance_m : the least sampled height over the ground beneath.
-
-    Raises
-    ------
-    SceneError
-        The map or the path cannot be used, or the camera is below the ground.
     """
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole) -> None:
