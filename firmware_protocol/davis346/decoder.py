@@ -291,8 +291,7 @@ class Decoder:
         steps = np.where(stamps & KIND == WRAP, stamps & MAX_STEPS, 0)
         total = np.cumsum(steps, dtype=np.int64) + (self.time_us >> WRAP_BITS)
         total -= np.maximum.accumulate(np.where(reset, total, 0))
-        base: Index = total << WRAP_BITS
-        return base
+        return total << WRAP_BITS
 
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
         """Return the specials among `words`, found at `rare`; count unknown words and words not interpreted."""

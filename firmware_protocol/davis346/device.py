@@ -242,8 +242,7 @@ class DvsFilters:
             return np.ones(len(events), np.bool_)
         left, top, right, bottom = settings.region
         x, y = events["x"], events["y"]
-        inside: Mask = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
-        return inside
+        return (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
 
 
 def _of_polarity(events: Events, settings: FilterSettings) -> Mask:

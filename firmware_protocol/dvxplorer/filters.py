@@ -129,8 +129,7 @@ def _cropped(crop: list[int]) -> tuple[Mask, Mask]:
 def sampled(code: int, pixels: int) -> Mask:
     """Return a mask of the pixels of a line that a code of sub-sampling sends."""
     kept, period = _KEPT_OF.get(code, (1, 1))
-    sent: Mask = np.arange(pixels) % period < kept
-    return sent
+    return np.arange(pixels) % period < kept
 
 
 def _blocks(values: tuple[int, ...]) -> Mask:

@@ -304,8 +304,7 @@ class _Stale(WordStage):
         times = np.sort(self._random.choice(_LOW, self._events, replace=False) + 1)
         addresses = self._random.integers(0, _STALE_ADDRESSES, (2, self._events))
         triples = np.stack([times | _TIMESTAMP, addresses[0] | _ROW, addresses[1] | _COLUMN_OFF], axis=1)
-        words: list[int] = triples.ravel().tolist()
-        return words
+        return triples.ravel().tolist()
 
 
 @dataclass(frozen=True)
