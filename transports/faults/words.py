@@ -120,9 +120,8 @@ class OddBytes(HitFault):
 
     Attributes
     ----------
-    change
-        "missing": the last byte never arrives, and its word is lost; "extra": a byte that the camera did not
-        send follows.
+    change : "missing": the last byte never arrives, and its word is lost; "extra": a byte that the camera did not send
+        follows.
     """
 
     kind: ClassVar[str] = "odd_bytes"
