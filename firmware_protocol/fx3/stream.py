@@ -81,17 +81,14 @@ class TimedEncoder(ABC):
     ) -> Encoded:
         """Return the words of `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, each in time order.
 
+        Raises ValueError where they go back in time, lie before the epoch or outside the array, or leave a gap of days.
+
         Parameters
         ----------
         events : Events in stream time.
         epoch_us : Stream time at which device time is zero.
         marks : Marks in stream time, placed between the events by their time.
         blocks : Runs of words in stream time, placed likewise; at one time after marks and before events.
-
-        Raises
-        ------
-        ValueError
-            Events or marks go back in time, lie before the epoch or outside the array, or leave a gap of days.
         """
 
 

@@ -111,18 +111,14 @@ _FLAG_IN = 0x200
 class UsbipHost:
     """Device attached over USB/IP.
 
+    Raises DeviceAbsent or DeviceBusy if the server has no such device or another host holds it; PeerGone, PeerBroken
+    or TransferTimeout if the server was lost, broke the protocol, or did not answer.
+
     Parameters
     ----------
     sock : a connected stream socket to a USB/IP server; it is closed with the host.
     busid : the device to import.
     timeout_s : timeout of the import and of each control request.
-
-    Raises
-    ------
-    DeviceAbsent, DeviceBusy
-        The server has no such device, or another host holds it.
-    PeerGone, PeerBroken, TransferTimeout
-        The server was lost, broke the protocol, or did not answer.
     """
 
     def __init__(self, sock: socket.socket, busid: str, timeout_s: float = 1.0) -> None:
