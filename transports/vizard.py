@@ -148,10 +148,7 @@ class Server(Protocol):
 class Other:
     """Connection to a visualiser that listens on `host` and `port`; raises OSError if none listens.
 
-    Attributes
-    ----------
-    address : address of the visualiser.
-    gone : True when it has closed the connection.
+    `address`: address of the visualiser; `gone`: True when it has closed the connection.
     """
 
     def __init__(self, host: str, port: int) -> None:

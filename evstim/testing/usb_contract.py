@@ -93,12 +93,7 @@ class Plugged:
 
 
 class UsbContract:
-    """Behaviour of every cable between a camera and its host.
-
-    Attributes
-    ----------
-    camera : the camera at one end.
-    """
+    """Behaviour of every cable between a camera and its host; `camera`: the camera at one end."""
 
     camera: ClassVar[ContractCamera] = DAVIS346
 

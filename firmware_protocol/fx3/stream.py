@@ -44,10 +44,7 @@ _WRAP_RESERVE_WORDS = 64
 class TimedEncoder(ABC):
     """Encoder of items into words with the times of an FX3 camera; it holds the state of the stream's reader.
 
-    Attributes
-    ----------
-    rows : number of row words of the last call of `encode`.
-    words_per_event : most words of an event, without wraps.
+    `rows`: number of row words of the last call of `encode`; `words_per_event`: most words of an event, without wraps.
     """
 
     words_per_event: ClassVar[int] = 3
@@ -280,10 +277,7 @@ class Late(NamedTuple):
 class EventStream:
     """Stream of the camera, an `ItemEncoder`: it encodes items into the FIFO, and makes transfers of its content.
 
-    Attributes
-    ----------
-    rows : number of row words queued so far.
-    epoch_us : stream time at which device time is zero.
+    `rows`: number of row words queued so far; `epoch_us`: stream time at which device time is zero.
     """
 
     def __init__(self, encoder: TimedEncoder, fifo: Fifo) -> None:

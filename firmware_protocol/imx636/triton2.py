@@ -154,10 +154,7 @@ class BlockOutflow(Outflow[Outgoing]):
 class Triton2(PropheseeCamera[BlockOutflow]):
     """The camera. `offer` takes events, `advance` the passing of stream time, `obey` orders.
 
-    Attributes
-    ----------
-    owner : the host that has control of it, or None.
-    messages : its messages about edges to its host.
+    `owner`: the host that has control of it, or None; `messages`: its messages about edges to its host.
     """
 
     def __init__(self, settings: Triton2Settings | None = None) -> None:
@@ -401,9 +398,7 @@ class RangeSelection:
 class _Ranges:
     """Ranges of rows, or of columns, that a host writes one by one: selector, then size and offset.
 
-    Attributes
-    ----------
-    mask : mask of the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
+    `mask`: the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
     """
 
     def __init__(self, pixels: int) -> None:

@@ -358,12 +358,7 @@ def new_busy(p: SensorParameters) -> _Int64s:
 
 
 class ArbiterReadOut(ReadOut):
-    """The arbiter of one sensor.
-
-    Parameters
-    ----------
-    parameters : the sensor: its size and its `readout` times.
-    """
+    """The arbiter of a sensor, by its size and its `readout` times."""
 
     def __init__(self, parameters: SensorParameters) -> None:
         super().__init__()
