@@ -75,7 +75,9 @@ class VizardServer:
         try:
             frames = self._socket.recv_multipart(self._zmq.NOBLOCK, copy=False)
         except self._zmq.Again:  # so the monitor has an event, and no data of the peer are left to read
-            self._check_peer()
+            while self._monitor.poll(0):
+                left = self._monitor_message(self._monitor)["value"]
+                self.peer_gone = self.peer_gone or (self._peer is not None and left == self._peer_fd)
             return None
         return self._admitted(frames)
 
@@ -117,11 +119,6 @@ class VizardServer:
             self.refused += 1
             return None
         return [frame.bytes for frame in frames[2:]]
-
-    def _check_peer(self) -> None:
-        while self._monitor.poll(0):
-            left = self._monitor_message(self._monitor)["value"]
-            self.peer_gone = self.peer_gone or (self._peer is not None and left == self._peer_fd)
 
 
 _LOOK_MS = 50

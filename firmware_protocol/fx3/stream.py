@@ -18,7 +18,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from firmware_protocol.device.items import Numbers, Reading, count_kinds
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
+from firmware_protocol.events import Events, empty_edges, empty_events, join_events
 from firmware_protocol.fx3.words import (
     SINGLE_WRAPS,
     WORD,
@@ -235,7 +235,11 @@ class Fifo:
             if batch.is_empty:
                 self._batches.popleft()
         data = b"".join([part.data for part in words])
-        transfer = Transfer(join_events(events), _edges_of(marks), epoch_us, tuple(readings), data)
+        edges = empty_edges()
+        if marks:
+            joined = np.concatenate(marks)
+            edges = edges_of(joined["t"], joined["code"])
+        transfer = Transfer(join_events(events), edges, epoch_us, tuple(readings), data)
         self._used -= len(data) // 2
         self.waiting = self.waiting.less(transfer.numbers)
         return transfer
@@ -252,14 +256,6 @@ class Fifo:
             self.waiting = self.waiting.plus(batch.numbers)
             self._batches.append(batch)
         return batch
-
-
-def _edges_of(marks: list[Marks]) -> Edges:
-    """Return the (n,) EDGE records that a reader makes of marks."""
-    if not marks:
-        return empty_edges()
-    joined = np.concatenate(marks)
-    return edges_of(joined["t"], joined["code"])
 
 
 _WRAP_SHARE = 8

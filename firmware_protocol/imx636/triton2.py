@@ -161,7 +161,12 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         self.settings = settings = settings or Triton2Settings()
         super().__init__(settings.size, settings.biases, BlockOutflow(0, settings), settings.pulse_us)
         self._selection = RangeSelection(settings.size)
-        rules = triton2_rules(settings) | self._selection.rules() | self._own_rules()
+        rules = triton2_rules(settings) | self._selection.rules()
+        rules |= {
+            ACQUISITION_START: self._on_start,
+            ACQUISITION_STOP: self._on_stop,
+            Register.PACKET_SIZE: self._on_packet_size,
+        }
         self._memory = Memory(triton2_areas(settings), rules)
         self.owner: Peer | None = None
         self._acquiring = False
@@ -311,14 +316,6 @@ class Triton2(PropheseeCamera[BlockOutflow]):
 
     def _select(self, events: Events) -> Selected:
         return self._selection.apply(events, self._epoch_us)
-
-    def _own_rules(self) -> dict[int, Rule]:
-        """Return the rules of registers that do more than store a value."""
-        return {
-            ACQUISITION_START: self._on_start,
-            ACQUISITION_STOP: self._on_stop,
-            Register.PACKET_SIZE: self._on_packet_size,
-        }
 
     def _on_start(self, value: int) -> int:
         if value and not self._acquiring:
