@@ -401,8 +401,8 @@ class FPrimeDeframer(StreamDeframer):
         held = self._held + data
         payloads: list[bytes] = []
         at = 0
-        while (start := self._find_start(held, at)) is not None:
-            at = start
+        while (start := held.find(_FPRIME_START, at)) >= 0:
+            at = self._skip(at, start)
             end = self._end(held, start)
             if end is None:
                 break
@@ -412,13 +412,6 @@ class FPrimeDeframer(StreamDeframer):
             at = self._skip(at, max(at, len(held) - len(_FPRIME_START) + 1))
         self._held = held[at:]
         return payloads
-
-    def _find_start(self, held: bytes, at: int) -> int | None:
-        """Skip to the next start word."""
-        start = held.find(_FPRIME_START, at)
-        if start < 0:
-            return None
-        return self._skip(at, start)
 
     def _skip(self, at: int, to: int) -> int:
         self.counters.bytes_skipped += to - at

@@ -125,13 +125,7 @@ _MOST_MONO_NS = (1 << 32) - 1
 
 @dataclass(frozen=True)
 class MessageType:
-    """A type of messages.
-
-    Attributes
-    ----------
-    ros : its name in ROS, "package/msg/Name".
-    rihs01 : hash of its definition, hexadecimal.
-    """
+    """A type of messages: `ros`, its name in ROS, "package/msg/Name"; `rihs01`, hash of its definition, hexadecimal."""
 
     ros: str
     rihs01: str

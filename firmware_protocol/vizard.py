@@ -134,10 +134,7 @@ class CameraState:
 class Update:
     """The state of a simulation at one instant; raises UpdateError for bytes that are no VizMessage or have no time.
 
-    Attributes
-    ----------
-    time_ns : simulated time.
-    frame : Basilisk's own count.
+    `time_ns`: simulated time; `frame`: Basilisk's own count.
     """
 
     def __init__(self, data: bytes) -> None:

@@ -30,13 +30,7 @@ from transports.network import AllowList
 
 @dataclass(frozen=True)
 class Places:
-    """Limits of simultaneous connections.
-
-    Attributes
-    ----------
-    total : limit for all addresses together.
-    per_address : limit for one address.
-    """
+    """Limits of simultaneous connections: `total` for all addresses together, `per_address` for one address."""
 
     total: int = 64
     per_address: int = 16

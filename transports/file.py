@@ -30,10 +30,8 @@ class FileLink(LinkParameters):
 
     Attributes
     ----------
-    path
-        The file, relative to the folder of the command, overwritten; its suffix gives the format.
-        NAME-clock2.SUFFIX follows after a restart of the camera's clock, NAME-restart1.SUFFIX after one of the
-        link.
+    path : the file, relative to the folder of the command, overwritten; its suffix gives the format. NAME-clock2.SUFFIX
+        follows after a restart of the camera's clock, NAME-restart1.SUFFIX after one of the link.
     format : name of the format if the suffix does not give it; "" for the suffix. See docs/recordings.md.
     camera : name of the camera in the file; "" for the model's.
     name : name of the link, for reports, faults and triggers.

@@ -113,13 +113,7 @@ class ForeignFileError(Exception):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of memory and time for reading one file.
-
-    Attributes
-    ----------
-    memory_bytes : address space, beyond that of the interpreter with the library.
-    cpu_s : processor time, likewise.
-    """
+    """Limits for reading a file: address space and processor time beyond those of the interpreter with the library."""
 
     memory_bytes: int
     cpu_s: int

@@ -117,9 +117,7 @@ class ByteBudget:
 class DatagramOutlet:
     """Socket that sends to one address.
 
-    Attributes
-    ----------
-    counts : numbers of datagrams sent, refused by the receiver's machine because no program listens, and not sendable.
+    `counts`: datagrams sent, refused by the receiver's machine because no program listens, and not sendable.
     """
 
     def __init__(self, host: str, port: int) -> None:

@@ -69,13 +69,7 @@ class RendererEnded(RendererError):
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """One image.
-
-    Attributes
-    ----------
-    head : number, time and bound on motion.
-    planes : (height, width) or (height, width, 2) arrays by name.
-    """
+    """One image: number, time and bound on motion; (height, width) or (height, width, 2) `planes` by name."""
 
     head: Image
     planes: dict[str, npt.NDArray[Any]]
@@ -84,9 +78,7 @@ class Drawn:
 class RendererServer:
     """TCP port on `host` and `port` (0: any free one) for a renderer at one of `allow`; raises OSError.
 
-    Attributes
-    ----------
-    refusals : addresses of the last refused peers, with the reasons.
+    `refusals`: addresses of the last refused peers, with the reasons.
     """
 
     def __init__(self, host: str, port: int, allow: Sequence[str] = ()) -> None:

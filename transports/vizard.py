@@ -75,7 +75,9 @@ class VizardServer:
         try:
             frames = self._socket.recv_multipart(self._zmq.NOBLOCK, copy=False)
         except self._zmq.Again:  # so the monitor has an event, and no data of the peer are left to read
-            self._check_peer()
+            while self._monitor.poll(0):
+                left = self._monitor_message(self._monitor)["value"]
+                self.peer_gone = self.peer_gone or (self._peer is not None and left == self._peer_fd)
             return None
         return self._admitted(frames)
 
@@ -118,11 +120,6 @@ class VizardServer:
             return None
         return [frame.bytes for frame in frames[2:]]
 
-    def _check_peer(self) -> None:
-        while self._monitor.poll(0):
-            left = self._monitor_message(self._monitor)["value"]
-            self.peer_gone = self.peer_gone or (self._peer is not None and left == self._peer_fd)
-
 
 _LOOK_MS = 50
 _REACH_S = 5.0
@@ -148,10 +145,7 @@ class Server(Protocol):
 class Other:
     """Connection to a visualiser that listens on `host` and `port`; raises OSError if none listens.
 
-    Attributes
-    ----------
-    address : address of the visualiser.
-    gone : True when it has closed the connection.
+    `address`: address of the visualiser; `gone`: True when it has closed the connection.
     """
 
     def __init__(self, host: str, port: int) -> None:

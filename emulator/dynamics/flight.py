@@ -200,9 +200,7 @@ def _numbers(file: Path, line: int, cells: list[str], columns: int) -> list[floa
 class CanInputs:
     """Inputs from the frames that a bus of python-can has received.
 
-    Attributes
-    ----------
-    unusable : frames of known ids that were too short, or held no finite number.
+    `unusable`: frames of known ids that were too short, or held no finite number.
     """
 
     def __init__(self, bus: Any, table: Bus) -> None:

@@ -6,7 +6,7 @@ import importlib.util
 import multiprocessing
 import signal
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from emulator.dynamics.flight import DynamicsError, FlightEnded, Mapping
 from emulator.dynamics.fmu_process import serve
@@ -21,22 +21,9 @@ _STEP_S = 30.0
 class Fmu:
     """An initialised co-simulation FMU; use it in a `with` block.
 
-    Parameters
-    ----------
-    inputs : variables that `step` sets.
-
-    Attributes
-    ----------
-    outputs : values of the mapping's outputs, by variable, now.
-
-    Raises
-    ------
-    MachineLacks
-        fmpy is not installed.
-    DynamicsError
-        The file is no FMU that can be used, or lacks a variable.
-    FlightEnded
-        It fails or crashes when it starts.
+    `step` sets the variables `inputs`; `outputs` has the present values of the mapping's outputs, by variable. Raises
+    MachineLacks without fmpy; DynamicsError if the file is no FMU that can be used, or lacks a variable; FlightEnded if
+    it fails or crashes when it starts.
     """
 
     def __init__(self, file: Path, mapping: Mapping, inputs: tuple[str, ...] = ()) -> None:
@@ -70,9 +57,6 @@ class Fmu:
             kind, content = self._near.recv()
         except (EOFError, OSError) as error:
             raise FlightEnded(f"{self._file}: the FMU crashed {moment} ({self._end()})") from error
-        return self._values(kind, content, moment)
-
-    def _values(self, kind: str, content: Any, moment: str) -> dict[str, float]:
         if kind == "wrong":
             raise DynamicsError(f"{self._file} {content}")
         if kind == "failed":

@@ -34,9 +34,8 @@ class RecordingParameters:
     path : the recording, beside the rig file.
     time_scale : speed of the playback, relative to the recording.
     loop : whether it restarts at its end; else the camera sends no events from there on.
-    through_readout
-        Whether events pass the sensor's arbiter, which delays them and may lose some; those of a real camera
-        have passed one already.
+    through_readout : whether events pass the sensor's arbiter, which delays them and may lose some; those of a real
+        camera have passed one already.
     """
 
     kind: ClassVar[str] = "recording"

@@ -118,8 +118,7 @@ class UsbModel:
     Attributes
     ----------
     size : (width, height) of the real camera, pixels.
-    device
-        Returns the factory of the device in a link's process, which can be pickled; raises ValueError for a camera
+    device : returns the factory of the device in a link's process, which can be pickled; raises ValueError for a camera
         that the device cannot represent.
     has_evt : whether it sends EVT words: a run compiles their kernels before it begins.
     kernels : returns the kernels of its own that a camera uses, which a run compiles likewise.
@@ -140,8 +139,7 @@ class CameraModel:
     Attributes
     ----------
     name : name of the model, the value of `camera.model` in rigs.
-    gige
-        Returns the factory of its GigE Vision device for a camera, the parameters of the link, and the length of a
+    gige : returns the factory of its GigE Vision device for a camera, the parameters of the link, and the length of a
         pulse on its input, us; None: it is no such device.
     bias_slopes : effects of its biases where a rig gives none, if `camera.bias_slopes` may change them.
     commanded_biases : returns the biases that telecommands of an instrument change; None: those of its own sensor.

@@ -33,25 +33,21 @@ class Camera:
     model : name of a camera: its sensor's size, pixels and read-out, and its connector.
     serial : serial number that the host reads, up to 8 characters; of Prophesee's cameras on USB, hexadecimal digits.
     speed : USB speed.
-    layout
-        Orientation of a DAVIS346's chip: "turned" as in the hardware, where row words carry x. Drivers turn it
+    layout : orientation of a DAVIS346's chip: "turned" as in the hardware, where row words carry x. Drivers turn it
         back.
     fifo_bytes
         Size of the camera's output buffer; data without room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms : least time from the host's start command to the first event (0 suits every driver but one).
-    activity_filter
-        Whether a DAVIS346 has its filters of background activity and refractory period. libcaer and
-        neuromorphic_drivers switch the former on, and then do not receive events without another event near
-        them.
+    activity_filter : whether a DAVIS346 has its filters of background activity and refractory period. libcaer and
+        neuromorphic_drivers switch the former on, and then do not receive events without another event near them.
     preset : preset of another unit of the same chip, such as "imx636_quiet" for an EVK4; without it, the model's own.
     sensor : sensor parameters that differ from the preset.
     clock : the camera's own clock; without it the camera shows stream time.
     imu : its inertial unit, of a DAVIS346 or a DVXplorer; without the table it has none.
     lens : for scenes in units of radiance; the others bring their own light.
     frames : the active pixels of a DAVIS346: with this table the camera takes frames when its host requests them.
-    bias_slopes
-        Effect of a step of each bias of an IMX636 (model "evk4", "triton2", "imx636") or a GenX320 ("genx320");
-        without it, the defaults; those of a GenX320 are in its page.
+    bias_slopes : effect of a step of each bias of an IMX636 (model "evk4", "triton2", "imx636") or a GenX320
+        ("genx320"); without it, the defaults; those of a GenX320 are in its page.
     """
 
     model: str = "davis346"
@@ -96,35 +92,27 @@ class Run:
     seconds : stream time to run for; 0 means until Ctrl-C.
     step_us : time between two light frames.
     seed : seed of everything random.
-    pace
-        "realtime": every event leaves at its own time; "free": as fast as the machine can, without loss; "lockstep": by
-        `lockstep_us` for each SYNC of the trigger's bus.
+    pace : "realtime": every event leaves at its own time; "free": as fast as the machine can, without loss; "lockstep":
+        by `lockstep_us` for each SYNC of the trigger's bus.
     lockstep_us : stream time for each SYNC.
     lead_us : time by which steps are computed ahead of real time, at least one step: covers the machine's jitter.
-    max_late_ms
-        In real time: greatest lateness of a step for a good verdict. 0: lateness is not judged,
+    max_late_ms : in real time: greatest lateness of a step for a good verdict. 0: lateness is not judged,
         `max_late_share` included.
     max_late_share
         In real time: largest share of the steps that may be ready late for a good verdict; 0: none; 1: any.
-    restart_links
-        Whether a link whose process died is started again, with its record and file in NAME-restart1.SUFFIX;
-        else the others go on without it.
-    fifo_priority
-        Above 0: links run under SCHED_FIFO at this priority, for steady delivery on a busy machine. Needs root,
-        or a limit of 'rtprio'.
-    method
-        Interpolation of light between two frames: "hermite" (a cubic from value and derivative), "line"
-        (straight in log light), or the rule of another simulator, to reproduce its results.
-    painter
-        Renderer of bodies and terrain: "cpu", the exact mean light of each pixel, the same on every machine;
+    restart_links : whether a link whose process died is started again, with its record and file in
+        NAME-restart1.SUFFIX; else the others go on without it.
+    fifo_priority : above 0: links run under SCHED_FIFO at this priority, for steady delivery on a busy machine. Needs
+        root, or a limit of 'rtprio'.
+    method : interpolation of light between two frames: "hermite" (a cubic from value and derivative), "line" (straight
+        in log light), or the rule of another simulator, to reproduce its results.
+    painter : renderer of bodies and terrain: "cpu", the exact mean light of each pixel, the same on every machine;
         "gl", points in each pixel by OpenGL 4.3. The environment variable EVSTIM_RENDERER replaces this key.
     threads : threads of drawing, blur and the pixel step, without effect on events. 0: chosen by the work, at most 4.
-    tolerance_us
-        Tolerated timestamp error, 95th percentile: steps are as long as it allows, `step_us` the first one, and
-        effects that change less are left out (`evstim plan`). 0: steps of `step_us`, nothing left out.
-    tolerated_wrong_share
-        With `tolerance_us`: share of the events, and of a pixel's sequences of 300 events, that may be wrong,
-        missing or invented. 1: steps are held to times alone.
+    tolerance_us : tolerated timestamp error, 95th percentile: steps are as long as it allows, `step_us` the first one,
+        and effects that change less are left out (`evstim plan`). 0: steps of `step_us`, nothing left out.
+    tolerated_wrong_share : with `tolerance_us`: share of the events, and of a pixel's sequences of 300 events, that may
+        be wrong, missing or invented. 1: steps are held to times alone.
     """
 
     seconds: Annotated[float, Meta(ge=0, le=3.2e7)] = 0.0
@@ -198,9 +186,8 @@ class Trigger:
     latency_us : from the bus to the input.
     jitter_us : standard deviation of the latency, normal and never below zero in all.
     pulse_us : length of a pulse.
-    holdback_us
-        With a source: delay of events, so that an edge which is received late still comes in order; later ones
-        are stamped at the earliest time possible, and counted.
+    holdback_us : with a source: delay of events, so that an edge which is received late still comes in order; later
+        ones are stamped at the earliest time possible, and counted.
     send_period_ms : above 0, the camera itself sends a mark on the bus each time its own clock has gone this far.
     """
 

@@ -62,9 +62,8 @@ class TopLevelKey:
     ----------
     meaning : one sentence for readers of the schema and the reference.
     read : function of the key's content in the file and of the values of the other keys; raises TableError.
-    kinds
-        Returns the types that a table of this key may have, by the kind that it names; by "" where it names none; empty
-        for a key that is no table.
+    kinds : returns the types that a table of this key may have, by the kind that it names; by "" where it names none;
+        empty for a key that is no table.
     is_list : whether there may be any number of such tables: [[links]].
     absent : content that is read where the file lacks the key; None: the value is None.
     needed : whether every rig must have it.

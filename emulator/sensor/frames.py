@@ -310,9 +310,7 @@ class _Frame:
 class FrameSource:
     """The active pixels of a chip of `size` = (width, height).
 
-    Parameters
-    ----------
-    disturb : receiver of the reads that disturb each step, before the events of that step are made; None: none.
+    `disturb`: receiver of the reads that disturb each step, before the events of that step are made; None: none.
     """
 
     kind = ReadingKind.FRAMES

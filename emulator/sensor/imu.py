@@ -129,13 +129,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """A field of gravity.
-
-    Attributes
-    ----------
-    uniform_m_s2 : (3,), in the world.
-    gm_m3_s2 : of a point mass at the origin; 0: none.
-    """
+    """A field of gravity: `uniform_m_s2`, (3,), in the world, and `gm_m3_s2` of a point mass at the origin, 0: none."""
 
     uniform_m_s2: Vector = field(default_factory=lambda: np.zeros(3))
     gm_m3_s2: float = 0.0

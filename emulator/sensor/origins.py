@@ -140,9 +140,7 @@ _OF_SOURCES: dict[type[Any], Origin] = {BackgroundEvents: Origin.BACKGROUND, Par
 class TracedSensor(Sensor):
     """A `Sensor`, with the same parameters, whose events have origins.
 
-    Attributes
-    ----------
-    origins : (n,) uint8, `Origin` of each event that the last `expose` or `finish` returned.
+    `origins`: (n,) uint8, `Origin` of each event that the last `expose` or `finish` returned.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:

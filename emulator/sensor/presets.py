@@ -227,28 +227,22 @@ class SensorParameters:
             raise ValueError(f"photoreceptor = {self.photoreceptor!r}: must be 'one_pole', 'large_signal' or 'circuit'")
         if self.photoreceptor == "circuit" and math.isinf(max(self.corner_hz_at_reference, self.corner_max_hz)):
             raise ValueError('photoreceptor = "circuit": needs a finite corner_hz_at_reference and corner_max_hz')
-        self._check_noise()
-        self._check_reset()
-        for name in ("hot_pixels", "dead_pixels"):
-            for x, y in getattr(self.defects, name):
-                if not (0 <= x < self.width and 0 <= y < self.height):
-                    raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
-
-    def _check_noise(self) -> None:
         unlimited = math.isinf(self.corner_max_hz) or math.isinf(self.corner_hz_at_reference)
         if self.noise.rms and unlimited and not (self.noise.corner_hz or self.source_follower_hz):
             raise ValueError(
                 f"noise.rms = {self.noise.rms!r}: must be 0 where nothing limits the noise's bandwidth; give "
                 "source_follower_hz, noise.corner_hz, or a finite corner_hz_at_reference and corner_max_hz"
             )
-
-    def _check_reset(self) -> None:
         r, least = self.reset, min(self.threshold_on, self.threshold_off)
         if abs(r.offset) + 3 * r.noise > least / 2:
             raise ValueError(
                 f"reset.offset = {r.offset!r}: it and three times reset.noise ({r.noise!r}) must be at most half of "
                 f"the lower threshold, {least:g}; else a reset raises events by itself"
             )
+        for name in ("hot_pixels", "dead_pixels"):
+            for x, y in getattr(self.defects, name):
+                if not (0 <= x < self.width and 0 <= y < self.height):
+                    raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
 
 IMX636_W_M2 = 0.1644

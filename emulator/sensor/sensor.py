@@ -217,6 +217,9 @@ def _most_still_hz(p: SensorParameters) -> float:
 class Sensor:
     """A sensor from light to events.
 
+    Raises ValueError where the method of the pixels lacks an effect that the parameters switch on (defects, changing
+    leak).
+
     Parameters
     ----------
     parameters : the sensor and its effects.
@@ -228,11 +231,6 @@ class Sensor:
     parameters : as given.
     pixels : the pixels.
     longest_step_ns : longest step whose work and memory are bounded; `expose` takes longer ones too.
-
-    Raises
-    ------
-    ValueError
-        The method of the pixels lacks an effect that the parameters switch on (defects, changing leak).
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:
@@ -259,9 +257,7 @@ class Sensor:
     def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
         """Let reads of active pixels disturb the events; None where the method of the pixels cannot.
 
-        Returns
-        -------
-        Receiver of the reads that begin in the next step, from its start on, before its end.
+        Return the receiver of the reads that begin in the next step, from its start on, before its end.
         """
         if not self.pixels.capabilities.takes_row_reads:
             return None
@@ -346,16 +342,9 @@ class Sensor:
         self._remember(frame.light)
 
     def expose(self, frame: LightFrame) -> Events:
-        """Move to the time of `frame`, not before that of the last one, and return the events that leave until then.
+        """Move to the time of `frame`, and return the events that leave until then, (n,) EVENT, sorted by t.
 
-        Returns
-        -------
-        (n,) EVENT, sorted by t.
-
-        Raises
-        ------
-        ValueError
-            Time goes back, or the frame does not have the sensor's size.
+        Raises ValueError if time goes back, or the frame does not have the sensor's size.
         """
         parts, t0_ns = [], self._t_ns
         while (cut_ns := self._next_cut_ns()) < frame.t_ns:
@@ -381,10 +370,7 @@ class Sensor:
     def adjust(self, name: str, value: float) -> None:
         """Set one of `adjustable` from now on; the noise follows from the same time on.
 
-        Raises
-        ------
-        ValueError
-            The field cannot be changed, or the value is not allowed.
+        Raises ValueError if the field cannot be changed, or the value is not allowed.
         """
         if name not in self.adjustable:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
@@ -405,10 +391,7 @@ class Sensor:
     def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of a pixel, ln units; infinite for a dead pixel.
 
-        Raises
-        ------
-        ValueError
-            The sensor has no such pixel, or its method has no thresholds that can be read.
+        Raises ValueError if the sensor has no such pixel, or its method has no thresholds that can be read.
         """
         width, height = self.parameters.width, self.parameters.height
         if not (0 <= x < width and 0 <= y < height):

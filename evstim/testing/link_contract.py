@@ -73,12 +73,9 @@ class LinkContract:
 
     Attributes
     ----------
-    parameters
-        The link's table in a rig, on any free port. Its queue must hold the events of a slow reader.
-    camera
-        The rig's camera; of a larger one, 346 x 260 pixels are used.
-    many, some
-        Events sent as fast as the link takes them, and at their own time. Fewer suit a slow link.
+    parameters : the link's table in a rig, on any free port. Its queue must hold the events of a slow reader.
+    camera : the rig's camera; of a larger one, 346 x 260 pixels are used.
+    many, some : events sent as fast as the link takes them, and at their own time. Fewer suit a slow link.
     """
 
     parameters: LinkParameters

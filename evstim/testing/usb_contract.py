@@ -54,14 +54,10 @@ class ContractCamera:
 
     Attributes
     ----------
-    settings
-        Its settings; its serial number is 00000042.
-    device
-        Its model.
-    driver
-        Its driver.
-    chip_id
-        Register 6.1.
+    settings : its settings; its serial number is 00000042.
+    device : its model.
+    driver : its driver.
+    chip_id : register 6.1.
     """
 
     settings: Fx3Settings
@@ -88,10 +84,8 @@ class Plugged:
 
     Attributes
     ----------
-    host
-        The host's side.
-    call
-        Do something to the device as its owner, and let what follows reach the host: call(function, *arguments).
+    host : the host's side.
+    call : do something to the device as its owner, and let what follows reach the host: call(function, *arguments).
     """
 
     host: UsbHost
@@ -99,13 +93,7 @@ class Plugged:
 
 
 class UsbContract:
-    """Behaviour of every cable between a camera and its host.
-
-    Attributes
-    ----------
-    camera
-        The camera at one end.
-    """
+    """Behaviour of every cable between a camera and its host; `camera`: the camera at one end."""
 
     camera: ClassVar[ContractCamera] = DAVIS346
 

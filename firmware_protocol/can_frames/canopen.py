@@ -99,13 +99,7 @@ def parse_heartbeat(data: bytes) -> NodeState:
 
 @dataclass(frozen=True)
 class TimeOfDay:
-    """CANopen's TIME, to the millisecond.
-
-    Attributes
-    ----------
-    ms : since midnight.
-    days : since 1984-01-01.
-    """
+    """CANopen's TIME, to the millisecond: `ms` since midnight, `days` since 1984-01-01."""
 
     ms: int
     days: int

@@ -136,13 +136,7 @@ _TIME_BYTES = 7
 
 @dataclass(frozen=True)
 class FollowUp:
-    """One follow-up message.
-
-    Attributes
-    ----------
-    counter : counter of the SYNC, 0 to 255.
-    sent_ns : sender's clock when the SYNC left, ns, 0 to 2^56 - 1.
-    """
+    """One follow-up message: the SYNC's `counter`, 0 to 255, and the sender's clock when it left, 0 to 2^56 - 1 ns."""
 
     counter: int
     sent_ns: int

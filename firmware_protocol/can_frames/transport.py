@@ -338,9 +338,7 @@ class _Unfinished:
 class CfpReceiver:
     """Assembler of CSP packets, as in libcsp; `faults` counts errors by name.
 
-    Parameters
-    ----------
-    address : CSP address whose packets are accepted, with those for the broadcast address 16383; None: all packets.
+    `address`: CSP address whose packets are accepted, with those for the broadcast address 16383; None: all packets.
     """
 
     def __init__(self, address: int | None = None) -> None:

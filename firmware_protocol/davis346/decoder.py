@@ -112,7 +112,12 @@ class FrameReader:
         elif code in (Special.EXPOSURE_START, Special.EXPOSURE_END):
             self._open.moments_us.setdefault(code, t_us)
         elif code == Special.FRAME_END:
-            self._finish(self._open, t_us, frames)
+            picture = self._picture(self._open, t_us)
+            self._open = None
+            if picture is None:
+                self.incomplete += 1
+            else:
+                frames.append(picture)
 
     def _abandon(self) -> None:
         self.incomplete += self._open is not None
@@ -133,14 +138,6 @@ class FrameReader:
         self._open.exposure += (misc10 & 0x3FF).tolist()
         roi = words[np.isin(words & 0xFF00, (MISC8 | 0x100, MISC8 | 0x200))]
         self._open.roi_bytes += (roi & 0xFF).tolist()
-
-    def _finish(self, frame: _Open, end_us: int, frames: list[FrameRead]) -> None:
-        self._open = None
-        picture = self._picture(frame, end_us)
-        if picture is None:
-            self.incomplete += 1
-        else:
-            frames.append(picture)
 
     def _picture(self, frame: _Open, end_us: int) -> FrameRead | None:
         if len(frame.roi_bytes) != 8 or len(frame.exposure) != 3 or len(frame.moments_us) != 2:
@@ -291,27 +288,23 @@ class Decoder:
         steps = np.where(stamps & KIND == WRAP, stamps & MAX_STEPS, 0)
         total = np.cumsum(steps, dtype=np.int64) + (self.time_us >> WRAP_BITS)
         total -= np.maximum.accumulate(np.where(reset, total, 0))
-        base: Index = total << WRAP_BITS
-        return base
+        return total << WRAP_BITS
 
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
         """Return the specials among `words`, found at `rare`; count unknown words and words not interpreted."""
         special = words < ROW
         specials = np.empty(_count(special), SPECIAL_EVENT)
         if len(words):
-            self._count_rare(words)
+            unknown_misc = (words > _LAST_MISC8) & (words < MISC10) | (words > _LAST_MISC10) & (words < WRAP)
+            self.faults += WordFaults(
+                unknown_special=_count(special & ~np.isin(words, _KNOWN_SPECIALS)),
+                unknown_misc=_count(unknown_misc),
+                not_interpreted=_count((words >= APS_SAMPLE) & (words < WRAP) & ~unknown_misc),
+            )
             specials["code"] = words[special]
             specials["t"] = time_us[special]
             specials["index"] = np.searchsorted(at, rare[special])
         return specials
-
-    def _count_rare(self, words: Words) -> None:
-        unknown_special = (words < ROW) & ~np.isin(words, _KNOWN_SPECIALS)
-        unknown_misc = (words > _LAST_MISC8) & (words < MISC10) | (words > _LAST_MISC10) & (words < WRAP)
-        other = (words >= APS_SAMPLE) & (words < WRAP) & ~unknown_misc
-        self.faults += WordFaults(
-            unknown_special=_count(unknown_special), unknown_misc=_count(unknown_misc), not_interpreted=_count(other)
-        )
 
 
 def _count(mask: Mask) -> int:

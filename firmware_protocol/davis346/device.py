@@ -206,7 +206,9 @@ class DvsFilters:
         self._filtered = _Filtered()
         if self._activity is None and settings.is_open and settings.region == self._whole:
             return events
-        good = _of_polarity(events, settings) & self._in_region(events, settings)
+        good = self._in_region(events, settings)
+        if settings.suppressed is not None:
+            good &= events["on"] != settings.suppressed
         cold = np.ones(len(events), np.bool_)
         for x, y in settings.hot:
             cold &= (events["x"] != x) | (events["y"] != y)
@@ -242,15 +244,7 @@ class DvsFilters:
             return np.ones(len(events), np.bool_)
         left, top, right, bottom = settings.region
         x, y = events["x"], events["y"]
-        inside: Mask = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
-        return inside
-
-
-def _of_polarity(events: Events, settings: FilterSettings) -> Mask:
-    if settings.suppressed is None:
-        return np.ones(len(events), np.bool_)
-    passing: Mask = events["on"] != settings.suppressed
-    return passing
+        return (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
 
 
 class DavisStatistics(Statistics):

@@ -168,8 +168,7 @@ class WordEncoder(TimedEncoder):
         row = int(items.rows[-1])
         self.state = WordState(int(items.time_us[-1]), -1 if row == NO_ROW else row)
         self.rows += int(np.count_nonzero(needed[:, 1]))
-        words: Words = table.ravel().compress(needed.ravel())
-        return words
+        return table.ravel().compress(needed.ravel())
 
     def _addresses(self, events: Events) -> tuple[Words, Words]:
         """Return contiguous (rows, columns) of `events` in the coordinates that are sent."""

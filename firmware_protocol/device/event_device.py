@@ -128,9 +128,7 @@ class EventDevice(ABC):
 class HostAdjusted(ABC):
     """A device whose hosts change the parameters of its sensor, by registers or telecommands.
 
-    Attributes
-    ----------
-    set_by : the way in which hosts set the biases of its sensor, "register" or "telecommand".
+    `set_by`: the way in which hosts set the biases of its sensor, "register" or "telecommand".
     """
 
     set_by: ClassVar[str] = "register"

@@ -87,7 +87,11 @@ class ChipFilters:
         self._filtered = 0
         if self._all_pixels and not self._format & (_FLATTEN | _ON_ONLY | _OFF_ONLY):
             return events
-        good = self._of_polarity(events["on"])
+        good = np.ones(len(events), np.bool_)
+        if self._format & _ON_ONLY:
+            good &= events["on"]
+        if self._format & _OFF_ONLY:
+            good &= ~events["on"]
         inside = (events["x"] < SIZE[0]) & (events["y"] < SIZE[1])  # others are refused later, not filtered
         x, y = events["x"][inside], events["y"][inside]
         good[inside] &= self._columns[x] & self._rows[y]
@@ -102,14 +106,6 @@ class ChipFilters:
     def take(self) -> None:
         """Count the events that did not pass in the last call of `passed`."""
         self._fates.not_selected += self._filtered
-
-    def _of_polarity(self, on: Mask) -> Mask:
-        good = np.ones(len(on), np.bool_)
-        if self._format & _ON_ONLY:
-            good &= on
-        if self._format & _OFF_ONLY:
-            good &= ~on
-        return good
 
 
 def _cropped(crop: list[int]) -> tuple[Mask, Mask]:
@@ -129,8 +125,7 @@ def _cropped(crop: list[int]) -> tuple[Mask, Mask]:
 def sampled(code: int, pixels: int) -> Mask:
     """Return a mask of the pixels of a line that a code of sub-sampling sends."""
     kept, period = _KEPT_OF.get(code, (1, 1))
-    sent: Mask = np.arange(pixels) % period < kept
-    return sent
+    return np.arange(pixels) % period < kept
 
 
 def _blocks(values: tuple[int, ...]) -> Mask:

@@ -181,9 +181,7 @@ def sample_of(data: bytes, t_us: int) -> ImuSamples | None:
 class SampleOutput(ReadingInput):
     """Inertial samples, which leave by an endpoint of their own; the oldest are dropped while no host reads them.
 
-    Parameters
-    ----------
-    settings_in : Returns the settings in the registers, `words` as `follow` has it.
+    `settings_in` returns the settings in the registers, `words` as `follow` has it.
     """
 
     def __init__(

@@ -98,7 +98,9 @@ _SINGLE = SINGLE_WRAPS
 
 @entry
 def write_words(events: _Bytes, mark_times: _Times, mark_words: Words, state: _State, out: Words) -> int:
-    """Write words until all events and marks are written or `out` is full.
+    """Write words until all events and marks are written or `out` is full, and return their number.
+
+    A negative number is _BACKWARDS, _OUTSIDE or _TOO_LATE; `state` is then invalid.
 
     Parameters
     ----------
@@ -106,10 +108,6 @@ def write_words(events: _Bytes, mark_times: _Times, mark_words: Words, state: _S
     mark_times, mark_words : (m,) times, us, and words of marks, sorted; a mark comes before events of the same time.
     state : (9,) with the layout above; on return the state after the last word.
     out : (k,) room, k at least 6.
-
-    Returns
-    -------
-    int : number of words; negative: backwards, outside or too late, and `state` is invalid.
     """
     written = 0
     while written <= len(out) - _MOST_WORDS:

@@ -76,7 +76,9 @@ _next_high = kernel(next_high)
 
 @entry
 def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _Words) -> int:
-    """Write words until all events and edges are written or `out` is full.
+    """Write words until all events and edges are written or `out` is full, and return their number.
+
+    A negative number is BACKWARDS, TOO_LATE or OUTSIDE; `state` is then invalid.
 
     Parameters
     ----------
@@ -84,10 +86,6 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
     width : columns of the sensor.
     state : (8,) with the layout in `words`; on return the state after the last word.
     out : (k,) room, k at least 8.
-
-    Returns
-    -------
-    int : number of words; negative: BACKWARDS, TOO_LATE or OUTSIDE, and `state` is invalid.
     """
     written = 0
     while written <= len(out) - _MOST_WORDS and is_left(events, edges, state):

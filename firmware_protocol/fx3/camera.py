@@ -351,12 +351,8 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
     def offer(self, events: Events) -> None:
         """Take the events of the array, (n,) EVENT in stream time, sorted, none before the time advanced to.
 
-        The events are copied. Those that come while the camera does not stream are counted as not running.
-
-        Raises
-        ------
-        ValueError
-            Events go back in time or lie outside the array; then none of them is taken.
+        The events are copied. Those that come while the camera does not stream are counted as not running. Raises
+        ValueError if events go back in time or lie outside the array; then none of them is taken.
         """
         if not len(events):
             return

@@ -141,10 +141,7 @@ class _Cause:
 class ExternalInput:
     """The signal and its detectors: `offer` takes edges, `marks` returns the marks of an interval of time.
 
-    Parameters
-    ----------
-    pulse_us : length of an EDGE of kind PULSE.
-    counts : the camera's counts of edges.
+    `pulse_us`: length of an EDGE of kind PULSE; `counts`: the camera's counts of edges.
     """
 
     def __init__(self, pulse_us: int, counts: Counts) -> None:

@@ -18,7 +18,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from firmware_protocol.device.items import Numbers, Reading, count_kinds
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
+from firmware_protocol.events import Events, empty_edges, empty_events, join_events
 from firmware_protocol.fx3.words import (
     SINGLE_WRAPS,
     WORD,
@@ -44,10 +44,7 @@ _WRAP_RESERVE_WORDS = 64
 class TimedEncoder(ABC):
     """Encoder of items into words with the times of an FX3 camera; it holds the state of the stream's reader.
 
-    Attributes
-    ----------
-    rows : number of row words of the last call of `encode`.
-    words_per_event : most words of an event, without wraps.
+    `rows`: number of row words of the last call of `encode`; `words_per_event`: most words of an event, without wraps.
     """
 
     words_per_event: ClassVar[int] = 3
@@ -81,17 +78,14 @@ class TimedEncoder(ABC):
     ) -> Encoded:
         """Return the words of `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, each in time order.
 
+        Raises ValueError where they go back in time, lie before the epoch or outside the array, or leave a gap of days.
+
         Parameters
         ----------
         events : Events in stream time.
         epoch_us : Stream time at which device time is zero.
         marks : Marks in stream time, placed between the events by their time.
         blocks : Runs of words in stream time, placed likewise; at one time after marks and before events.
-
-        Raises
-        ------
-        ValueError
-            Events or marks go back in time, lie before the epoch or outside the array, or leave a gap of days.
         """
 
 
@@ -241,7 +235,11 @@ class Fifo:
             if batch.is_empty:
                 self._batches.popleft()
         data = b"".join([part.data for part in words])
-        transfer = Transfer(join_events(events), _edges_of(marks), epoch_us, tuple(readings), data)
+        edges = empty_edges()
+        if marks:
+            joined = np.concatenate(marks)
+            edges = edges_of(joined["t"], joined["code"])
+        transfer = Transfer(join_events(events), edges, epoch_us, tuple(readings), data)
         self._used -= len(data) // 2
         self.waiting = self.waiting.less(transfer.numbers)
         return transfer
@@ -260,14 +258,6 @@ class Fifo:
         return batch
 
 
-def _edges_of(marks: list[Marks]) -> Edges:
-    """Return the (n,) EDGE records that a reader makes of marks."""
-    if not marks:
-        return empty_edges()
-    joined = np.concatenate(marks)
-    return edges_of(joined["t"], joined["code"])
-
-
 _WRAP_SHARE = 8
 """One in eight of the free words is reserved for wraps in the computed room for events: they may be far apart."""
 
@@ -283,10 +273,7 @@ class Late(NamedTuple):
 class EventStream:
     """Stream of the camera, an `ItemEncoder`: it encodes items into the FIFO, and makes transfers of its content.
 
-    Attributes
-    ----------
-    rows : number of row words queued so far.
-    epoch_us : stream time at which device time is zero.
+    `rows`: number of row words queued so far; `epoch_us`: stream time at which device time is zero.
     """
 
     def __init__(self, encoder: TimedEncoder, fifo: Fifo) -> None:

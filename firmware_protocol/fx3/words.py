@@ -129,8 +129,7 @@ def is_column(words: Words) -> npt.NDArray[np.bool_]:
 
 def is_mark(words: Words) -> npt.NDArray[np.bool_]:
     """Return a mask of the words that are marks: specials of the external input and of the generator."""
-    marks: npt.NDArray[np.bool_] = (words - 2 <= 2) | (words - 16 <= 1)  # words are unsigned: 0 - 2 is large
-    return marks
+    return (words - 2 <= 2) | (words - 16 <= 1)  # words are unsigned: 0 - 2 is large
 
 
 def is_row(words: Words) -> npt.NDArray[np.bool_]:

@@ -87,10 +87,7 @@ class Refused(Exception):
 class Request:
     """A request as received.
 
-    Attributes
-    ----------
-    command : a `Command`, or an unknown number.
-    is_complete : true if the payload is as long as the header states.
+    `command`: a `Command`, or an unknown number; `is_complete`: true if the payload is as long as the header states.
     """
 
     command: int

@@ -164,7 +164,10 @@ def _commands(parent: Xml.Element, packets: Iterable[Packet]) -> None:
             sets = _Sets("Argument", types, Xml.SubElement(command, "ArgumentList"))
             for placed in free:
                 sets.number(placed.field.name, placed.field)
-                _apart(sets, packet.name)
+                # All types are in one set: the name of a type begins with that of its packet.
+                name = f"{packet.name}_{sets.types[-1].get('name')}"
+                sets.types[-1].set("name", name)
+                sets.names[-1].set("argumentTypeRef", name)
         container = Xml.SubElement(command, "CommandContainer", name=f"{packet.name}_packet")
         entries = Xml.SubElement(container, "EntryList")
         for placed in packet.fields:
@@ -174,13 +177,6 @@ def _commands(parent: Xml.Element, packets: Iterable[Packet]) -> None:
                 _fixed(entries, placed.field, placed.preset)
         for field in ERROR_CONTROL.fields:
             _fixed(entries, field, 0)
-
-
-def _apart(sets: _Sets, packet: str) -> None:
-    """Prefix the last argument's type with the name of its packet, because all types are in one set."""
-    name = f"{packet}_{sets.types[-1].get('name')}"
-    sets.types[-1].set("name", name)
-    sets.names[-1].set("argumentTypeRef", name)
 
 
 def _fixed(entries: Xml.Element, field: Field, value: int) -> None:

@@ -97,10 +97,7 @@ _RATE = (Address.RATE_STATE, Address.RATE_PERIOD, Address.RATE_EVENTS, Address.R
 class Evk4Settings(TreuzellSettings):
     """Settings of a camera.
 
-    Attributes
-    ----------
-    surroundings : readings of the sensor's own instruments.
-    board : the board: its identity and its sensor.
+    `surroundings`: readings of the sensor's own instruments; `board`: the board's identity and its sensor.
     """
 
     surroundings: Surroundings = field(default_factory=Surroundings)

@@ -154,17 +154,19 @@ class BlockOutflow(Outflow[Outgoing]):
 class Triton2(PropheseeCamera[BlockOutflow]):
     """The camera. `offer` takes events, `advance` the passing of stream time, `obey` orders.
 
-    Attributes
-    ----------
-    owner : the host that has control of it, or None.
-    messages : its messages about edges to its host.
+    `owner`: the host that has control of it, or None; `messages`: its messages about edges to its host.
     """
 
     def __init__(self, settings: Triton2Settings | None = None) -> None:
         self.settings = settings = settings or Triton2Settings()
         super().__init__(settings.size, settings.biases, BlockOutflow(0, settings), settings.pulse_us)
         self._selection = RangeSelection(settings.size)
-        rules = triton2_rules(settings) | self._selection.rules() | self._own_rules()
+        rules = triton2_rules(settings) | self._selection.rules()
+        rules |= {
+            ACQUISITION_START: self._on_start,
+            ACQUISITION_STOP: self._on_stop,
+            Register.PACKET_SIZE: self._on_packet_size,
+        }
         self._memory = Memory(triton2_areas(settings), rules)
         self.owner: Peer | None = None
         self._acquiring = False
@@ -315,14 +317,6 @@ class Triton2(PropheseeCamera[BlockOutflow]):
     def _select(self, events: Events) -> Selected:
         return self._selection.apply(events, self._epoch_us)
 
-    def _own_rules(self) -> dict[int, Rule]:
-        """Return the rules of registers that do more than store a value."""
-        return {
-            ACQUISITION_START: self._on_start,
-            ACQUISITION_STOP: self._on_stop,
-            Register.PACKET_SIZE: self._on_packet_size,
-        }
-
     def _on_start(self, value: int) -> int:
         if value and not self._acquiring:
             self._acquiring = True
@@ -401,9 +395,7 @@ class RangeSelection:
 class _Ranges:
     """Ranges of rows, or of columns, that a host writes one by one: selector, then size and offset.
 
-    Attributes
-    ----------
-    mask : mask of the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
+    `mask`: the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
     """
 
     def __init__(self, pixels: int) -> None:

@@ -121,7 +121,9 @@ class Triton2Control:
         elif address == ACQUISITION_STOP and value:
             self._acquiring = False
         elif address == Register.TIME_CONTROL and value & _LATCH:
-            self._latch()
+            time_ns = self._now_ns()  # without a master, the clock is set to zero by AcquisitionStart alone
+            self._memory.set(Register.TIME_HIGH, time_ns >> 32)
+            self._memory.set(Register.TIME_LOW, time_ns & 0xFFFFFFFF)
         elif address == Register.GVCP_CONFIGURATION and self._ptp is not None:
             self._turn_ptp(self._ptp.slave, bool(value & PTP_ON))
         elif address == Ptp.LATCH:
@@ -176,9 +178,3 @@ class Triton2Control:
             return max(0, master_ns)
         time: DeviceTime = self._time()
         return time.ns if time.starts == self._starts else 0
-
-    def _latch(self) -> None:
-        """Latch the time; without a master, the clock is set to zero by AcquisitionStart alone."""
-        time_ns = self._now_ns()
-        self._memory.set(Register.TIME_HIGH, time_ns >> 32)
-        self._memory.set(Register.TIME_LOW, time_ns & 0xFFFFFFFF)

@@ -195,7 +195,10 @@ def features(size: tuple[int, int], *, has_ptp: bool = False) -> list[Feature]:
     events = [*_biases(), *_rate_control(), *_messages()]
     device = [*identity_features(), *_picture(size), *time_features(), *_acquisition()]
     payload = Feature("PayloadSize", TRANSPORT, "integer", Evs.PAYLOAD_SIZE, "Most octets of a block", False)
-    return [*device, *events, payload, *stream_features(), _temperature(), *(_ptp() if has_ptp else ())]
+    temperature = Feature(
+        "DeviceTemperature", "DeviceControl", "integer", TEMPERATURE, "", False, limits=(-4096, 4095), per_unit=16
+    )
+    return [*device, *events, payload, *stream_features(), temperature, *(_ptp() if has_ptp else ())]
 
 
 def _picture(size: tuple[int, int]) -> list[Feature]:
@@ -247,12 +250,6 @@ def _messages() -> list[Feature]:
         ),
         Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Notification", entries=states),
     ]  # fmt: skip
-
-
-def _temperature() -> Feature:
-    return Feature(
-        "DeviceTemperature", "DeviceControl", "integer", TEMPERATURE, "", False, limits=(-4096, 4095), per_unit=16
-    )
 
 
 def _ptp() -> list[Feature]:

@@ -58,9 +58,7 @@ _MOST_HZ = 0xFFFF_FFFF
 class Answers:
     """Queue of answers; if requests arrive faster than the line sends answers, the oldest answers are dropped.
 
-    Attributes
-    ----------
-    taken, refused, missing : numbers of telecommands so far.
+    `taken`, `refused`, `missing`: numbers of telecommands so far.
     """
 
     def __init__(self, time: OwnTime) -> None:

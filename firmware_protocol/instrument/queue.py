@@ -245,8 +245,7 @@ class Selection:
         chosen = (x >= self.x) & (x < self.x + self.width) & (y >= self.y) & (y < self.y + self.height)
         if self.keep_every > 1:
             chosen &= (x % self.keep_every == 0) & (y % self.keep_every == 0)
-        chosen_events: Events = events.view(_RECORD)[chosen].view(EVENT)
-        return chosen_events
+        return events.view(_RECORD)[chosen].view(EVENT)
 
 
 _LATEST_US = ((1 << 32) - 366 * 86_400) * 1_000_000

@@ -32,8 +32,7 @@ class InstrumentSettings:
     tick_us : unit of event times.
     coding : coding of blocks.
     block_events, block_bytes : largest block.
-    region
-        [x, y, width, height] of the pixels that are sent; empty for all.
+    region : [x, y, width, height] of the pixels that are sent; empty for all.
     keep_every : of those, only columns and rows that are a multiple of this.
     rate_limit : most events a second on the average; 0 for no limit but the line's.
     when_full : events to drop when more arrive than leave.

@@ -42,13 +42,7 @@ _LONGEST_SILENCE_US = 3_600_000_000  # made up for at once
 
 @dataclass(frozen=True)
 class OutflowLimits:
-    """Limits of an outflow.
-
-    Attributes
-    ----------
-    events, edges : most that wait.
-    silence_us : time without words after which words carry the time alone.
-    """
+    """Most events and edges of an outflow that wait; after `silence_us` without words, words carry the time alone."""
 
     events: int
     edges: int
@@ -67,9 +61,7 @@ _Taken = TypeVar("_Taken", bound=Items, covariant=True)
 class Outflow(ABC, Generic[_Taken]):
     """Outgoing events and edges of one run of the sensor, in the order of time: an `ItemEncoder`.
 
-    Attributes
-    ----------
-    epoch_us : stream time at which the sensor's clock was zero.
+    `epoch_us`: stream time at which the sensor's clock was zero.
     """
 
     def __init__(self, encoder: Coder, epoch_us: int, limits: OutflowLimits) -> None:

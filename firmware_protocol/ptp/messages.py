@@ -120,9 +120,7 @@ class DelayResponse:
 class Announce:
     """Announce: the grandmaster of a master, and how good it is.
 
-    Attributes
-    ----------
-    quality : (priority 1, class, accuracy, variance, priority 2); the lower is the better.
+    `quality`: (priority 1, class, accuracy, variance, priority 2); the lower is the better.
     """
 
     header: Header

@@ -215,9 +215,7 @@ class MessageReader:
 class SerialReceiver(Receiver):
     """Decodes an instrument's bytes; wraps telecommands and follows their answers.
 
-    Parameters
-    ----------
-    profile : the name of one of `PROFILES`, or a profile with other addresses. Raises ValueError for an unknown name.
+    `profile`: the name of one of `PROFILES`, or a profile with other addresses. Raises ValueError for an unknown name.
     """
 
     def __init__(self, profile: Profile | str = "ccsds-cobs") -> None:

@@ -467,9 +467,7 @@ def _samples(words: Words) -> ImuRecords:
 class FrameWords:
     """Decoder of words into frames, of a sensor of `size` = (width, height): whole frames or rectangles of them.
 
-    Attributes
-    ----------
-    others : words that belong to no complete frame, and those of reads that are neither reset nor signal.
+    `others`: words that belong to no complete frame, and those of reads that are neither reset nor signal.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:

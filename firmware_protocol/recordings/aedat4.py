@@ -35,10 +35,7 @@ _STREAMS = 256
 class Aedat4Head:
     """The header of a file, from its first bytes; raises ValueError if they are no header, or not all of it.
 
-    Attributes
-    ----------
-    packets_at : offset of the packets.
-    table_at : offset of the table; -1 for a file that was not finished.
+    `packets_at`: offset of the packets; `table_at`: offset of the table, -1 for a file that was not finished.
     """
 
     def __init__(self, data: bytes) -> None:

@@ -282,17 +282,12 @@ class Block:
 
 
 def decode_block(data: bytes, near_us: int = 0) -> Block:
-    """Decode one block.
+    """Decode one block; raises BlockError for a malformed one, of which nothing may be used.
 
     Parameters
     ----------
     data : the block, exactly.
     near_us : a time within 35 minutes of the block's; its upper bits complete the block's 32.
-
-    Raises
-    ------
-    BlockError
-        The block is malformed; none of its content may be used.
     """
     header = Header.parse(data)
     start_us = _nearest(header.t_base, near_us)

@@ -438,22 +438,14 @@ class BlockEncoder:
         return (self.settings.max_bytes - HEADER_BYTES) // 8
 
     def encode(self, events: Events, dropped: int = 0) -> tuple[bytes, int]:
-        """Make one block from the head of `events`.
+        """Return the bytes of a block of the first events, and their number; without events it reports `dropped` alone.
+
+        Raises ValueError if the first events go back in time or lie outside the sensor.
 
         Parameters
         ----------
-        events : (n,) EVENT, sorted by time, in device time. Without events the block only reports `dropped`.
-        dropped : Events dropped since the previous block; a number above 65535 is reported as 65535.
-
-        Returns
-        -------
-        block : Its bytes.
-        taken : Number of events in the block: the first `taken` ones.
-
-        Raises
-        ------
-        ValueError
-            The first events go back in time or lie outside the sensor.
+        events : (n,) EVENT, sorted by time, in device time.
+        dropped : events dropped since the previous block; a number above 65535 is reported as 65535.
         """
         if not len(events):
             return self._header(Mode.FLAT, Polarity.EACH, 0, 0, dropped), 0

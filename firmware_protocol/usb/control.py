@@ -112,7 +112,9 @@ class StandardControl:
 
     def _execute(self, setup: SetupPacket, data: bytes) -> None:
         if setup.request == StandardRequest.SET_SEL:
-            self._accept_latencies(setup, data)
+            self._require_super_speed()
+            if setup.recipient != Recipient.DEVICE or len(data) != _SEL_BYTES:
+                raise Stall
             return
         if setup.length or data:
             raise Stall
@@ -127,7 +129,10 @@ class StandardControl:
 
     def _execute_device(self, setup: SetupPacket) -> None:
         if setup.request == StandardRequest.SET_CONFIGURATION:
-            self._set_configuration(setup.value)
+            if setup.value not in (0, self._descriptors.configuration.value):
+                raise Stall
+            self._configuration = setup.value
+            self._halted.clear()
         elif setup.request == StandardRequest.SET_ISOCH_DELAY:
             self._require_super_speed()
         elif setup.request != StandardRequest.SET_ADDRESS:
@@ -138,12 +143,6 @@ class StandardControl:
         if descriptor is None:
             raise Stall
         return descriptor
-
-    def _set_configuration(self, value: int) -> None:
-        if value not in (0, self._descriptors.configuration.value):
-            raise Stall
-        self._configuration = value
-        self._halted.clear()
 
     def _set_interface(self, setup: SetupPacket) -> None:
         self._require_interface(setup)
@@ -158,11 +157,6 @@ class StandardControl:
 
     def _require_super_speed(self) -> None:
         if self._descriptors.device.speed is not Speed.SUPER:
-            raise Stall
-
-    def _accept_latencies(self, setup: SetupPacket, data: bytes) -> None:
-        self._require_super_speed()
-        if setup.recipient != Recipient.DEVICE or len(data) != _SEL_BYTES:
             raise Stall
 
     def _status(self, setup: SetupPacket) -> int:

@@ -239,13 +239,8 @@ class DescriptorSet:
             return bytes(self.configuration)
         if kind == DescriptorType.BOS and self.bos is not None:
             return bytes(self.bos)
-        return self._usb2_only(kind)
-
-    def _usb2_only(self, kind: int) -> bytes | None:
-        if self.other_speed is None:
-            return None
-        if kind == DescriptorType.DEVICE_QUALIFIER:
+        if kind == DescriptorType.DEVICE_QUALIFIER and self.other_speed is not None:
             return self.device.qualifier
-        if kind == DescriptorType.OTHER_SPEED_CONFIGURATION:
+        if kind == DescriptorType.OTHER_SPEED_CONFIGURATION and self.other_speed is not None:
             return self.other_speed.serialise(DescriptorType.OTHER_SPEED_CONFIGURATION)
         return None

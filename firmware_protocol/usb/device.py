@@ -119,23 +119,11 @@ class UsbDevice(ABC):
 
     @abstractmethod
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Execute one control transfer.
+        """Execute one control transfer; return the IN data stage, at most `setup.length` bytes, empty for OUT.
 
-        Parameters
-        ----------
-        setup : The setup packet.
-        data : The OUT data stage, empty for IN. If it is shorter than `setup.length`, the device decides.
-
-        Returns
-        -------
-        The IN data stage, at most `setup.length` bytes; empty for OUT.
-
-        Raises
-        ------
-        Stall
-            The request is unknown or its data do not fit.
-        NotReady
-            The answer takes time; only a device with faults raises this.
+        `data` is the OUT data stage, empty for IN; if it is shorter than `setup.length`, the device decides. Raises
+        Stall if the request is unknown or its data do not fit, and NotReady if the answer takes time: only a device
+        with faults does.
         """
 
     @abstractmethod

@@ -42,9 +42,7 @@ class TimedFrame:
 class CanBus(ABC):
     """One CAN bus. All methods except `open` return at once.
 
-    Attributes
-    ----------
-    missed : number of frames that other nodes missed because they read too slowly, if it is known.
+    `missed`: number of frames that other nodes missed because they read too slowly, if it is known.
     """
 
     missed = 0

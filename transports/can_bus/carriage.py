@@ -39,9 +39,7 @@ _RAW_EVENTS_A_TIME = 8  # limits the events with an unknown outcome when a bus i
 class FrameSource(ABC):
     """Source of the frames of one kind, in order. `label` names the kind in fault counts.
 
-    Attributes
-    ----------
-    tracker : follows which messages arrive while faults may hit frames; set and removed between two messages.
+    `tracker` follows which messages arrive while faults may hit frames; set and removed between two messages.
     """
 
     label = "frames"

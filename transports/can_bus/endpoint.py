@@ -88,7 +88,11 @@ class CanEndpoint(Endpoint):
         now_ns = self._clock.now_ns()
         for slot in self._slots:
             slot.bus.babble(now_ns)
-        self._follow_the_master(now_ns)
+        if self._node.selector is not None:
+            self._node.selector.poll(now_ns)
+        if self._active != self._node.bus:  # the master has selected the other one
+            self._drop()
+            self._active = self._node.bus
         slot = self._slots[self._active]
         present = slot.up and slot.bus.has_listeners  # once: it changes with time
         self._set_listeners(present)
@@ -272,13 +276,6 @@ class CanEndpoint(Endpoint):
             slot.bus.settle()
         for tracker in self._trackers():
             tracker.settle()
-
-    def _follow_the_master(self, now_ns: int) -> None:
-        if self._node.selector is not None:
-            self._node.selector.poll(now_ns)
-        if self._active != self._node.bus:
-            self._drop()
-            self._active = self._node.bus
 
     def _set_listeners(self, present: bool) -> None:
         if present == self._listeners_present:

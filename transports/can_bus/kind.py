@@ -33,19 +33,16 @@ class CanLink(InstrumentLink):
 
     Attributes
     ----------
-    interface
-        "served": evstim's own bus, which programs join by TCP in the protocol of socketcand; or an interface of
+    interface : "served": evstim's own bus, which programs join by TCP in the protocol of socketcand; or an interface of
         python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
     channel : channel of the interface: can0, /dev/ttyACM0, 239.74.163.2 ...
     channel_b : the redundant bus; "" for none. The master's heartbeat selects the active bus.
     host, port : address of a served bus, with interface = "served".
     allow : addresses and networks that may join a served bus; required if other machines can reach `host`.
-    bitrate
-        Bits a second of classic frames and of arbitration, 1000 to 1 000 000: of a served bus, of adapters
-        (slcan, gs_usb, pcan, kvaser ...), and for `share`; a bus of socketcan, socketcand, virtual or
-        udp_multicast has its own.
-    data_bitrate
-        With fd: bits a second of the data, `bitrate` to 20 000 000, of adapters for which python-can can set
+    bitrate : bits a second of classic frames and of arbitration, 1000 to 1 000 000: of a served bus, of adapters
+        (slcan, gs_usb, pcan, kvaser ...), and for `share`; a bus of socketcan, socketcand, virtual or udp_multicast has
+        its own.
+    data_bitrate : with fd: bits a second of the data, `bitrate` to 20 000 000, of adapters for which python-can can set
         it, and for `share`; no effect on a served bus.
     fd : True for CAN FD frames.
     share : highest share of the bus's time that all frames may take; above it our events wait.

@@ -205,9 +205,7 @@ _LOOK_PERIOD_S = 0.1
 class CanReception(CountedReception):
     """Events and counts received so far from a bus; `jitter_us` is by the bus's time stamps.
 
-    Attributes
-    ----------
-    ended : True if the newest heartbeat reported a stopped camera, as it does at the end of its run.
+    `ended`: True if the newest heartbeat reported a stopped camera, as it does at the end of its run.
     """
 
     ended: bool = False

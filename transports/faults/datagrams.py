@@ -171,20 +171,17 @@ class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
         except BlockingIOError:
             return False
         if left and copy.data == copy.of.data:
-            self._arrive(copy.of)
+            if copy.of.arrived:
+                self.false += 1
+            else:
+                copy.of.arrived = True
+                self._arrived(copy.of.outgoing)
         else:
             self.false += left and bool(Profile("ccsds").unwrapper().push(copy.data))
             if not left and self._faults.stages:  # attributed to the newest fault, for lack of another cause
                 self._faults.applied(self._faults.stages[-1], [])
             self._drop(copy)
         return True
-
-    def _arrive(self, sent: _Sent) -> None:
-        if sent.arrived:
-            self.false += 1
-        else:
-            sent.arrived = True
-            self._arrived(sent.outgoing)
 
     def _drop(self, copy: _Copy) -> None:
         copy.of.copies -= 1

@@ -219,8 +219,7 @@ class StuckLine(LastingFault):
 
     Attributes
     ----------
-    level
-        "low": a break, from which a UART makes one zero byte; "high": a broken wire, on which nothing arrives.
+    level : "low": a break, from which a UART makes one zero byte; "high": a broken wire, on which nothing arrives.
     """
 
     kind: ClassVar[str] = "stuck_line"

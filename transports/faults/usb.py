@@ -251,8 +251,7 @@ class ControlStall(Fault):
 
     Attributes
     ----------
-    request
-        bRequest of the refused requests; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
+    request : bRequest of the refused requests; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
     count : number of refused requests.
     """
 

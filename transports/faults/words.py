@@ -120,9 +120,8 @@ class OddBytes(HitFault):
 
     Attributes
     ----------
-    change
-        "missing": the last byte never arrives, and its word is lost; "extra": a byte that the camera did not
-        send follows.
+    change : "missing": the last byte never arrives, and its word is lost; "extra": a byte that the camera did not send
+        follows.
     """
 
     kind: ClassVar[str] = "odd_bytes"
@@ -304,8 +303,7 @@ class _Stale(WordStage):
         times = np.sort(self._random.choice(_LOW, self._events, replace=False) + 1)
         addresses = self._random.integers(0, _STALE_ADDRESSES, (2, self._events))
         triples = np.stack([times | _TIMESTAMP, addresses[0] | _ROW, addresses[1] | _COLUMN_OFF], axis=1)
-        words: list[int] = triples.ravel().tolist()
-        return words
+        return triples.ravel().tolist()
 
 
 @dataclass(frozen=True)

@@ -69,14 +69,9 @@ _TIME = struct.Struct("=q")
 
 
 class ControlProcess:
-    """Control channel of a camera in a separate process.
+    """Control channel of a camera in a separate process; `port`: its port; `counts`: requests by their result.
 
     Raises OSError, with the remedy, when it cannot be started or an address cannot be used.
-
-    Attributes
-    ----------
-    counts : requests by their result.
-    port : port of the control channel.
     """
 
     def __init__(self, setup: ControlSetup) -> None:

@@ -24,16 +24,13 @@ class GigeLink(LinkParameters):
     host : IPv4 address of the camera. Several cameras on one machine need several: 127.0.0.1, 127.0.0.2, ...
     port : port of the control channel: 3956, which all drivers use; another, or 0 for a free one, is for tests.
     allow : addresses and networks that may find, control and receive; required if other machines can reach `host`.
-    mbit_s
-        Highest rate of the stream, Mbit/s: hosts lose data that arrive faster than they read. 1000 as the real
+    mbit_s : highest rate of the stream, Mbit/s: hosts lose data that arrive faster than they read. 1000 as the real
         camera's cable.
-    segmentation
-        True: the kernel or the network card divides blocks into packets (UDP segmentation). On loopback and
+    segmentation : True: the kernel or the network card divides blocks into packets (UDP segmentation). On loopback and
         veth, programs that read raw sockets, such as Aravis run by root, see undivided blocks.
     block_us : age at which a block is closed and sent, if it was not full before.
-    ptp
-        True: the host can have the camera follow a PTP master (IEEE 1588; feature PtpEnable). Needs UDP ports
-        319 and 320 (root or CAP_NET_BIND_SERVICE).
+    ptp : True: the host can have the camera follow a PTP master (IEEE 1588; feature PtpEnable). Needs UDP ports 319 and
+        320 (root or CAP_NET_BIND_SERVICE).
     ptp_domain : domain of that protocol.
     name : name of the link, for reports, faults and triggers.
     """

@@ -43,11 +43,8 @@ _RETRY_NS = 4_000_000_000
 class PtpSockets:
     """Sockets of one address: an event and a general port, each for the group and for the address itself.
 
+    `counts`: datagrams that were dropped, by reason. The kernel begins to stamp a moment after the sockets are opened.
     Raises OSError, with the remedy, if the ports cannot be used.
-
-    Attributes
-    ----------
-    counts : datagrams that were dropped, by reason. The kernel begins to stamp a moment after the sockets are opened.
     """
 
     def __init__(self, host: str, allow: Iterable[str]) -> None:

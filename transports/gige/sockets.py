@@ -25,12 +25,8 @@ _MOST_SEGMENTS, _LONGEST_RUN = 64, 65_507
 class ControlSockets:
     """Sockets that receive requests of permitted senders and send the answers.
 
-    A socket bound to one address does not receive broadcasts on Linux. So a second one is bound to the broadcast
-    address; hosts search by broadcast on a loopback interface too.
-
-    Attributes
-    ----------
-    refused : number of datagrams of senders that are not allowed.
+    `refused`: number of datagrams of other senders. A socket bound to one address does not receive broadcasts on Linux.
+    So a second one is bound to the broadcast address; hosts search by broadcast on a loopback interface too.
     """
 
     def __init__(self, host: str, port: int, allow: Iterable[str]) -> None:

@@ -40,7 +40,10 @@ class BackgroundWriter:
                 return len(text)
             self._waiting.append(data)
             self._waiting_bytes += len(data)
-            self._start()
+            if self._thread is None:
+                # A daemon: the process must be able to end while a write to a full pipe blocks this thread.
+                self._thread = threading.Thread(target=self._write_all, name="background log", daemon=True)
+                self._thread.start()
             self._changed.notify_all()
         return len(text)
 
@@ -60,12 +63,6 @@ class BackgroundWriter:
     def fileno(self) -> int:
         """Return the file descriptor behind the queue."""
         return self._descriptor
-
-    def _start(self) -> None:
-        if self._thread is None:
-            # A daemon: the process must be able to end while a write to a full pipe blocks this thread.
-            self._thread = threading.Thread(target=self._write_all, name="background log", daemon=True)
-            self._thread.start()
 
     def _write_all(self) -> None:
         while True:

@@ -77,9 +77,7 @@ class EndpointReport:
 class Endpoint(ABC):
     """Host side of a camera's connector: the transport that reads the camera's bytes.
 
-    Attributes
-    ----------
-    faulty : path of its data through the faults of the link; None: this kind of link has no faults.
+    `faulty`: path of its data through the faults of the link; None: this kind of link has no faults.
     """
 
     faulty: Faulty[Any] | None = None

@@ -58,7 +58,10 @@ class ReadingFeed:
 
     def offer(self, until_us: int) -> None:
         """Offer the readings due up to stream time `until_us`, and send the host's settings to the session."""
-        self._write_settings()
+        if self._device is not None and self._device.settings_version != self._version:
+            self._version = self._device.settings_version
+            for ring in self._rings:
+                ring.write_settings(self._device.reading_settings(ring.kind))
         for ring in self._rings:
             records = ring.take(until_us)
             if not len(records):
@@ -67,13 +70,6 @@ class ReadingFeed:
                 records["t"] = self._clock.shown_us(records["t"])
             used = self._device is not None and self._device.offer_readings(ring.kind, records)
             (self._taken if used else self._ignored)[ring.kind] += len(records)
-
-    def _write_settings(self) -> None:
-        if self._device is None or self._device.settings_version == self._version:
-            return
-        self._version = self._device.settings_version
-        for ring in self._rings:
-            ring.write_settings(self._device.reading_settings(ring.kind))
 
     @property
     def first_us(self) -> int | None:

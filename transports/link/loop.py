@@ -150,9 +150,12 @@ class LinkLoop:
         self._link.tick()
         self._send_changes()
         now_ns = self._clock.now_ns()
-        if self._is_drained(now_ns):
-            self._over.set_result(None)
-            return
+        if self._drain_ns is not None:  # the session has sent Stop
+            self._drain_ns -= min(now_ns - self._last_ns, _LONGEST_DRAIN_TURN_NS)
+            self._last_ns = now_ns
+            if self._link.idle or self._drain_ns < 0:
+                self._over.set_result(None)
+                return
         if now_ns >= self._report_ns:
             if _is_read(self._control):
                 self._control.send(self._link.report())
@@ -214,14 +217,6 @@ class LinkLoop:
             else:
                 self._link.happen(order.kind, order.by)
         self._wake_at(self._clock.now_ns())
-
-    def _is_drained(self, now_ns: int) -> bool:
-        """Return True if the session has sent Stop, and no data wait or the time for them has passed."""
-        if self._drain_ns is None:
-            return False
-        self._drain_ns -= min(now_ns - self._last_ns, _LONGEST_DRAIN_TURN_NS)
-        self._last_ns = now_ns
-        return self._link.idle or self._drain_ns < 0
 
     def _send_changes(self) -> None:
         """Send the changes of the camera, and after them its stream time."""

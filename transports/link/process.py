@@ -78,10 +78,7 @@ class LinkSetup(Generic[_Device]):
 class Link:
     """Event device that is fed from a ring and read by an endpoint. One tick moves all due data.
 
-    Attributes
-    ----------
-    ring : ring of its events.
-    ticked_ns : start of the last tick.
+    `ring`: ring of its events; `ticked_ns`: start of the last tick.
     """
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:

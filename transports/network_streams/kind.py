@@ -33,16 +33,14 @@ class TcpLink(LinkParameters):
 
     Attributes
     ----------
-    format
-        "dv": AEDAT 4.0 packets of dv-processing. "caer": AEDAT 3.1 packets of cAER. "event_image": numpy
-        arrays. "display": coloured pictures (PPM). See docs/streams.md.
+    format : "dv": AEDAT 4.0 packets of dv-processing. "caer": AEDAT 3.1 packets of cAER. "event_image": numpy arrays.
+        "display": coloured pictures (PPM). See docs/streams.md.
     host, port : address to listen on; port 0: a free one. Without authentication: any permitted client gets the events.
     allow : addresses and networks that may connect; required if other machines can reach `host`.
     buffer_mib : limit of the data that wait for one client; a paced run drops what has no room.
     compression : compression of the format dv; "lz4" needs `pip install '.[files]'`.
-    trigger_port
-        With the format dv: port of a second server, for triggers, because dv-processing reads one stream from a
-        connection; 0: a free one. Omitted: none.
+    trigger_port : with the format dv: port of a second server, for triggers, because dv-processing reads one stream
+        from a connection; 0: a free one. Omitted: none.
     frame_ms : stream time of an event image or a picture of the display.
     pictures : contents of the pictures.
     camera : name of the camera that is sent to clients; "" for the model's and the rig's serial number.
@@ -90,12 +88,10 @@ class UdpLink(LinkParameters):
 
     Attributes
     ----------
-    format
-        "jaer", "caer", "spif" (AEStream), or faery's "t64_x16_y16_on8" or "t32_x16_y15_on1". See docs/streams.md.
+    format : "jaer", "caer", "spif" (AEStream), or faery's "t64_x16_y16_on8" or "t32_x16_y15_on1". See docs/streams.md.
     host, port : address of the receiver. jAER listens on 8991.
     elsewhere : must be true if `host` is not on this machine, which then gets events even unrequested.
-    mbit_s
-        Highest rate, Mbit/s of payload: receivers lose data that arrive faster than they read. At 8 bytes an
+    mbit_s : highest rate, Mbit/s of payload: receivers lose data that arrive faster than they read. At 8 bytes an
         event, 200 Mbit/s are 3.1 million events a second.
     name : name of the link, for reports, faults and triggers.
     """

@@ -45,9 +45,7 @@ _CLOSE_S = 8.0  # a session waits 10 s for a link's last report
 class LiveRecorder:
     """Recorder of parts in device time to `path`. Only the constructor raises OSError.
 
-    Attributes
-    ----------
-    missing : number of records of each stream that found the queue full, or that nothing could write any more.
+    `missing`: records of each stream that found the queue full, or that nothing could write any more.
     """
 
     def __init__(self, path: Path, form: Format, facts: Facts, title: str = "record") -> None:

@@ -249,13 +249,7 @@ class Recorder:
 
 
 class _Raw:
-    """One kind of record in a raw file, and the indices of clock restarts.
-
-    Attributes
-    ----------
-    path : the raw file.
-    count : number of records that were written.
-    """
+    """One kind of record in a raw file, and the indices of clock restarts; `count`: the records that were written."""
 
     def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
         self.path = path

@@ -272,17 +272,13 @@ class Ros2Endpoint(Endpoint):
         before, self._readers = self._readers, sum(writer.readers for writer in self._writers)
         if bool(before) == bool(self._readers):
             return
-        if not self._readers:
-            self._discard()
+        if not self._readers:  # nobody waits for these data
+            gone = self._gathering.taken()
+            if gone is not None:
+                self._device.lost(gone)
+            if self._pictures is not None:
+                self._pictures.restart()
         self._device.run(bool(self._readers))
-
-    def _discard(self) -> None:
-        """Discard the waiting data: there are no subscribers."""
-        gone = self._gathering.taken()
-        if gone is not None:
-            self._device.lost(gone)
-        if self._pictures is not None:
-            self._pictures.restart()
 
     def _may_write(self, now_ns: int) -> bool:
         if not self._readers:

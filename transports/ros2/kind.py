@@ -100,8 +100,7 @@ class Ros2Link(LinkParameters):
     topic : topic of `event_camera_msgs/msg/EventPacket`.
     encoding : encoding: "evt3" (4 bytes an event, and triggers) or "mono" (8).
     image_topic : topic of `sensor_msgs/msg/Image`; "": none.
-    image
-        "display": coloured ("rgb8"). "event_image": channels ("32FC5" for five). See docs/streams.md.
+    image : "display": coloured ("rgb8"). "event_image": channels ("32FC5" for five). See docs/streams.md.
     frame_ms : stream time of a picture.
     pictures : contents of a picture.
     message_ms : longest time that an event waits for others of its message.
@@ -109,8 +108,7 @@ class Ros2Link(LinkParameters):
     reliable : True to send lost messages again. Readers of either kind match a reliable writer.
     depth : number of messages of each topic that are stored to be sent again; a slow reader misses older ones.
     domain : ROS_DOMAIN_ID.
-    interfaces
-        Names or addresses of network interfaces; empty: this machine only. Without authentication: every
+    interfaces : names or addresses of network interfaces; empty: this machine only. Without authentication: every
         machine there gets the events.
     peers : machines that are contacted by unicast.
     multicast : True if machines on `interfaces` find each other by multicast, as ROS 2 does by default.

@@ -21,9 +21,8 @@ class SerialLink(InstrumentLink):
 
     Attributes
     ----------
-    port
-        "pty": a pair made for this run, whose other side is reported; or a device such as /dev/ttyUSB0; or any URL of
-        pyserial (`socket://HOST:PORT`, `rfc2217://HOST:PORT`, `loop://`).
+    port : "pty": a pair made for this run, whose other side is reported; or a device such as /dev/ttyUSB0; or any URL
+        of pyserial (`socket://HOST:PORT`, `rfc2217://HOST:PORT`, `loop://`).
     symlink : with "pty": path of a symbolic link to the other side, the same for each run; "" for none.
     baud : bits a second; kept by the pacing of evstim if the port does not keep it.
     data_bits, parity, stop_bits

@@ -195,8 +195,7 @@ class ThreadedPort(Port):
 
     def read(self) -> bytes:
         """Return the received bytes."""
-        data: bytes = self._serial.read(_READ_BYTES)
-        return data
+        return self._serial.read(_READ_BYTES)
 
     @property
     def unsent(self) -> int:

@@ -21,8 +21,7 @@ class UdpPacketsLink(InstrumentLink):
     host, port : destination of the packets, one in each datagram.
     elsewhere : must be true if `host` is not on this machine, which then gets events even unrequested.
     command_host, command_port : address for telecommands, whole packets in each datagram; port 0: a free one.
-    allow
-        Addresses and networks whose telecommands are accepted; required if other machines can reach `command_host`.
+    allow : addresses and networks whose telecommands are accepted; required if other machines can reach `command_host`.
         There is no authentication.
     mbit_s : highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read.
     name : name of the link, for reports, faults and triggers.

@@ -97,6 +97,9 @@ class WordDecoder(Protocol):
 class Fx3Host(CameraHost[Fx3Info]):
     """Driver of one camera with iniVation's FX3.
 
+    Raises UnsuitableDevice for another camera, or for firmware or logic that the known drivers refuse, and UsbHostError
+    for any error of the host.
+
     Parameters
     ----------
     host : the device; it is closed with the driver, and when it cannot be used.
@@ -107,13 +110,6 @@ class Fx3Host(CameraHost[Fx3Info]):
     product : product number of USB.
     firmware, patch : least versions of firmware and logic that the known drivers accept.
     stop_writes, start_writes : register writes that end and begin the stream.
-
-    Raises
-    ------
-    UnsuitableDevice
-        Another camera, or firmware or logic that the known drivers refuse.
-    UsbHostError
-        Any error of the host.
     """
 
     family: ClassVar[str]

@@ -141,10 +141,7 @@ _Info = TypeVar("_Info")
 class CameraHost(ABC, Generic[_Info]):
     """Driver of one event camera: identify it, start it, read its events, stop it.
 
-    Attributes
-    ----------
-    model : name of the camera's model.
-    info : identity that the camera reports.
+    `model`: name of the camera's model; `info`: identity that the camera reports.
     """
 
     model: str

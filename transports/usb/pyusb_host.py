@@ -42,13 +42,7 @@ _POLL_S = 0.1
 
 
 class PyusbHost:
-    """Device opened with libusb.
-
-    Parameters
-    ----------
-    device : a pyusb device.
-    timeout_s : timeout of a control request.
-    """
+    """Device opened with libusb: a `device` of pyusb; `timeout_s`: timeout of a control request."""
 
     def __init__(self, device: usb.core.Device, timeout_s: float = 1.0) -> None:
         self._device = device

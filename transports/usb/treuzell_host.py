@@ -81,18 +81,8 @@ class TreuzellInfo:
 class TreuzellHost(CameraHost[TreuzellInfo]):
     """Driver of one EVK4, or of a board like it, whose name `model` then is.
 
-    It reads EVT3; of a GenX320 EVT2.1.
-
-    Parameters
-    ----------
-    host : the device; it is closed with the driver, and when it cannot be used.
-
-    Raises
-    ------
-    UnsuitableDevice
-        None of these boards, or one that OpenEB refuses.
-    UsbHostError
-        Any error of the host.
+    It reads EVT3; of a GenX320 EVT2.1. `host` is closed with the driver, and when it cannot be used. Raises
+    UnsuitableDevice for none of these boards, or one that OpenEB refuses, and UsbHostError for any error of the host.
     """
 
     model = "EVK4"

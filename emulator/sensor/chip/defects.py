@@ -126,12 +126,8 @@ def at_temperature(p: SensorParameters) -> SensorParameters:
     """Return the sensor's parameters at `temperature.celsius`, from those at the reference temperature.
 
     Hot pixels leak through a junction too, so their rate follows the leak's. The least corner frequency is that of the
-    dark current, which it follows up to the greatest.
-
-    Raises
-    ------
-    ValueError
-        A leak, of hot pixels where there are any, or the dark current would be outside its bounds.
+    dark current, which it follows up to the greatest. Raises ValueError if a leak, of hot pixels where there are any,
+    or the dark current would be outside its bounds.
     """
     t, d = p.temperature, p.defects
     may_be_hot = d.hot_share or d.hot_pixels or p.radiation.dose_krad or p.radiation.dose_krad_per_day

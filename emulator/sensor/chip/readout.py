@@ -280,15 +280,6 @@ def _serve(
     return n, queue, a
 
 
-def _check_order(crossings: Crossings, last_ns: int, until_ns: int) -> None:
-    """Raise ValueError unless time goes on, and the crossings lie between the last time and `until_ns`."""
-    t_ns = crossings.t_ns
-    if until_ns < last_ns:
-        raise ValueError(f"until_ns = {until_ns}: before the last one, {last_ns}; time does not go back")
-    if t_ns.size and (t_ns[0] < last_ns or t_ns[-1] > until_ns):
-        raise ValueError(f"crossings from {t_ns[0]} to {t_ns[-1]} ns: must lie from {last_ns} to {until_ns} ns")
-
-
 class ReadOut(ABC):
     """The read-out of one sensor: crossings in, events out, in the order in which they leave.
 
@@ -327,23 +318,22 @@ class ReadOut(ABC):
         self._timing = self._timing._replace(refractory_ns=round(refractory_us * 1000))
 
     def push(self, crossings: Crossings, until_ns: int) -> Events:
-        """Add crossings, and return the events that leave before `until_ns`.
+        """Add crossings, and return the events that leave before `until_ns`; raises ValueError if time goes back.
+
+        These are (n,) EVENT, sorted by t, which is the time of leaving in us, rounded down.
 
         Parameters
         ----------
         crossings : sorted by time, none before the last `until_ns` and none after this one.
         until_ns : stream time up to which all crossings are known.
-
-        Returns
-        -------
-        (n,) EVENT, sorted by t, which is the time of leaving in us, rounded down.
-
-        Raises
-        ------
-        ValueError
-            Time goes back.
         """
-        _check_order(crossings, self._until_ns, until_ns)
+        t_ns = crossings.t_ns
+        if until_ns < self._until_ns:
+            raise ValueError(f"until_ns = {until_ns}: before the last one, {self._until_ns}; time does not go back")
+        if t_ns.size and (t_ns[0] < self._until_ns or t_ns[-1] > until_ns):
+            raise ValueError(
+                f"crossings from {t_ns[0]} to {t_ns[-1]} ns: must lie from {self._until_ns} to {until_ns} ns"
+            )
         self.raised += len(crossings)
         self._until_ns = until_ns
         room = self.pending + len(crossings)
@@ -368,12 +358,7 @@ def new_busy(p: SensorParameters) -> _Int64s:
 
 
 class ArbiterReadOut(ReadOut):
-    """The arbiter of one sensor.
-
-    Parameters
-    ----------
-    parameters : the sensor: its size and its `readout` times.
-    """
+    """The arbiter of a sensor, by its size and its `readout` times."""
 
     def __init__(self, parameters: SensorParameters) -> None:
         super().__init__()

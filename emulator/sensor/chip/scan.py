@@ -133,12 +133,7 @@ def _run(
 
 
 class ScanReadOut(ReadOut):
-    """The scan of one sensor.
-
-    Parameters
-    ----------
-    parameters : the sensor: its size and its `readout` times.
-    """
+    """The scan of a sensor, by its size and its `readout` times."""
 
     def __init__(self, parameters: SensorParameters) -> None:
         super().__init__()

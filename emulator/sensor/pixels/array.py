@@ -329,11 +329,7 @@ class PixelArray(PixelMethod):
 
         If its time equals the last one, the step is empty, and this frame replaces the last one: the light jumps there,
         and the next step begins with it. With light between frames and its derivative, undersampled steps are refined.
-
-        Raises
-        ------
-        ValueError
-            Time goes back, or a frame does not have the sensor's size.
+        Raises ValueError if time goes back, or a frame does not have the sensor's size.
         """
         flat, slope = self._flat(frame.light), _NO_RATE if frame.rate is None else self._flat(frame.rate)
         state, lost_before = self.state, self.lost_in_pixel

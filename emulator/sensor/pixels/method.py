@@ -109,12 +109,8 @@ class PixelMethod(ABC):
     def step(self, frame: LightFrame) -> Crossings:
         """Move from the last frame to this one and return the crossings on the way.
 
-        Parts of a frame for which the method states no capability are ignored.
-
-        Raises
-        ------
-        ValueError
-            Time goes back, or the frame does not have the sensor's size.
+        Parts of a frame for which the method states no capability are ignored. Raises ValueError if time goes back, or
+        the frame does not have the sensor's size.
         """
 
     @property

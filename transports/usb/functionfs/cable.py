@@ -123,12 +123,9 @@ class ControlThread(threading.Thread):
 
 
 class InThread(threading.Thread):
-    """Thread that sends transfers to the host, one at a time.
+    """Thread that sends transfers to the host, one at a time, by the endpoint `pipe`.
 
-    Parameters
-    ----------
-    pipe : the endpoint.
-    done : called in this thread at each transfer's end: with None, or with the error that ended it.
+    `done` is called in this thread at each transfer's end: with None, or with the error that ended it.
     """
 
     def __init__(self, pipe: EndpointFile, done: Callable[[InThread, OSError | None], None]) -> None:

@@ -130,10 +130,7 @@ class ControlFile:
 class EndpointFile:
     """Endpoint other than 0, for one thread's transfers; they raise OSError, InterruptedError after `interrupt`.
 
-    Parameters
-    ----------
-    fd : the file, opened O_RDWR and O_NONBLOCK.
-    address : the camera's own address of the endpoint, with the direction bit.
+    `fd`: the file, opened O_RDWR and O_NONBLOCK; `address`: the camera's own of the endpoint, with the direction bit.
     """
 
     def __init__(self, fd: int, address: int) -> None:

@@ -130,15 +130,12 @@ class Gadget:
     def make(self, descriptors: DescriptorSet, owner: int | None = None) -> None:
         """Make it for the device of `descriptors`, in place of the remains of a killed program.
 
+        Raises GadgetError if it is in use, was made by another program, or this user or machine cannot make gadgets.
+
         Parameters
         ----------
-        descriptors : Descriptors of the device, at its highest speed.
-        owner : Id of the user who may run the camera; None: root only.
-
-        Raises
-        ------
-        GadgetError
-            It is in use, or was made by another program, or this user or machine cannot make gadgets.
+        descriptors : descriptors of the device, at its highest speed.
+        owner : id of the user who may run the camera; None: root only.
         """
         self._require_root()
         self.remove()

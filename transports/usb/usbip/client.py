@@ -111,18 +111,14 @@ _FLAG_IN = 0x200
 class UsbipHost:
     """Device attached over USB/IP.
 
+    Raises DeviceAbsent or DeviceBusy if the server has no such device or another host holds it; PeerGone, PeerBroken
+    or TransferTimeout if the server was lost, broke the protocol, or did not answer.
+
     Parameters
     ----------
     sock : a connected stream socket to a USB/IP server; it is closed with the host.
     busid : the device to import.
     timeout_s : timeout of the import and of each control request.
-
-    Raises
-    ------
-    DeviceAbsent, DeviceBusy
-        The server has no such device, or another host holds it.
-    PeerGone, PeerBroken, TransferTimeout
-        The server was lost, broke the protocol, or did not answer.
     """
 
     def __init__(self, sock: socket.socket, busid: str, timeout_s: float = 1.0) -> None:
@@ -237,8 +233,12 @@ class UsbipHost:
             raise TransferTimeout(f"the server did not answer the import of {busid} within {self._timeout_s:g} s")
         if not isinstance(reply, ImportReply):
             raise PeerBroken(f"the server answered the import of {busid} with {reply}")
+        if reply.device is None and reply.status == OpStatus.BUSY:
+            raise DeviceBusy(f"the server gave device {busid} to another host; detach it there first")
         if reply.device is None:
-            raise _refusal(busid, reply.status)
+            raise DeviceAbsent(
+                f"the server does not give device {busid} (status {reply.status}); request its list of devices"
+            )
         self._wire.parser.begin_urbs()
         return reply.device
 
@@ -305,12 +305,6 @@ class UrbStream:
 
     def _submit(self) -> int:
         return self._host.submit_in(self._endpoint, self._transfer_bytes, self._replies)
-
-
-def _refusal(busid: str, status: int) -> UsbHostError:
-    if status == OpStatus.BUSY:
-        return DeviceBusy(f"the server gave device {busid} to another host; detach it there first")
-    return DeviceAbsent(f"the server does not give device {busid} (status {status}); request its list of devices")
 
 
 def _checked(reply: Submitted, action: str) -> Submitted:
