@@ -272,7 +272,7 @@ class Ros2Endpoint(Endpoint):
         before, self._readers = self._readers, sum(writer.readers for writer in self._writers)
         if bool(before) == bool(self._readers):
             return
-        if not self._readers:  # nobody waits for these data
+        if not self._readers:  # no reader waits for these data
             gone = self._gathering.taken()
             if gone is not None:
                 self._device.lost(gone)
