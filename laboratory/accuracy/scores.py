@@ -179,10 +179,7 @@ class Stream:
     def of(cls, t_us: npt.ArrayLike, pixel: npt.ArrayLike, on: npt.ArrayLike, pixels: int) -> Stream:
         """Sort events, (n,) each, by pixel and time; those of one pixel and time keep their order.
 
-        Raises
-        ------
-        ValueError
-            The lengths differ, a time is not finite, or a pixel is not in [0, pixels).
+        Raises ValueError where the lengths differ, a time is not finite, or a pixel is not in [0, pixels).
         """
         t, where, up = np.asarray(t_us, np.float64), np.asarray(pixel, np.int64), np.asarray(on, np.bool_)
         if not t.shape == where.shape == up.shape or t.ndim != 1:

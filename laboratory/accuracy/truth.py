@@ -288,10 +288,7 @@ def ideal_events(
     duration_s : rounded to a whole number of fine steps.
     fine_s : distance of the values of ln i between which it is the cubic through its values and slopes, s.
 
-    Raises
-    ------
-    ValueError
-        A threshold is not positive, the light jumps, or it is not above 0.
+    Raises ValueError where a threshold is not positive, the light jumps, or it is not above 0.
     """
     if min(threshold_on, threshold_off) <= 0:
         raise ValueError(f"thresholds {threshold_on:g} and {threshold_off:g}: must be above 0")

@@ -6,6 +6,7 @@
     still     the same in still light, after a reset and after events of a signal, threshold over sigma 1.6 to 7.2
     ramps     mean and spread of the intervals on ramps of 1 to 1000 thresholds a second
     edges     mean and spread of the first event's time at edges of 2 us to 2 ms
+    start     rates of presets from 0 to 2 s with 20 s of noise before, beside those after 20 s without
     same      share of the events that are the same in other steps, with two threads, and after a restart
 
 All checks take half an hour on one core, and `--scale 0.1` a tenth of the pixels. Both sides have the same thresholds
@@ -33,9 +34,9 @@ from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.method import MakePixels
-from emulator.sensor.presets import SensorParameters
+from emulator.sensor.presets import PRESETS, SensorParameters
 from laboratory.accuracy.harness import Case, Method, events
-from laboratory.accuracy.scenes import ClosedLight, LogEdge, LogSine, SlowRamp
+from laboratory.accuracy.scenes import ClosedLight, Dark, LogEdge, LogSine, SlowRamp
 from laboratory.accuracy.scores import Stream
 from laboratory.methods.grid import NoisyPixels, grid_ns
 
@@ -214,6 +215,22 @@ def first_events(stream: Stream, middle_us: float) -> Stream:
     return Stream.of(chosen.t_us - 0.9 * middle_us, chosen.pixel, chosen.on, chosen.pixels)
 
 
+def start(scale: float) -> Iterator[Line]:
+    """Measure the start of presets in still light; the reference is evstim itself after 20 s."""
+    pixels, history_s = GROUPS * max(1, round(256 * scale)), 20.0
+    rate = behaviour(2.0)[:1]
+    for preset, light in (("imx636", 0.0), ("imx636", 0.1), ("imx636", 1.0), ("imx636_quiet", 0.1)):
+        p = dataclasses.replace(PRESETS[preset], width=pixels, height=1)
+        scene = LogSine(pixels, 0.0, level=light) if light else Dark(pixels)
+        before, without = (
+            dataclasses.replace(p, noise=dataclasses.replace(p.noise, history_s=s)) for s in (history_s, 0.0)
+        )
+        ours = of_pixels(Case("start", scene, before, 2.0), 1e-2)
+        later = of_pixels(Case("start", scene, without, history_s + 2.0), 1e-2)
+        settled = later.where(later.t_us >= 1e6 * history_s)
+        yield Line(f"{preset}, light {light:g}, from 0 to 2 s", 10.0, measured(rate, ours, settled))
+
+
 class Restarted(PixelArray):
     """An array that is replaced by a new one with a copy of its state before each step."""
 
@@ -259,12 +276,14 @@ def alike(stream: Stream, other: Stream, within_us: float) -> float:
     return float((np.minimum(after - keys, keys - before) <= within_us).mean())
 
 
-CHECKS = {check.__name__: check for check in (sines, still, ramps, edges, same)}
+CHECKS = {check.__name__: check for check in (sines, still, ramps, edges, start, same)}
 app = App(name="noise")
 
 
 @app.default
-def main(*checks: Literal["sines", "still", "ramps", "edges", "same"], scale: float = 1.0, json: bool = False) -> None:
+def main(
+    *checks: Literal["sines", "still", "ramps", "edges", "start", "same"], scale: float = 1.0, json: bool = False
+) -> None:
     """Run the checks, all unless some are named, with `scale` times as many pixels; print a line for each setting."""
     found: dict[str, list[Line]] = {}
     for check in checks or CHECKS:

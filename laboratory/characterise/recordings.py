@@ -174,10 +174,7 @@ _LEAST_HOT = 3.0
 def fit(recorded: Activity) -> dict[str, float | dict[str, float]]:
     """Return the fitted parameters by their keys; those of a table in a dictionary.
 
-    Raises
-    ------
-    ValueError
-        The recording has no events.
+    Raises ValueError where the recording has no events.
     """
     if not recorded.events:
         raise ValueError("no events to fit a sensor to")

@@ -82,10 +82,7 @@ def still_light(frames: Sequence[Frame], begin_us: int) -> StillLight | None:
 def still_events(p: SensorParameters, seen: StillLight, seconds: float, seed: int = 1) -> Events:
     """Return the events of a sensor under still light, (n,) EVENT, while its frames run as those of the recording.
 
-    Raises
-    ------
-    ValueError
-        The light does not have the sensor's size.
+    Raises ValueError where the light does not have the sensor's size.
     """
     if seen.level.shape != (p.height, p.width):
         raise ValueError(f"the recording has {seen.level.shape[::-1]} pixels, the sensor {(p.width, p.height)}")

@@ -150,10 +150,7 @@ class Rule(PixelMethod):
     def step(self, frame: LightFrame) -> Crossings:
         """Move from the last frame to this one; a frame at the time of the last one has no effect.
 
-        Raises
-        ------
-        ValueError
-            Time goes back, or the frame does not have the sensor's size.
+        Raises ValueError where time goes back, or the frame does not have the sensor's size.
         """
         flat, t0_ns, t_ns = self._flat(frame.light), self._t_ns, time_of(frame, self._t_ns)
         if t_ns == t0_ns:

@@ -165,10 +165,7 @@ def _beside(events: Events, pixel: _Ints) -> _Bools:
 def area(first: Samples, second: Samples) -> float:
     """Return the area under the ROC curve of a classifier between two origins, in bands that it has not learned from.
 
-    Raises
-    ------
-    MachineLacks
-        scikit-learn is not installed.
+    Raises MachineLacks where scikit-learn is not installed.
     """
     return _area(*_joined(first, second))
 

@@ -102,10 +102,7 @@ def source_finder() -> Any:
 def observe(camera: Observatory, field: DrawnField, seed: int) -> Seen:
     """Return the stars of `field` that are found in one slice of events.
 
-    Raises
-    ------
-    MachineLacks
-        `sep` is not installed.
+    Raises MachineLacks where `sep` is not installed.
     """
     (before, dark), *_ = _pictures(camera.before(_NO_STARS), seed)
     finder = _Finder(before, dark)

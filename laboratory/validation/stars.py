@@ -97,10 +97,7 @@ class Limits:
 def stars(seed: int) -> Findings:
     """Repeat the measurements of star limits.
 
-    Raises
-    ------
-    MachineLacks
-        The source extractor is not installed.
+    Raises MachineLacks where the source extractor is not installed.
     """
     source_finder()
     measured, third = (_limits(name, seed) for name in ("stars-limit", "stars-limit-gen3"))

@@ -34,10 +34,7 @@ Row = dict[str, Any]
 def read_results(folder: Path) -> list[Report]:
     """Return the reports in `folder/results`, least median time error at 1000 images a second first.
 
-    Raises
-    ------
-    ValueError
-        A file is of another form.
+    Raises ValueError where a file is of another form.
     """
     return sorted((read_report(file) for file in (folder / "results").glob("*.json")), key=_rank)
 

@@ -167,10 +167,7 @@ def _summary(rate: float, scores: list[SequenceScore]) -> Summary:
 def read_events(folder: Path, name: str) -> PeerEvents:
     """Return the events of a sequence.
 
-    Raises
-    ------
-    EventsError
-        There is no file for it, or the file is of another form.
+    Raises EventsError where there is no file for it, or the file is of another form.
     """
     archive, table = folder / f"{name}.npz", folder / f"{name}.csv"
     try:
@@ -219,10 +216,7 @@ def score_events(
     ----------
     failures : sequences that a run did not finish, with the reasons.
 
-    Raises
-    ------
-    FolderError
-        The truth is missing.
+    Raises FolderError where the truth is missing.
     """
     scores, times, checks = [], {}, _Checks()
     for name, sequence in folder.sequences.items():
@@ -308,10 +302,7 @@ def write_report(report: Report, path: Path) -> Path:
 def read_report(path: Path) -> Report:
     """Return the report in a file.
 
-    Raises
-    ------
-    ValueError
-        The file is of another form; the message contains its name.
+    Raises ValueError where the file is of another form; the message contains its name.
     """
     try:
         return msgspec.json.decode(path.read_bytes(), type=Report)

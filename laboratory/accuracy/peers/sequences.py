@@ -138,10 +138,7 @@ class SequenceFolder:
     def truth(self, name: str) -> Stream:
         """Return the events of ideal pixels under a sequence.
 
-        Raises
-        ------
-        FolderError
-            Its file is missing or damaged.
+        Raises FolderError where its file is missing or damaged.
         """
         one = self.sequences[name]
         file = self.path / "truth" / f"{one.scene}.npz"
@@ -156,10 +153,7 @@ class SequenceFolder:
 def open_folder(path: Path) -> SequenceFolder:
     """Return a folder that `export` wrote.
 
-    Raises
-    ------
-    FolderError
-        It contains no sequences, or those of another format.
+    Raises FolderError where it contains no sequences, or those of another format.
     """
     file = path / "sequences.json"
     try:
@@ -194,10 +188,7 @@ def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tupl
     images_per_s : frame rates, that divide 10^9; sequences of whole milliseconds suit all that are multiples of 20.
     scenes : names of `SCENES`.
 
-    Raises
-    ------
-    OSError
-        The folder cannot be written.
+    Raises OSError where the folder cannot be written.
     """
     (path / "truth").mkdir(parents=True, exist_ok=True)
     listed: dict[str, Any] = {}

@@ -99,10 +99,7 @@ class Simulator(Protocol):
 def load_adapter(place: str) -> Callable[[Settings], Simulator]:
     """Return the function or class `NAME` of the file in `FILE.py:NAME`.
 
-    Raises
-    ------
-    ValueError
-        The text has another form, there is no such file, or the file has no such name.
+    Raises ValueError where the text has another form, there is no such file, or the file has no such name.
     """
     file, colon, name = place.rpartition(":")
     if not colon or not name.isidentifier():
