@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -115,7 +116,9 @@ def written_sequence(rig: Rig, truth: SequenceTruth, path: Path) -> Iterator[Run
     Raises OSError where there is no room, and TruthRefused.
     """
     path.parent.mkdir(exist_ok=True)
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    for left in path.parent.glob(f".{path.stem}.*"):  # of a killed run, whose writer may still have it
+        left.unlink(missing_ok=True)
+    part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     selection = truth.selection
     recorded = TruthFile(rig, part, selection) if truth.format == "h5" else TruthArrays(rig, selection)
     try:

@@ -474,8 +474,11 @@ def dataset(
     with failures(), campaign_failures():
         campaign = _campaign(rig, out, content)
         check_tables()
+        if out.is_dir() and any(out.iterdir()) and not (out / "campaign.json").exists():
+            raise Failure(f"--out: {out} has other files; name a new folder, or one of the same command", WRONG_USE)
         todo = _begun(campaign, out, range(campaign.runs))
-        Path(campaign.source.file).write_text(campaign.source.text)
+        with failing(LACKING, OSError, at="--out"):
+            Path(campaign.source.file).write_text(campaign.source.text)
         with working_in(out, alone=True):
             todo = remaining(out, todo)
             campaign.check_all(todo)

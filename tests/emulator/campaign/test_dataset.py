@@ -193,6 +193,13 @@ def test_mistakes_are_refused_with_their_reason(rig, tmp_path, capsys, options, 
     assert message in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
 
 
+def test_files_of_others_stay_as_they_are(rig, tmp_path, capsys):
+    (tmp_path / "README.md").write_text("mine")
+    assert _main(["dataset", str(rig), "--out", str(tmp_path), "--json"]) == 2
+    assert "has other files" in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert [path.name for path in tmp_path.iterdir()] == ["README.md"]
+
+
 @pytest.mark.system
 def test_a_layer_that_the_scene_does_not_have_ends_it_at_once(tmp_path):
     folder = tmp_path / "data"
