@@ -234,10 +234,7 @@ def dataset(  # noqa: PLR0913 - one call that names all it needs
         TOML file with them. Without any, sequences differ by their seeds.
     seed : of everything random.
 
-    Raises
-    ------
-    CampaignError, RigError
-        The rig or a parameter cannot be used; the message names it.
+    Raises CampaignError or RigError where the rig or a parameter cannot be used; the message names it.
     """
     sequences = Sequences(count, seconds, SequenceTruth(rate_hz, tuple(truth)), seed, vary)
     return Dataset(dataset_source(rig, Path("dataset.toml").absolute(), sequences))

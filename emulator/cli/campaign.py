@@ -56,6 +56,7 @@ from emulator.cli.output import (
 )
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
+from emulator.run.truth.source import TruthSelection
 
 _LINE_PERIOD_S = 10.0
 
@@ -472,7 +473,7 @@ def dataset(
         Address of a dask.distributed scheduler whose workers make the sequences, such as tcp://10.0.0.1:8786.
     """
     with failures(), campaign_failures():
-        campaign = _campaign(rig, out, content)
+        campaign, selection = _campaign(rig, out, content)
         check_tables()
         if out.is_dir() and any(out.iterdir()) and not (out / "campaign.json").exists():
             raise Failure(f"--out: {out} has other files; name a new folder, or one of the same command", WRONG_USE)
@@ -482,42 +483,34 @@ def dataset(
         with working_in(out, alone=True):
             todo = remaining(out, todo)
             campaign.check_all(todo)
-            _print_size(campaign, len(todo))
+            megabytes = content.seconds * selection.pictures(campaign.rig(0))[1] / 1e6
+            status.print(f"{len(todo)} sequences remain, of at most {megabytes:.3g} MB each before compression")
             progress = Progress(campaign, campaign.runs, campaign.runs - len(todo))
             _run(campaign, out, todo, Placement(workers=workers, scheduler=scheduler), progress)
         rows = read_rows(rows_folder(out), progress.rows)
         with failing(LACKING, OSError, at="--out"):
             manifest = write_manifest(campaign, out, rows)
         failed = [row for row in rows if row["outcome"] != "ok"]
-        if json:
-            print_json({"folder": str(out), "wall_s": progress.wall_s, "run_s": progress.run_s, **manifest})
-        else:
-            console.print(f"{len(manifest['sequences'])} of {campaign.runs} sequences are in {out}", markup=False)
         for row in failed[:3]:
             console.print(f"sequence {row['index']}: {row['error']}", markup=False)
         if progress.trouble:
             raise Failure(f"{progress.trouble}. The same command goes on with the others", LACKING)
         if progress.interrupted:
             console.print("interrupted: the same command goes on", markup=False)
+        console.print(f"{len(manifest['sequences'])} of {campaign.runs} sequences are in {out}", markup=False)
+        if json:
+            print_json({"folder": str(out), "wall_s": progress.wall_s, "run_s": progress.run_s, **manifest})
         return BAD_VERDICT if failed or progress.remaining else GOOD
 
 
-def _campaign(rig: str, out: Path, content: Content) -> Campaign:
+def _campaign(rig: str, out: Path, content: Content) -> tuple[Campaign, TruthSelection]:
     layers = tuple(layer.strip() for layer in content.truth.split(",") if layer.strip())
     with failing(WRONG_USE, ValueError, at="--truth, --rate"):
         truth = SequenceTruth(content.rate, layers, content.format)
     if content.count < 1 or not 0 < content.seconds <= 86_400:
         raise Failure("--count must be 1 or more, and --seconds up to a day", WRONG_USE)
     sequences = Sequences(content.count, content.seconds, truth, content.seed, content.vary)
-    return Campaign(dataset_source(rig, out.absolute() / "dataset.toml", sequences))
-
-
-def _print_size(campaign: Campaign, sequences: int) -> None:
-    rig, truth = campaign.rig(0), campaign.settings.truth
-    assert truth is not None, "the campaign of a data set has a truth"
-    size = truth.selection.pictures(rig)[1] * rig.run.seconds / 1e6
-    text = f"{sequences} sequences remain, of at most {size:.3g} MB of truth each before compression, and their events"
-    status.print(text, markup=False)
+    return Campaign(dataset_source(rig, out.absolute() / "dataset.toml", sequences)), truth.selection
 
 
 verbs = App(name="campaign")
