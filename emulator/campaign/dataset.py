@@ -125,8 +125,7 @@ def written_sequence(rig: Rig, truth: SequenceTruth, path: Path) -> Iterator[Run
         with recorded:
             yield recorded
         if recorded.trouble:
-            full = "No space left" in recorded.trouble
-            raise OSError(errno.ENOSPC if full else errno.EIO, recorded.trouble, str(path))
+            raise OSError(errno.EIO, recorded.trouble, str(path))
         if isinstance(recorded, TruthArrays):
             with part.open("wb") as file:
                 np.savez_compressed(file, **recorded.arrays())  # type: ignore[arg-type]

@@ -17,8 +17,10 @@ import evstim
 from emulator.campaign.campaign import Campaign
 from emulator.campaign.dataset import Sequences, dataset_source
 from emulator.campaign.loading import SequenceTruth
+from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.cli.app import _main
 from emulator.rig.loading import shipped_rigs
+from emulator.run.truth.source import TruthFile
 from transports.recording.files import read_events
 
 COMMAND = [sys.executable, "-c", "from emulator.cli import main; main()"]
@@ -191,6 +193,17 @@ def test_another_data_set_does_not_go_into_the_folder(rig, folder):
 def test_mistakes_are_refused_with_their_reason(rig, tmp_path, capsys, options, message):
     assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), "--json", *options]) == 2
     assert message in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+
+
+def test_a_file_that_cannot_be_written_ends_the_data_set_without_a_row(rig, tmp_path, monkeypatch):
+    # HDF5 may crash where a disk is full: its run has no fault and is to be done again.
+    monkeypatch.setattr(
+        TruthFile, "close", lambda self: setattr(self, "trouble", "truth stopped: its writer was killed")
+    )
+    campaign = Campaign(dataset_source(rig, tmp_path / "d.toml", Sequences(2, 0.02, SequenceTruth())))
+    with pytest.raises(CampaignStopped, match="its writer was killed"):
+        run_row(campaign, 0, Place(tmp_path), lambda session: None)
+    assert list((tmp_path / "sequences").iterdir()) == []
 
 
 def test_files_of_others_stay_as_they_are(rig, tmp_path, capsys):
