@@ -15,6 +15,7 @@ import dataclasses
 import errno
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from transports.link.pacing import MonotonicClock
 
 _GIVEN_KEYS = ("rig", "count", "record", "program", "truth")
 _MOST_BYTES = 1 << 22
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True)
@@ -62,19 +64,21 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
     rig_text = read_rig(rig_file)
     parsed = parse_rig(rig_text, str(rig_file), rig_file.stem)
     if parsed.trigger is not None or parsed.second_camera is not None:
-        reason = "a data set is of one camera without links: remove [trigger] and [second_camera]"
-        raise CampaignError(f"{rig_file}: {reason}")
+        raise CampaignError(f"{rig_file}: a data set has one camera and no link: remove [trigger] and [second_camera]")
     vary, truth = sequences.vary, sequences.truth
     table = dict(_read(Path(vary)) if isinstance(vary, str | Path) else vary or {})
     if wrong := [key for key in _GIVEN_KEYS if key in table]:
         raise CampaignError(f"vary: {', '.join(wrong)}: this is given by the data set itself")
     run = {"seconds": sequences.seconds, "pace": "free", "step_us": _step_us(parsed.run.step_us, truth.rate_hz)}
     settings = laid_over({"links": [], "faults": [], "run": run}, table.get("set", {}))
-    named = str(rig_file if Path(rig).is_file() else rig)
-    content = {"rig": named, "truth": dataclasses.asdict(truth), "set": settings}
+    content = {
+        "rig": str(rig_file if Path(rig).is_file() else rig),
+        "truth": dataclasses.asdict(truth),
+        "set": settings,
+    }
     count = {} if table.get("sampling") == "grid" else {"count": sequences.count}
     table = {"seed": sequences.seed} | table | count | content
-    text = "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
+    text = "".join(f"{_toml(key)} = {_toml(value)}\n" for key, value in table.items())
     return Source(str(file), text, str(rig_file), rig_text)
 
 
@@ -98,10 +102,13 @@ def _step_us(step_us: int, rate_hz: float) -> int:
 def _toml(value: Any) -> str:
     """Return a value on one line of TOML."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
+        items = (f"{key if _BARE_KEY.fullmatch(key) else _toml(key)} = {_toml(item)}" for key, item in value.items())
+        return "{" + ", ".join(items) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value) if isinstance(value, str | bool) else str(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON leaves this one as it is
+    return str(value).lower()
 
 
 def sequence_path(folder: Path, index: int, truth: SequenceTruth) -> Path:
@@ -119,8 +126,7 @@ def written_sequence(rig: Rig, truth: SequenceTruth, path: Path) -> Iterator[Run
     for left in path.parent.glob(f".{path.stem}.*"):  # of a killed run, whose writer may still have it
         left.unlink(missing_ok=True)
     part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    selection = truth.selection
-    recorded = TruthFile(rig, part, selection) if truth.format == "h5" else TruthArrays(rig, selection)
+    recorded = TruthFile(rig, part, truth.selection) if truth.format == "h5" else TruthArrays(rig, truth.selection)
     try:
         with recorded:
             yield recorded
@@ -233,7 +239,7 @@ def dataset(  # noqa: PLR0913 - one call that names all it needs
         TOML file with them. Without any, sequences differ by their seeds.
     seed : of everything random.
 
-    Raises CampaignError or RigError where the rig or a parameter cannot be used; the message names it.
+    Raises CampaignError or RigError where the rig or a parameter cannot be used, ValueError where a layer or a rate.
     """
     sequences = Sequences(count, seconds, SequenceTruth(rate_hz, tuple(truth)), seed, vary)
     return Dataset(dataset_source(rig, Path("dataset.toml").absolute(), sequences))
@@ -263,7 +269,6 @@ def write_manifest(campaign: Campaign, folder: Path, rows: Sequence[Row]) -> dic
         "evstim": version("evstim"),
         "id": campaign.id,
         "rig": Path(campaign.source.rig_file).stem,
-        "sequences_of_the_whole": campaign.runs,
         **campaign.content,
         "sequences": sequences,
     }

@@ -12,10 +12,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import evstim
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.dataset import Sequences, dataset_source
+from emulator.campaign.dataset import Sequences, _toml, dataset_source
 from emulator.campaign.loading import SequenceTruth
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.cli.app import _main
@@ -233,7 +235,20 @@ def test_of_each_shipped_rig_there_is_a_data_set_or_a_reason(tmp_path):
         except evstim.CampaignError as error:
             refused[name] = str(error)
     assert set(refused) == {"can-demo", "stars-stereo", "stars-two-families"}
-    assert all("one camera without links" in reason for reason in refused.values())
+    assert all("one camera and no link" in reason for reason in refused.values())
+
+
+VALUES = st.recursive(
+    st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.text(),
+    lambda values: st.lists(values, max_size=3) | st.dictionaries(st.text(), values, max_size=3),
+)
+
+
+@given(VALUES)
+def test_values_on_one_line_of_toml_are_read_as_they_were(value):
+    line = f"value = {_toml(value)}"
+    assert "\n" not in line
+    assert tomllib.loads(line) == {"value": value}
 
 
 def test_what_the_page_varies_can_vary():
