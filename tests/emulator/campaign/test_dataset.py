@@ -120,6 +120,14 @@ def test_sequences_in_memory_are_those_of_the_files(rig, folder):
         data[3]
 
 
+def test_events_do_not_depend_on_what_is_written_beside_them(rig):
+    flow, clean = (evstim.dataset(rig, 2, seconds=0.05, truth=[layer])[1] for layer in ("flow", "clean_events"))
+    assert len(flow.events) > 50
+    assert (flow.events == clean.events).all()
+    assert len(clean.arrays["clean_events/t"]) > 0
+    assert [key for key in flow.arrays if key.startswith("pictures/")] == ["pictures/t", "pictures/flow"]
+
+
 def test_truth_is_at_multiples_of_its_period(folder):
     with h5py.File(folder / "sequences" / "000000.h5") as file:
         np.testing.assert_array_equal(file["pictures/t"][:], np.arange(5) * 50_000)
