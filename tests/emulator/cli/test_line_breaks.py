@@ -37,7 +37,7 @@ def test_each_option_of_the_help_is_one_line(capsys):
 @pytest.mark.long
 @pytest.mark.system
 def test_the_log_has_whole_lines_without_padding(tmp_path):
-    name = "a-link-with-a-name-that-is-longer-than-a-line-of-a-terminal-has-columns-" * 2
+    name = "a-link-whose-name-is-as-long-as-one-can-be-".ljust(64, "x")  # so its lines have more than 80 columns
     (tmp_path / "rig.toml").write_text(
         '[scene]\nkind = "checkerboard"\n[camera.sensor]\nwidth = 64\nheight = 48\n'
         f'[run]\nseconds = 0.02\npace = "free"\n[[links]]\nkind = "loopback"\nname = "{name}"\n'
