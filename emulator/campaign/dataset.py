@@ -1,6 +1,6 @@
 """Data sets: sequences of events with their truth, each a run of a campaign.
 
-    DIR/dataset.toml              the campaign: `evstim campaign again DIR/dataset.toml 17` repeats a sequence
+    DIR/dataset.toml              the campaign: `evstim campaign again DIR/dataset.toml 17 --folder DIR`
        /sequences/000017.h5       a truth file, see `emulator.run.truth.file`; .npz: the same arrays by the same names
        /manifest.json             seed, parameters, digests and file of each sequence
        /README.md                 a data card, made of the manifest
@@ -232,8 +232,8 @@ def dataset(  # noqa: PLR0913 - one call that names all it needs
     rig : name of a shipped rig, or path of a rig file.
     count : number of sequences.
     seconds : length of each, of stream time.
-    truth : "light", "depth", "flow", "labels", "poses", "clean_events"; by default what the scene has of the middle
-        four.
+    truth : of "light", "depth", "flow", "labels", "poses" and "clean_events"; by default depth, flow, labels and poses,
+        as far as the scene has them.
     rate_hz : light, depth, flow and labels a second.
     vary : sampled parameters, as keys of a campaign file: {"parameters": [{"key": ..., "kind": "uniform", ...}]}, or a
         TOML file with them. Without any, sequences differ by their seeds.
@@ -298,7 +298,7 @@ Simulated events with truth, made by evstim {version("evstim")}. No real camera 
 - layout: page *Recordings and truth* of evstim's documentation
 - times of events are whole microseconds of stream time, without errors of a camera's clock or link
 - `manifest.json`: seed, parameters and digests of each sequence, which are the same on any machine
-- `evstim campaign again dataset.toml INDEX` makes a sequence again
+- `evstim campaign again dataset.toml INDEX --folder .` makes a sequence again and compares it
 
 | sampled | law |
 |---|---|

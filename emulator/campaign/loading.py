@@ -180,8 +180,8 @@ class SequenceTruth:
     Attributes
     ----------
     rate_hz : light, depth, flow and labels a second.
-    layers : of "light", "depth", "flow", "labels", "poses" and "clean_events"; by default what the scene has of the
-        middle four.
+    layers : of "light", "depth", "flow", "labels", "poses" and "clean_events"; by default depth, flow, labels and
+        poses, as far as the scene has them.
     format : "h5": a truth file, which readers of DSEC take for a recording; "npz": the same arrays for numpy.
     """
 

@@ -429,8 +429,8 @@ class Content:
         TOML file with [[parameters]] and other keys of a campaign file, see docs/datasets.md. Without it sequences
         differ by their seeds.
     truth
-        light, depth, flow, labels, poses, clean_events, with commas between; default: what the scene has of the
-        middle four.
+        Of light, depth, flow, labels, poses, clean_events, with commas between; default: depth,flow,labels,poses, as
+        far as the scene has them.
     rate
         Light, depth, flow and labels a second.
     format

@@ -27,8 +27,7 @@
 All times are microseconds of stream time: the camera's own time where its clock has no error and is not reset.
 The world is right-handed, in metres; q_world_from_x turns coordinates along the axes of x into those along the world's.
 Quantities that a scene does not have, or that were not selected, are no data set; `absent` contains the reason of the
-former. While it is written, and after
-its writer was killed, the file opens as h5py.File(path, swmr=True).
+former. While it is written, and after its writer was killed, the file opens as h5py.File(path, swmr=True).
 
 A separate process compresses the rows and waits for the disk (see `transports.recording.writer_process`). A message to
 it is a mapping of data sets to rows that are added to them; the last one contains attributes of the file. A run that is
@@ -64,7 +63,6 @@ FORMAT, VERSION = "evstim-truth", 1
 LAYERS = ("light", "depth", "flow", "labels", "poses", "clean_events")
 
 _CHUNK_BYTES = 1 << 15
-_CHUNK = 1 << 20  # events at a time
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _EVENTS = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
 
@@ -210,15 +208,19 @@ def _write(file: h5py.File, path: Path) -> None:
     """Write all messages, then the attributes of the last one."""
     import h5py
 
-    attributes = _write_rows(file)
+    counted: list[tuple[Any, Any]] = []
+    attributes = _write_rows(file, counted)
     file.close()
     with h5py.File(path, "r+") as closed:  # neither attributes nor new data sets while others may read
         closed.attrs.update(attributes)
-        closed["t_offset"], closed["ms_to_idx"] = np.int64(0), _first_of_each_ms(closed["events/t"])
+        closed["t_offset"], closed["ms_to_idx"] = np.int64(0), _first_of_each_ms(counted)
 
 
-def _write_rows(file: h5py.File) -> Mapping[str, Any]:
-    """Add all rows; return the attributes of the last message, {} where the run was killed before it."""
+def _write_rows(file: h5py.File, counted: list[tuple[Any, Any]]) -> Mapping[str, Any]:
+    """Add all rows, and milliseconds with their numbers of events to `counted`: to read all again may take minutes.
+
+    Return the attributes of the last message, {} where the run was killed before it.
+    """
     flushed_s = time.monotonic()
     sets: dict[str, h5py.Dataset] = {}  # open to the end: h5py ignores a full disk at their close, then flush crashes
     while (rows := decoded(sys.stdin.buffer.read)) is not None:
@@ -229,23 +231,25 @@ def _write_rows(file: h5py.File) -> Mapping[str, Any]:
             before = len(data)
             data.resize(before + len(values), axis=0)
             data[before:] = values
+            if name == "events/t":
+                counted.append(np.unique(values // 1000, return_counts=True))
         if time.monotonic() - flushed_s > _FLUSH_S:
             file.flush()
             flushed_s = time.monotonic()
     return {}
 
 
-def _first_of_each_ms(times_us: Any) -> npt.NDArray[np.uint64]:
-    """Return for each millisecond the number of events before it, up to that of the last event."""
-    counts = np.zeros(1 + int(times_us[-1]) // 1000 if len(times_us) else 0, np.uint64)
-    for start in range(0, len(times_us), _CHUNK):
-        numbers, of_each = np.unique(times_us[start : start + _CHUNK] // 1000, return_counts=True)
-        counts[numbers] += of_each.astype(np.uint64)
-    return np.cumsum(counts) - counts
+def _first_of_each_ms(counted: Sequence[tuple[Any, Any]]) -> npt.NDArray[np.uint64]:
+    """Return for each millisecond, up to that of the last event, the number of events before it."""
+    events = np.zeros(1 + max((int(ms[-1]) for ms, _ in counted if len(ms)), default=-1), np.uint64)
+    for ms, numbers in counted:
+        events[ms] += numbers.astype(np.uint64)
+    return np.cumsum(events) - events
 
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _LIMITS = Limits(memory_bytes=1 << 31, cpu_s=120)
+_CHUNK = 1 << 20
 
 
 def is_hdf5(path: Path) -> bool:
