@@ -141,15 +141,19 @@ def test_a_short_landing_twice(tmp_path):
 
 @pytest.mark.socket
 def test_a_short_landing_in_real_time(tmp_path):
-    """How well it lands, or whether it begins, depends on the machine; that its files agree does not."""
+    """How well it lands, or whether it begins, depends on the machine; that its files agree does not.
+
+    A machine that stands still for seconds may begin the descent without the flight computer, which then has no file.
+    """
     code, verdict, text = landing(tmp_path, "--real-time", "--longest-s", "40")
     assert code in (0, 1), text
     assert verdict["soft"] == (code == 0)
     told = json.loads((tmp_path / "summary.json").read_text().splitlines()[-1])
     assert told["lateness"]["lead_needed_us"]["p50"] > 0
-    began = not any("did not begin" in sentence for sentence in verdict["why"])
-    assert began == (tmp_path / "latency.json").exists(), text
-    if began:
+    not_flown = ("did not begin", "answered no SYNC")
+    flown = not any(reason in sentence for reason in not_flown for sentence in verdict["why"])
+    assert flown == (tmp_path / "latency.json").exists(), text
+    if flown:
         parts = json.loads((tmp_path / "latency.json").read_text())["parts_ms"]
         assert all(part["median"] >= 0 for part in parts.values() if part["median"] is not None)
 
