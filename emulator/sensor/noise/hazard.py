@@ -85,6 +85,7 @@ _INVERSE_ROOT = np.float32(1 / math.sqrt(2 * math.pi))
 _F0, _F1 = np.float32(0), np.float32(1)
 _SETTLED = 10.0  # time constants of the slower pole after which the reset is forgotten
 _SHORT = 2e-3  # (a1 + a2) s below which the variances are taken from their series
+_UNRESOLVED = 40.0  # of a square of deviations: a factor of e^20
 _NEVER_HZ = 1e11  # rad/s: a pole that fast is none
 
 
@@ -139,13 +140,12 @@ def _index(x: Real) -> np.uint64:
 
 
 @lane
-def _cell(table: _Float32s, at: Real, f: Real, g: Real) -> Real:
-    """Return a table between four entries: the one at `at`, shares f along c and g along nu."""
-    k = np.uint64(at)
+def _cell(table: _Float32s, at: Real, row: int, f: Real, g: Real) -> Real:
+    """Return a table between four entries: the one at `at`, shares f to the next row and g to the next entry."""
+    k, below = np.uint64(at), np.uint64(at) + np.uint64(row)
     step = np.uint64(1)
-    row = np.uint64(_ROW)
     low = table[k] + (table[k + step] - table[k]) * g
-    high = table[k + row] + (table[k + row + step] - table[k + row]) * g
+    high = table[below] + (table[below + step] - table[below]) * g
     return low + (high - low) * f
 
 
@@ -156,7 +156,7 @@ def _of_one_pole(c: Real, nu: Real, tables: _Float32s) -> Real:
     y = (nu / steep + _F1) * np.float32(32)
     x = (min(max(c, np.float32(-3.99)), np.float32(8.99)) + np.float32(4)) * np.float32(16)
     j, i = _index(min(y, np.float32(63.99))), _index(x)
-    value = _cell(tables, np.uint64(_ONE) + i * np.uint64(_ROW) + j, x - np.float32(i), y - np.float32(j))
+    value = _cell(tables, np.uint64(_ONE) + i * np.uint64(_ROW) + j, _ROW, x - np.float32(i), y - np.float32(j))
     return value * steep * _INVERSE_ROOT * _gaussian(c)
 
 
@@ -179,7 +179,7 @@ def _of_two_poles(c: Real, nu: Real, ratio: Real, first: int, tables: _Float32s)
     k = _index(z)
     at = np.uint64(first) + k * np.uint64(_SLICE) + i * np.uint64(_ROW) + j
     f, g = x - np.float32(i), y - np.float32(j)
-    low, high = _cell(tables, at, f, g), _cell(tables, at + np.uint64(_SLICE), f, g)
+    low, high = _cell(tables, at, _ROW, f, g), _cell(tables, at + np.uint64(_SLICE), _ROW, f, g)
     return low + (high - low) * (z - np.float32(k))
 
 
@@ -213,12 +213,7 @@ def _pair(a: float, b: float, first: int, nodes: int, per_unit: float, tables: _
     x = min(max((a + 0.5) * per_unit, 0.0), nodes - 1.001)
     y = min(max((b + 0.5) * per_unit, 0.0), nodes - 1.001)
     i, j = np.int64(x), np.int64(y)
-    f = x - i
-    g = y - j
-    at = first + np.int64(x) * nodes + np.int64(y)
-    low = tables[at] + (tables[at + 1] - tables[at]) * g
-    high = tables[at + nodes] + (tables[at + nodes + 1] - tables[at + nodes]) * g
-    return float(low + (high - low) * f)
+    return float(_cell(tables, first + i * nodes + j, nodes, x - i, y - j))
 
 
 @lane
@@ -305,31 +300,40 @@ def transition(s: float, noise: Noise) -> Transition:
 
 
 @lane
+def _matters(c: float, other: float, nu: float) -> bool:
+    """Return whether a threshold at c adds to the hazard of the other one, approached at speed nu, in float32."""
+    receding = min(nu, 0.0)
+    return c < FARTHEST and (c < 0 or c * c < other * abs(other) + receding * receding + _UNRESOLVED)
+
+
+@lane
 def _two_poles(s: float, d: Distance, n_r: float, v_r: float, noise: Noise, tables: _Float32s) -> Hazard:
     """Return the hazards of a pixel of two poles at a time s after its reset."""
     m = m_slope = pull = 0.0
-    deviation = 1.0
+    deviation = inverse = 1.0
     slope = noise.rate
     ratio = noise.ratio
     if s * min(noise.a1, noise.a2) < _SETTLED:
         t = transition(s, noise)
         m, m_slope = t.p11 * n_r + t.p12 * v_r, t.p21 * n_r + t.p22 * v_r
         deviation = math.sqrt(t.v)
-        pull = t.c / t.v
-        slope = math.sqrt(max(t.w - t.c * pull, 1e-30)) / deviation
+        inverse = 1 / deviation
+        pull = t.c * inverse * inverse
+        slope = math.sqrt(max(t.w - t.c * pull, 1e-30)) * inverse
         ratio = t.v * slope * slope * slope / (noise.a1 * noise.a2 * (noise.a1 + noise.a2))
-    per_sigma = 1 / (noise.sigma * deviation)
+    per_sigma = inverse / noise.sigma
+    per_slope = 1 / slope
     c_on, c_off = (d.on - m) * per_sigma, (d.off + m) * per_sigma
     rise = (d.speed + m_slope) * per_sigma
     nearer = pull - d.narrowing
-    nu_on, nu_off = (rise + c_on * nearer) / slope, (c_off * nearer - rise) / slope
+    nu_on, nu_off = (rise + c_on * nearer) * per_slope, (c_off * nearer - rise) * per_slope
     on = off = 0.0
-    if c_on < FARTHEST:
+    if _matters(c_on, c_off, nu_off):
         on = slope * _two(c_on, nu_on, ratio, tables)
-    if c_off < FARTHEST:
+    if _matters(c_off, c_on, nu_on):
         off = slope * _two(c_off, nu_off, ratio, tables)
     if c_on + c_off < 10 and max(c_on, c_off) < 5.4:
-        share = deviation**4 / (1 + (rise / slope) * (rise / slope))
+        share = deviation * deviation * deviation * deviation / (1 + rise * rise * per_slope * per_slope)
         nearest = int(min(max((ratio - LEAST_RATIO) * 16 + 0.5, 0.0), 6.0))
         first = _TWO_PAIR + 625 * nearest
         on *= 1 + (_pair(c_on, c_off, first, 25, 4.0, tables) - 1) * share
@@ -365,10 +369,5 @@ def exit_speed(nu: float, c: float, share: float, ratio: float, tables: _Float32
         return nu + 1 / nu
     x, y = (max(nu, -5.99) + 6) * 4, share * 64
     i, j = np.int64(x), np.int64(y)
-    f = x - i
-    g = y - j
-    at = _EXIT + np.int64(x) * _ROW + np.int64(y)
-    low = tables[at] + (tables[at + 1] - tables[at]) * g
-    high = tables[at + _ROW] + (tables[at + _ROW + 1] - tables[at + _ROW]) * g
     stretch = _of_two_poles(np.float32(c), np.float32(nu), np.float32(ratio), _SPEED, tables)
-    return float((low + (high - low) * f) * stretch)
+    return float(_cell(tables, _EXIT + i * _ROW + j, _ROW, x - i, y - j) * stretch)

@@ -66,7 +66,6 @@ class Purpose(IntEnum):
     LATENCY = 14
     LEAK_JITTER = 15
     PARTICLES = 16
-    TRACKS = 17
     DOSE = 18
     BACKGROUND = 19
     BACKGROUND_RATE = 20

@@ -121,6 +121,7 @@ class _Curve(NamedTuple):
     """
 
     piece: Piece
+    per_ns: float  # 1 / span
     t0_ns: int
     since_s: float  # since the epoch of the leak
     leak: float  # ln units a second
@@ -142,7 +143,7 @@ class _Signal(NamedTuple):
 def _value(t_ns: float, curve: _Curve) -> float:
     """Return the value of the comparator without noise at a time of a piece."""
     p = curve.piece
-    x = (t_ns - p.begin_ns) / p.span_ns
+    x = (t_ns - p.begin_ns) * curve.per_ns
     return p.base + ((((p.c3 * x + p.c2) * x + p.c1) * x + p.d0) + curve.leak * (curve.since_s + t_ns * 1e-9))
 
 
@@ -150,8 +151,8 @@ def _value(t_ns: float, curve: _Curve) -> float:
 def _signal(t_ns: float, curve: _Curve) -> _Signal:
     """Return the signal at a time of a piece."""
     p, high = curve.piece, curve.high_rate
-    x = (t_ns - p.begin_ns) / p.span_ns
-    per_s = 1e9 / p.span_ns
+    x = (t_ns - p.begin_ns) * curve.per_ns
+    per_s = 1e9 * curve.per_ns
     speed = ((3 * p.c3 * x + 2 * p.c2) * x + p.c1) * per_s + curve.leak
     rate = p.rate0 + (p.rate1 - p.rate0) * x
     noise = noise_of(rate, curve.pole, curve.rms, high)
@@ -161,7 +162,8 @@ def _signal(t_ns: float, curve: _Curve) -> _Signal:
         faster = 0.5 * (p.rate1 - p.rate0) * per_s
         if noise.a1 != noise.a2:
             narrowing = faster / (noise.a1 + noise.a2)
-        narrowing -= faster * high / (rate * (rate + high))
+        if high > 0:
+            narrowing -= faster * high / (rate * (rate + high))
     return _Signal(_value(t_ns, curve), speed, narrowing, noise)
 
 
@@ -224,8 +226,7 @@ def _nearer(c_ahead: float, nu: float) -> float:
     if c_ahead < 1:
         return least
     steep = (0.4 + nu) / (nu * _POINTS)
-    for _ in range(2):
-        c = math.sqrt(2 * math.log(max(steep * max(c_ahead - c, 0.3), 1.0)))
+    c = math.sqrt(2 * math.log(max(steep * max(c_ahead - c, 0.3), 1.0)))
     return max(c_ahead - c, least)
 
 
@@ -427,7 +428,7 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         return n_keys, fired, 0
     rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE])
     leak = np.float64(pixels.fields[state.slot(pixel) + _LEAK])
-    curve = _Curve(p, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
+    curve = _Curve(p, 1 / p.span_ns, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
     t = max(p.begin_ns, a.reset)
     if a.reference != a.reference:
         a = _re_armed(pixels, pixel, _signal(t, curve), a, c)
