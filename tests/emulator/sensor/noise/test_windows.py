@@ -26,7 +26,7 @@ def curve(rng, pole):
         bends = np.array([3, -3, 1]) * rng.uniform(-1, 1) * THRESHOLD
     rate = 10 ** rng.uniform(3, 4.3)
     piece = Piece(0.0, span_ns, 0.0, 0.0, *bends, rate, rate * np.exp(bends.sum()))
-    return passage._Curve(piece, 0, 0.0, rng.uniform(0, 1e-3), rng.uniform(0.01, 0.06), pole, 0.0)
+    return passage._Curve(piece, 1 / span_ns, 0, 0.0, rng.uniform(0, 1e-3), rng.uniform(0.01, 0.06), pole, 0.0)
 
 
 def state(reference, reset_ns, n_r=0.0, v_r=0.0):
