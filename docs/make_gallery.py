@@ -133,8 +133,8 @@ def _section(shot: Shot) -> str:
 def draw(shot: Shot) -> None:
     """Write the picture and the movie of a rig."""
     FOLDER.mkdir(exist_ok=True)
-    show = PictureOptions(shot.at_s, shot.window_ms, (shot.pictures - 0.5) / shot.fps)
-    seen = [_smaller(light, events) for _, light, events in looks(load_rig(shot.rig), show, shot.window_ms, shot.fps)]
+    show = PictureOptions(shot.at_s, shot.window_ms, (shot.pictures - 0.5) / shot.fps, fps=shot.fps)
+    seen = [_smaller(light, events) for _, light, events in looks(load_rig(shot.rig), show, shot.window_ms)]
     white = white_of(seen[0][0])
     _save(FOLDER / f"{shot.rig}.webp", [_beside(*seen[0], min(1.0, 2 * shot.white))])
     _save(FOLDER / f"{shot.rig}-movie.webp", [event_picture(*pair, white=white, dimming=shot.white) for pair in seen])

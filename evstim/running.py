@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypedDict, TypeVar, Unpack, overload
 
 from emulator.rig.kinds import assigned_fault, convert_fault
 from emulator.rig.loading import Rig, load_rig, with_options
@@ -50,32 +50,23 @@ Batch = TypeVar("Batch", bound=_Sized)
 Pace = Literal["realtime", "free"]
 
 
-@overload
-def run(
-    rig: str | Path | Rig,
-    *,
-    link: None = None,
-    seconds: float | None = None,
-    seed: int | None = None,
-    pace: Pace | None = None,
-    record: str | Path | None = None,
-    truth: str | Path | None = None,
-    truth_every: int | None = None,
-) -> LiveRun[Events]: ...
+class _RunOptions(TypedDict, total=False):
+    """Options of `run` that do not change the type of what it yields."""
+
+    seconds: float | None
+    seed: int | None
+    pace: Pace | None
+    record: str | Path | None
+    truth: str | Path | None
+    truth_every: int | None
 
 
 @overload
-def run(
-    rig: str | Path | Rig,
-    *,
-    link: str,
-    seconds: float | None = None,
-    seed: int | None = None,
-    pace: Pace | None = None,
-    record: str | Path | None = None,
-    truth: str | Path | None = None,
-    truth_every: int | None = None,
-) -> LiveRun[Delivery]: ...
+def run(rig: str | Path | Rig, *, link: None = None, **options: Unpack[_RunOptions]) -> LiveRun[Events]: ...
+
+
+@overload
+def run(rig: str | Path | Rig, *, link: str, **options: Unpack[_RunOptions]) -> LiveRun[Delivery]: ...
 
 
 def run(

@@ -148,13 +148,8 @@ def _fail(message: str, exit_code: int, as_json: bool, printed: bool = False) ->
         status.quiet = False
         status.print(f"evstim: {message}", markup=False)
     if as_json and sys.stdout is not None:
-        _print_error({"error": message, "exit_code": exit_code})
+        try:
+            print_json({"error": message, "exit_code": exit_code})
+        except Failure as failure:  # stdout that cannot take it changes neither the message nor the exit code
+            status.print(f"evstim: {failure}", markup=False)
     return exit_code
-
-
-def _print_error(error: dict[str, object]) -> None:
-    """Print the JSON of an error; stdout that cannot take it changes neither the message nor the exit code."""
-    try:
-        print_json(error)
-    except Failure as failure:
-        status.print(f"evstim: {failure}", markup=False)

@@ -49,9 +49,11 @@ from emulator.cli.output import (
     WRONG_USE,
     Failure,
     Json,
+    RigName,
     console,
     failing,
     print_json,
+    print_result,
     status,
 )
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
@@ -84,14 +86,9 @@ class Progress:
         self._bar: Bar | None = None
 
     @property
-    def came(self) -> int:
-        """Rows that came since this command began."""
-        return len(self.rows)
-
-    @property
     def remaining(self) -> int:
         """Runs without a row."""
-        return self._wanted - self._before - self.came
+        return self._wanted - self._before - len(self.rows)
 
     @property
     def wall_s(self) -> float:
@@ -108,12 +105,13 @@ class Progress:
         elif time.monotonic() - self._printed_s > _LINE_PERIOD_S:
             self._printed_s = time.monotonic()
             status.print(
-                f"{self._name}: {self._before + self.came} of {self._wanted} runs, {self._success_text}", markup=False
+                f"{self._name}: {self._before + len(self.rows)} of {self._wanted} runs, {self._success_text}",
+                markup=False,
             )
 
     @property
     def _success_text(self) -> str:
-        return f"{self._successes} of {self.came} successes"
+        return f"{self._successes} of {len(self.rows)} successes"
 
     @contextmanager
     def shown(self) -> Iterator[None]:
@@ -144,7 +142,7 @@ def finish(
         "id": campaign.id,
         "runs": campaign.runs,
         "done": len(rows),
-        "came": progress.came,
+        "came": len(progress.rows),
         "outcomes": outcomes,
         "success": asdict(success),
         "wall_s": progress.wall_s,
@@ -231,10 +229,7 @@ def again(
     if before is not None:
         names = [name for name in before if name.startswith("events.") or name.endswith(".digest")]
         different = [name for name in [*names, "outcome"] if before[name] != row.get(name)]
-    if json:
-        print_json({"row": row, "different": different})
-    else:
-        _print_row(row, different)
+    print_result(json, {"row": row, "different": different}, _row_lines(row, different))
     return BAD_VERDICT if different else GOOD
 
 
@@ -246,15 +241,14 @@ def _row_before(campaign: Campaign, folder: Path, index: int) -> Row | None:
     return row if row["campaign"] == campaign.id else None
 
 
-def _print_row(row: Row, different: list[str] | None) -> None:
-    for name, value in row.items():
-        console.print(f"{name}: {value}", markup=False)
+def _row_lines(row: Row, different: list[str] | None) -> Iterator[str]:
+    yield from (f"{name}: {value}" for name, value in row.items())
     if different is None:
-        console.print("there is no row of this run to compare with", markup=False)
+        yield "there is no row of this run to compare with"
     elif different:
-        console.print(f"DIFFERENT from the row of the campaign: {', '.join(different)}", markup=False)
+        yield f"DIFFERENT from the row of the campaign: {', '.join(different)}"
     else:
-        console.print("equal to the row of the campaign: all counts and digests of events", markup=False)
+        yield "equal to the row of the campaign: all counts and digests of events"
 
 
 def report(file: Path, /, *, folder: Path | None = None, to: Path | None = None, json: Json = False) -> int:
@@ -450,7 +444,7 @@ _CONTENT = Content()
 
 
 def dataset(
-    rig: str,
+    rig: RigName,
     /,
     *,
     out: Path,
@@ -463,8 +457,6 @@ def dataset(
 
     Parameters
     ----------
-    rig
-        Path of a rig file, or the name of a shipped one.
     out
         Folder of the data set; made if missing.
     workers

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from emulator.cli.checks import check_recording, parsed_size, reading, writing
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, SensorSize, print_result, status
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import Format
 from transports.recording.part import Facts, Reader, RecordingError, counts_of, named
@@ -22,7 +22,7 @@ _PROGRESS_S = 2.0
 _LATE = "as they come in the file after data of a later time"
 
 
-def convert(source: Path, target: Path, /, *, to: str = "", size: str | None = None, json: Json = False) -> int:
+def convert(source: Path, target: Path, /, *, to: str = "", size: SensorSize = None, json: Json = False) -> int:
     """Convert a recording of events to another format, piece by piece: memory does not grow with the file.
 
     Parameters
@@ -33,8 +33,6 @@ def convert(source: Path, target: Path, /, *, to: str = "", size: str | None = N
         The file to write; its suffix determines the format.
     to
         Name of the format, where the suffix does not determine it: aedat31, evt2, ros1-dvs, ...
-    size
-        WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not contain it.
     """
     _check_apart(source, target)
     sensor = parsed_size(size)
@@ -94,23 +92,19 @@ def _closed(file: RecordingFile, target: Path) -> Iterator[None]:
 
 def _print(source: Path, target: Path, form: Format, done: _Done, json: bool) -> int:
     file, rate = done.file, done.file.written["events"] / max(done.seconds, 1e-9) * 1e-6
-    left_out = +(done.read - file.written)
-    if json:
-        written = {name: file.written[name] for name in ("events", "edges", "imu", "frames")}
-        print_json(
-            {
-                "input": source, "output": file.paths, "format": form.name, **written, "left_out": left_out,
-                "trouble": done.trouble, "seconds": done.seconds,
-            }
-        )  # fmt: skip
-    else:
-        console.print(f"{target}: {form.title}, {named(file.written) or 'nothing'}, {rate:.1f} Mev/s", markup=False)
-        for reason, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, +file.late)):
-            if counts:
-                console.print(f"left out, {reason}: {named(counts)}", markup=False)
-        console.print(f"opens in: {form.readers}")
-        if done.trouble:
-            console.print(f"{source}: {done.trouble}; the part before it is in {target}", markup=False)
+    result = {
+        "input": source, "output": file.paths, "format": form.name,
+        **{name: file.written[name] for name in ("events", "edges", "imu", "frames")},
+        "left_out": +(done.read - file.written), "trouble": done.trouble, "seconds": done.seconds,
+    }  # fmt: skip
+    lines = [f"{target}: {form.title}, {named(file.written) or 'nothing'}, {rate:.1f} Mev/s"]
+    for reason, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, +file.late)):
+        if counts:
+            lines.append(f"left out, {reason}: {named(counts)}")
+    lines.append(f"opens in: {form.readers}")
+    if done.trouble:
+        lines.append(f"{source}: {done.trouble}; the part before it is in {target}")
+    print_result(json, result, lines)
     return BAD_VERDICT if done.trouble else GOOD
 
 
@@ -119,7 +113,7 @@ def _check_apart(source: Path, target: Path) -> None:
         raise Failure(f"{target}: is the input itself", WRONG_USE)
 
 
-def recover(source: Path, target: Path, /, *, size: str | None = None, json: Json = False) -> int:
+def recover(source: Path, target: Path, /, *, size: SensorSize = None, json: Json = False) -> int:
     """Save the readable part of a recording that was cut or never finished.
 
     Parameters
@@ -129,8 +123,6 @@ def recover(source: Path, target: Path, /, *, size: str | None = None, json: Jso
         converts everything before the damage.
     target
         The file to write: .aedat4 for AEDAT 4.0, any format for a .part file.
-    size
-        WIDTHxHEIGHT of the sensor, such as 346x260, for a .part file.
     """
     _check_apart(source, target)
     if source.suffix == ".part":
@@ -152,9 +144,7 @@ def _recover_aedat4(source: Path, target: Path, json: bool) -> int:
         if source.is_dir():
             raise RecordingError("is a folder")
         saved = recover_aedat4(source, target)
-    if json:
-        print_json({"input": source, "output": target, **dataclasses.asdict(saved)})
-    else:
-        left = f"{saved.left_bytes} bytes at the end are left out"
-        console.print(f"{target}: {saved.packets} packets, {saved.kept_bytes} bytes; {left}", markup=False)
+    left = f"{saved.left_bytes} bytes at the end are left out"
+    line = f"{target}: {saved.packets} packets, {saved.kept_bytes} bytes; {left}"
+    print_result(json, {"input": source, "output": target, **dataclasses.asdict(saved)}, [line])
     return GOOD if saved.packets else BAD_VERDICT

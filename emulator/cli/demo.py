@@ -11,29 +11,29 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from json import dumps
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from emulator.cli.checks import failures, prepared
+from emulator.cli.checks import failures
 from emulator.cli.driver_client import DRIVER, driver_works
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
-from emulator.cli.run import summary
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_result, status
+from emulator.cli.picture import PictureOptions, draw
+from emulator.cli.run import Files, RunParts, rig_with_options, run_with_files, summary
 from emulator.cli.run_summary import lateness_lines
-from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.rig.loading import Rig, UsbipLink, load_rig
-from emulator.run.assembly import build_scene, build_session, link_setups, schedule
-from emulator.run.kernels import parts_of
 from emulator.run.machine import free_loopback_address
 from emulator.run.outcome import RunResult, RunStatus
+from emulator.run.session import Session
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.gige.kind import GigeLink
-from transports.link.pacing import MonotonicClock
 from transports.recording.record import load_record
 
 _HEIGHT_M = 500.0
+_MOVIE_S, _MOVIE_FPS = 2.0, 10  # a small file that is written in about a second
 _PARENTS = Path(__file__).parents
 
 
@@ -48,10 +48,7 @@ def fly_landing(*, as_json: bool) -> int:
         exit_code = code if code in (WRONG_USE, LACKING) else BAD_VERDICT
         raise Failure(f"the landing did not begin: fly.py ended with {code}, see above", exit_code)
     verdict = json.loads(file.read_text())
-    if as_json:
-        print_json({**verdict, "good": verdict["soft"], "folder": str(out)})
-    else:
-        _print(verdict)
+    print_result(as_json, {**verdict, "good": verdict["soft"], "folder": str(out)}, _landing_lines(verdict))
     return GOOD if verdict["soft"] else BAD_VERDICT
 
 
@@ -63,16 +60,15 @@ def _program() -> Path:
     raise Failure("examples/landing is not here: it comes with evstim and lies in its repository", WRONG_USE)
 
 
-def _print(verdict: dict[str, Any]) -> None:
+def _landing_lines(verdict: dict[str, Any]) -> Iterator[str]:
     if verdict["touched"]:
-        console.print(f"with events: {_ended(verdict)}")
+        yield f"with events: {_ended(verdict)}"
     for name, other in verdict.get("others", {}).items():
-        console.print(f"same start, {_OTHERS[name]}: {_ended(other)}")
+        yield f"same start, {_OTHERS[name]}: {_ended(other)}"
     if "error_median" in verdict:
-        console.print(f"divergence from events: {100 * verdict['error_median']:.1f} % off in the median")
-    for sentence in verdict["why"]:
-        console.print(sentence, markup=False)
-    console.print("good" if verdict["soft"] else "NOT GOOD: not a landing within the bounds")
+        yield f"divergence from events: {100 * verdict['error_median']:.1f} % off in the median"
+    yield from verdict["why"]
+    yield "good" if verdict["soft"] else "NOT GOOD: not a landing within the bounds"
 
 
 _OTHERS = {"blind": "by its IMU and star tracker alone", "altimeter": "with an altimeter in place of the camera"}
@@ -108,10 +104,11 @@ def start_reader(kind: str, address: str, record: Path, seconds: float) -> subpr
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
 
-def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Json = False) -> int:
+def demo(rig: str = "eros", /, *, seconds: float = 5.0, report: Path | None = None, json: Json = False) -> int:
     """Run a rig, read its camera in a second process, as a driver does, and compare every event.
 
-    The camera is on USB/IP or on GigE Vision; the latter is read by neuromorphic_drivers where that is installed.
+    The camera is on USB/IP or on GigE Vision; the latter is read by neuromorphic_drivers where that is installed. A
+    report of the run and a movie of the first received events are written at the end.
 
     Parameters
     ----------
@@ -120,25 +117,23 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Json = False) -> i
         500 m, guided by events, is flown instead.
     seconds
         Time for which the second process reads.
+    report
+        Write the report and received.gif into this folder. Default: a new one in the temporary folder.
     """
     if rig == "landing":
         with failures():
             return fly_landing(as_json=json)
     with failures(), tempfile.TemporaryDirectory() as folder:
-        loaded = _on_a_free_port(load_rig(rig))
-        sent, received = Path(folder, "sent.npz"), Path(folder, "received.npz")
-        prepared(parts_of(loaded))
+        sent, received = Path(folder) / "sent.npz", Path(folder) / "received.npz"
+        loaded = rig_with_options(_on_a_free_port(load_rig(rig)), seconds + 60, None, None)
+        report = report or Path(tempfile.mkdtemp(prefix="evstim-demo-"))
         status.print(f"{loaded.name}: {loaded.title}")
-        result = _run(loaded, sent, received, seconds)
-        ignore_stop_signals()
+        result = _run(loaded, Files(record=sent, report=report), received, seconds)
         verdict = _compare(sent, received, to_the_end=isinstance(loaded.links[0], UsbipLink))
+        movie = _movie(received, report, loaded)
     good = verdict["equal"] is True and result.good
-    if json:
-        print_json({**summary(loaded, result), "comparison": verdict, "good": good})
-    else:
-        _print_verdict(result, verdict, good)
-        for line in lateness_lines(loaded, result):
-            console.print(line)
+    value = {**summary(loaded, result), "comparison": verdict, "movie": movie, "report": report, "good": good}
+    print_result(json, value, [*_verdict_lines(result, verdict, good), *lateness_lines(loaded, result)])
     return GOOD if good else BAD_VERDICT
 
 
@@ -157,29 +152,25 @@ def _on_a_free_port(rig: Rig) -> Rig:
     raise Failure(f"{rig.name} has no usbip link and no gige link to attach to", WRONG_USE)
 
 
-def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
+def _run(rig: Rig, files: Files, received: Path, seconds: float) -> RunResult:
     """Start the receiver as soon as the camera has an address, and run until it ends."""
     link = rig.links[0]
     receiver: subprocess.Popen[bytes] | None = None
-    with build_scene(rig) as scene:
-        session = build_session(rig, scene, link_setups(rig, sent), MonotonicClock())
 
-        def follow(now: RunStatus) -> None:
-            nonlocal receiver
-            address = now.links[link.name].address
-            if receiver is None and address is not None:
-                receiver = start_reader(link.kind, address, received, seconds)
-            elif receiver is not None and receiver.poll() is not None:
-                session.stop()
+    def follow(session: Session, now: RunStatus) -> None:
+        nonlocal receiver
+        address = now.links[link.name].address
+        if receiver is None and address is not None:
+            receiver = start_reader(link.kind, address, received, seconds)
+        elif receiver is not None and receiver.poll() is not None:
+            session.stop()
 
-        try:
-            plan = dataclasses.replace(schedule(rig), duration_ns=round((seconds + 60) * 1e9))
-            stop_on_signals(session.stop, session.interrupt)
-            return session.run(plan, follow)
-        finally:
-            if receiver is not None and receiver.poll() is None:
-                receiver.terminate()
-                receiver.wait(10)
+    try:
+        return run_with_files(rig, files, RunParts(follow=follow), show=False)[0]
+    finally:
+        if receiver is not None and receiver.poll() is None:
+            receiver.terminate()
+            receiver.wait(10)
 
 
 def _compare(sent: Path, received: Path, *, to_the_end: bool) -> dict[str, object]:
@@ -197,11 +188,26 @@ def _compare(sent: Path, received: Path, *, to_the_end: bool) -> dict[str, objec
     return {"sent": len(delivered), "received": len(arrived), "equal": equal}
 
 
-def _print_verdict(result: RunResult, verdict: dict[str, object], good: bool) -> None:
+def _movie(received: Path, folder: Path, rig: Rig) -> Path | None:
+    """Write a movie of the first received events, and print its path; None where there is none to write."""
+    width, height = rig.camera.size
+    file = folder / "received.gif"
+    show = PictureOptions(0.0, seconds=_MOVIE_S, fps=_MOVIE_FPS, size=f"{width}x{height}")
+    try:
+        with failures():
+            events, description = draw(str(received), file, show)
+    except Failure as failure:
+        console.print(f"no movie of the received events: {failure}", markup=False)
+        return None
+    console.print(f"movie: {file}, {events} received events {description}", markup=False)
+    return file
+
+
+def _verdict_lines(result: RunResult, verdict: dict[str, object], good: bool) -> Iterator[str]:
     rate, raised = result.frames / result.wall_seconds, result.ledger.raised
-    console.print(f"{result.sim_seconds:.1f} s of stream time, {rate:.0f} frames per second, {raised} events raised")
-    console.print(f"{verdict['sent']} events sent since the last clock reset, {verdict['received']} received")
-    console.print("all events are equal" if verdict["equal"] else "THE STREAMS DIFFER")
+    yield f"{result.sim_seconds:.1f} s of stream time, {rate:.0f} frames per second, {raised} events raised"
+    yield f"{verdict['sent']} events sent since the last clock reset, {verdict['received']} received"
+    yield "all events are equal" if verdict["equal"] else "THE STREAMS DIFFER"
     balance = result.ledger.imbalance
-    console.print("ledger: balanced" if not balance else f"ledger: OFF BY {balance} EVENTS")
-    console.print("good" if good else "NOT GOOD")
+    yield "ledger: balanced" if not balance else f"ledger: OFF BY {balance} EVENTS"
+    yield "good" if good else "NOT GOOD"

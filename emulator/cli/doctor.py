@@ -10,7 +10,18 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from emulator.cli.checks import check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, Flag, Json, console, print_json, status
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    Failure,
+    Flag,
+    Json,
+    console,
+    print_json,
+    print_result,
+    status,
+)
 from emulator.cli.rigs import Needed, examined_needs
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.assembly import build_scene
@@ -63,12 +74,10 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
     if not lacks:
         prepared(parts_of(rig))
     speed = None if lacks else keeping_up(rig)
-    if as_json:
-        print_json({"findings": [need.finding for need in needed], **_as_json(rig, needed, speed)})
-    else:
-        console.print(_sentence(rig, speed), markup=False)
-        if speed is not None and speed.expected is not None:
-            console.print(f"over the whole run: {speed.expected.line}", markup=False)
+    lines = [_sentence(rig, speed)]
+    if speed is not None and speed.expected is not None:
+        lines.append(f"over the whole run: {speed.expected.line}")
+    print_result(as_json, {"findings": [need.finding for need in needed], **_as_json(rig, needed, speed)}, lines)
     return LACKING if speed is None else GOOD if speed.good else BAD_VERDICT
 
 
@@ -87,8 +96,7 @@ def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) ->
         "rig": rig.name,
         "needs": [need.as_json() for need in needed],
         "real_time": None if speed is None else speed.good,
-        "times_real_time": None if speed is None else speed.times_real_time,
-        "planned_load": None if speed is None else speed.planned_load,
+        **{name: getattr(speed, name, None) for name in ("times_real_time", "planned_load")},
         "expected": None if speed is None or speed.expected is None else speed.expected.as_json(),
     }
 

@@ -14,8 +14,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_address
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, console, failing, print_json
-from emulator.cli.run import print_summary, summary
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, failing, print_result
+from emulator.cli.run import summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
     DynamicsError,
@@ -114,14 +114,9 @@ def dynamics(
     if run is not None:
         complete = complete and good(judge(run.rig.verdict, run.result))
         result["run"] = summary(run.rig, run.result)
-    if json:
-        print_json(result)
-    else:
-        x, y, z = flown.last.position_m
-        ending = f"{flown.steps} steps, {flown.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m"
-        console.print(f"{fmu.name}: {ending}", markup=False)
-        if run is not None:
-            print_summary(run.rig, run.result)
+    x, y, z = flown.last.position_m
+    lines = [f"{fmu.name}: {flown.steps} steps, {flown.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m"]
+    print_result(json, result, lines if run is None else [*lines, *summary_lines(run.rig, run.result)])
     return GOOD if complete else BAD_VERDICT
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, WRONG_USE, Json, console, failing, print_json
+from emulator.cli.output import GOOD, WRONG_USE, Json, failing, print_result
 from emulator.rig.loading import load_rig
 from firmware_protocol.can_frames.dbc import CanMessage, can_messages
 from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files
@@ -75,11 +75,7 @@ def export(
         with failing(WRONG_USE, OSError, at=str(path)):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
-    if json:
-        print_json({"kind": kind, "files": paths})
-    else:
-        for path in paths:
-            console.print(str(path), markup=False)
+    print_result(json, {"kind": kind, "files": paths}, map(str, paths))
     return GOOD
 
 
@@ -90,9 +86,6 @@ def _wanted(rig: str | None) -> _Wanted:
             links = tuple(load_rig(rig).links)
     udp = next((link for link in links if isinstance(link, UdpPacketsLink)), UdpPacketsLink())
     can = next((link for link in links if isinstance(link, CanLink)), None)
-    return _Wanted(instrument_packets(), udp, () if can is None else _frames(can))
-
-
-def _frames(can: CanLink) -> tuple[tuple[int, CanMessage], ...]:
-    ids = can.identifiers.by_name
-    return tuple((ids[message.name], message) for message in can_messages(fd=can.fd, transport=can.carriage))
+    messages = () if can is None else can_messages(fd=can.fd, transport=can.carriage)
+    ids = {} if can is None else can.identifiers.by_name
+    return _Wanted(instrument_packets(), udp, tuple((ids[message.name], message) for message in messages))

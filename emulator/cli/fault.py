@@ -8,16 +8,20 @@ from __future__ import annotations
 import os
 import time
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, print_json
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, failing, print_result
 from emulator.cli.run_summary import fault_line
 from emulator.run.control import NoAnswer, send_request, sockets
 from transports.faults.script import FaultRecord
 
+_RUN_HELP = """Name of the rig, its process number, or the path of its control socket. Needed if several rigs run, or if
+the one that runs was started in another folder."""
+_RunName = Annotated[str | None, Parameter(help=_RUN_HELP)]
 _POLL_PERIOD_S = 0.1
 _TIMEOUT_S = 20.0  # beyond the fault's own length
 
@@ -26,7 +30,7 @@ def fault(
     kind: str | None = None,
     /,
     *,
-    run: str | None = None,
+    run: _RunName = None,
     link: str | None = None,
     for_s: float | None = None,
     keys: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
@@ -38,9 +42,6 @@ def fault(
     ----------
     kind
         Kind of fault, such as bit_flips; the rig reference lists all.
-    run
-        Name of the rig, its process number, or the path of its control socket. Needed if several rigs run, or if the
-        one that runs was started in another folder.
     link
         Name of the link if several can have this fault.
     for_s
@@ -50,19 +51,19 @@ def fault(
     """
     path, faults = find_run(run)
     if kind is None:
-        return _list(faults, json)
+        print_result(json, faults, _listed(faults))
+        return GOOD
     table = {"kind": kind, **_keys(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
     injected = answer_of(path, {"request": "inject", "fault": table})
     if "error" in injected:
         raise Failure(str(injected["error"]), WRONG_USE)
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
-    if json:
-        print_json({"rig": faults["rig"], "pid": faults["pid"], "link": injected["link"], "fault": record})
-    else:
-        console.print(f"{_origin(faults)}, {injected['link']}: {fault_line(record)}", markup=False)
-        if not record.hits:
-            console.print(_why_no_hits(answer_of(path, {"request": "faults"})["links"][injected["link"]]), markup=False)
+    lines = [f"{_origin(faults)}, {injected['link']}: {fault_line(record)}"]
+    if not record.hits:
+        lines.append(_why_no_hits(answer_of(path, {"request": "faults"})["links"][injected["link"]]))
+    result = {"rig": faults["rig"], "pid": faults["pid"], "link": injected["link"], "fault": record}
+    print_result(json, result, lines)
     return GOOD
 
 
@@ -102,16 +103,11 @@ def _origin(faults: dict[str, Any]) -> str:
     return f"{faults['rig']} (process {faults['pid']})"
 
 
-def _list(faults: dict[str, Any], json: bool) -> int:
-    if json:
-        print_json(faults)
-        return GOOD
+def _listed(faults: dict[str, Any]) -> Iterator[str]:
     for name, link in faults["links"].items():
-        kinds = ", ".join(link["kinds"]) or "no faults for this kind of link"
-        console.print(f"{_origin(faults)}, link {name}: {kinds}", markup=False)
+        yield f"{_origin(faults)}, link {name}: {', '.join(link['kinds']) or 'no faults for this kind of link'}"
         for record in link["injected"]:
-            console.print(f"  {fault_line(FaultRecord(**record))}")
-    return GOOD
+            yield f"  {fault_line(FaultRecord(**record))}"
 
 
 def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
@@ -151,7 +147,7 @@ def trigger(
     kind: Literal["pulse", "rising", "falling", "reset"] = "pulse",
     /,
     *,
-    run: str | None = None,
+    run: _RunName = None,
     link: str | None = None,
     json: Json = False,
 ) -> int:
@@ -161,9 +157,6 @@ def trigger(
     ----------
     kind
         pulse, rising or falling: the edge at the input; reset: device time restarts at zero.
-    run
-        Name of the rig, its process number, or the path of its control socket. Needed if several rigs run, or if the
-        one that runs was started in another folder.
     link
         Name of the link of one camera; without it, all cameras.
     """
@@ -172,8 +165,6 @@ def trigger(
     answer = answer_of(path, message if link is None else message | {"link": link})
     if "error" in answer:
         raise Failure(str(answer["error"]), WRONG_USE)
-    if json:
-        print_json({"rig": faults["rig"], "pid": faults["pid"], "kind": kind, **answer})
-    else:
-        console.print(f"{_origin(faults)}: {kind} at {', '.join(answer['links'])}", markup=False)
+    result = {"rig": faults["rig"], "pid": faults["pid"], "kind": kind, **answer}
+    print_result(json, result, [f"{_origin(faults)}: {kind} at {', '.join(answer['links'])}"])
     return GOOD

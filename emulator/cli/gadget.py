@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, print_json
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, failing, print_result
 from emulator.rig.kinds import CAMERA_MODELS, UsbSettings, usb_sizes
 from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
@@ -57,8 +57,6 @@ def up(
         USB device controller, as /sys/class/udc names it; may be left out where there is one.
     user
         User who may run the camera, beside root.
-    plug
-        The camera.
     """
     descriptors = _descriptors(plug)
     gadget = _gadget(name)
@@ -69,10 +67,8 @@ def up(
     with failing(LACKING, GadgetError):
         controller = controller_of(udc, Places())
         gadget.make(descriptors, user_id)
-    if json:
-        print_json({"gadget": name, "udc": controller, "mount": gadget.mount})
-    else:
-        console.print(f"gadget {name} is ready for {controller}; its files are in {gadget.mount}", markup=False)
+    line = f"gadget {name} is ready for {controller}; its files are in {gadget.mount}"
+    print_result(json, {"gadget": name, "udc": controller, "mount": gadget.mount}, [line])
     return GOOD
 
 
@@ -88,10 +84,8 @@ def down(*, name: str = "evstim", json: Json = False) -> int:
     was_there = gadget.exists
     with failing(LACKING, GadgetError):
         gadget.remove()
-    if json:
-        print_json({"gadget": name, "removed": was_there})
-    else:
-        console.print(f"gadget {name} is removed" if was_there else f"there is no gadget {name}", markup=False)
+    line = f"gadget {name} is removed" if was_there else f"there is no gadget {name}"
+    print_result(json, {"gadget": name, "removed": was_there}, [line])
     return GOOD
 
 

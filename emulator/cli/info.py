@@ -12,20 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.cli.checks import parsed_size, reading
-from emulator.cli.output import BAD_VERDICT, GOOD, Json, console, print_json
+from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, print_result
 from emulator.run.truth.file import truth_in
 from transports.recording.files import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
-
-
-def show_truth(file: Path, content: Mapping[str, Any], *, json: bool) -> int:
-    """Print the summary of a truth file, from `truth_in`; return the exit code."""
-    if json:
-        print_json({"file": file, **content})
-    else:
-        for line in _truth_lines(content):
-            console.print(line, markup=False)
-    return GOOD if content["complete"] else BAD_VERDICT
 
 
 def _truth_lines(content: Mapping[str, Any]) -> list[str]:
@@ -133,18 +123,17 @@ class Survey:
         self._bin = [int(bins[starts[-1]]), int(counts[-1])]
 
 
-def info(file: Path, /, *, size: str | None = None, json: Json = False) -> int:
+def info(file: Path, /, *, size: SensorSize = None, json: Json = False) -> int:
     """Show the format, the camera and every stream of a recording or a truth file, and which programs open it.
 
     Parameters
     ----------
     file
         A recording in any format that can be read: see docs/recordings.md.
-    size
-        WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not give it.
     """
     if (truth := truth_in(file)) is not None:
-        return show_truth(file, truth, json=json)
+        print_result(json, {"file": file, **truth}, _truth_lines(truth))
+        return GOOD if truth["complete"] else BAD_VERDICT
     survey, trouble = Survey(), ""
     with reading(file), OpenRecording(file, parsed_size(size), strict=False) as recording:
         try:
@@ -152,28 +141,16 @@ def info(file: Path, /, *, size: str | None = None, json: Json = False) -> int:
                 survey.add(part)
         except RecordingError as error:
             trouble = str(error)
-    summary = _as_json(file, recording, survey, trouble)
-    if json:
-        print_json(summary)
-    else:
-        for line in _recording_lines(recording, survey):
-            console.print(line, markup=False)
-        if trouble:
-            console.print(f"damaged: {trouble}; the values are of the part before the damage", markup=False)
+    lines = _recording_lines(recording, survey)
+    lines += [f"damaged: {trouble}; the values are of the part before the damage"] if trouble else []
+    print_result(json, _as_json(file, recording, survey, trouble), lines)
     return BAD_VERDICT if trouble else GOOD
 
 
 def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str) -> dict[str, object]:
     facts, events = recording.facts, survey.streams["events"]
-    streams = {
-        name: {
-            "count": stream.count,
-            "first_us": stream.first_us,
-            "last_us": stream.last_us,
-            "steps_back": stream.steps_back,
-        }
-        for name, stream in survey.streams.items()
-    }
+    fields = ("count", "first_us", "last_us", "steps_back")
+    streams = {name: {field: getattr(stream, field) for field in fields} for name, stream in survey.streams.items()}
     counts = {name: stream.count for name, stream in survey.streams.items()}
     return {
         "file": file, "format": recording.format.name, "size": facts.size, "camera": facts.camera,

@@ -17,7 +17,7 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -37,6 +37,12 @@ Flag = Annotated[bool, Parameter(negative="")]
 """An option without a value, and without a `--no-` form."""
 Json = Annotated[bool, Parameter(negative="", help="Print one JSON object as the last line on stdout.")]
 """The option `--json` of a verb."""
+RigName = Annotated[str, Parameter(help="Path of a rig file, or the name of a shipped one (see `evstim rigs`).")]
+"""The rig of a verb."""
+SensorSize = Annotated[
+    str | None, Parameter(help="WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not contain it.")
+]
+"""The option `--size` of a verb that reads a recording."""
 
 _ESCAPES = {code: repr(chr(code))[1:-1] for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
 
@@ -81,6 +87,15 @@ def print_json(value: object) -> None:
         raise Failure("--json: stdout is closed: the result was not written", LACKING)
     sys.stdout.write(json.dumps(value, default=_plain) + "\n")
     sys.stdout.flush()
+
+
+def print_result(as_json: bool, value: object, lines: Iterable[str]) -> None:
+    """Print the result of a command: `value` as one line of JSON for programs, or the lines for people."""
+    if as_json:
+        print_json(value)
+        return
+    for line in lines:
+        console.print(line, markup=False)
 
 
 def _plain(value: object) -> object:

@@ -1,9 +1,16 @@
-"""`evstim picture SOURCE FILE`: the light and the events of a rig or of a recording as a picture or a movie."""
+"""`evstim picture SOURCE FILE` and `evstim play SOURCE`: light and events of a rig or recording in a file or terminal.
+
+A character of the terminal shows two pixels, the upper half block U+2580 in the colour of one over that of the other
+(24-bit colours: ISO 8613-6, SGR 38;2 and 48;2). The alternate screen (xterm, DECSET 1049) is left at every end.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import os
+import shutil
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,20 +22,30 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_size, prepared, reading
-from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, console, print_json
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, print_result
+from emulator.cli.signals import ignore_stop_signals
 from emulator.light import Light
 from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_frames, build_scene, build_sensor
 from emulator.run.kernels import parts_of
 from firmware_protocol.events import Events, copy_events, empty_events, join_events
+from transports.link.pacing import MonotonicClock
 from transports.recording.files import OpenRecording
 from transports.recording.format import is_recording
 from transports.recording.part import Frame, RecordingError
 
 _WINDOWS_MS = (20.0, 50.0, 100.0, 200.0, 500.0)  # tried in this order
 _ENOUGH = 0.005  # events for each pixel of the sensor
-_FPS = 25
+_LONGEST_S = 1e9
+_ALLOWED = {
+    "at_s": (0.0, _LONGEST_S),
+    "window_ms": (0.001, 1e6),
+    "seconds": (0.0, _LONGEST_S),
+    "brightness": (0.0, 1.0),
+    "speed": (1e-6, 1e6),
+    "fps": (1, 100),
+}
 
 
 @dataclass(frozen=True)
@@ -41,14 +58,18 @@ class PictureOptions:
         Stream time of the picture, or of a movie's first one, seconds; of a recording after its first event, or its end
         where it ends before.
     window_ms
-        Draw the events of this time before it, milliseconds. Default: 20 to 500, as long as it takes to show some; 40
-        in a movie, the time of one of its pictures.
+        Draw the events of this time before it, milliseconds. Default: 20 to 500, as long as it takes to show some; in a
+        movie the time from one of its pictures to the next.
     seconds
         Length of a movie, stream time, seconds.
     brightness
         Level of the brightest light, as a share of white.
     size
         WIDTHxHEIGHT of the sensor, such as 346x260, for recordings that do not contain it.
+    speed
+        Stream time that passes in a second of a movie, seconds.
+    fps
+        Pictures in a second of a movie.
     """
 
     at_s: float = 0.5
@@ -56,14 +77,46 @@ class PictureOptions:
     seconds: float = 2.0
     brightness: float = 0.4
     size: str | None = None
+    speed: float = 1.0
+    fps: int = 25
+
+    def check(self) -> None:
+        """Raise Failure for a number that is outside its range, or none."""
+        for name, (low, high) in _ALLOWED.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                option = name.replace("_", "-")
+                raise Failure(f"--{option} must be between {low:g} and {high:g}, got {value:g}", WRONG_USE)
+
+    @property
+    def period_s(self) -> float:
+        """Stream time from one picture of a movie to the next, seconds."""
+        return self.speed / self.fps
 
 
-_DEFAULTS = PictureOptions()
+@dataclass(frozen=True)
+class PlayOptions(PictureOptions):
+    """Content of the pictures in the terminal.
+
+    Attributes
+    ----------
+    at_s
+        Stream time of the first picture, seconds.
+    seconds
+        Stream time to show, seconds. Default: to the end of a recording; a rig until Ctrl-C.
+    """
+
+    at_s: float = 0.0
+    seconds: float = math.inf
+
+
+_DEFAULTS, _PLAYED = PictureOptions(), PlayOptions()
 
 
 Look = tuple[float, Light, Events]
 """Stream time in seconds, the light then, and the events of the window before it."""
 _Looks = Callable[[PictureOptions, float], Iterator[Look]]
+_ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"
 
 
 def picture(
@@ -79,23 +132,127 @@ def picture(
         Path of a rig file, the name of a shipped rig, or a recording in any format that can be read.
     file
         File to write; its suffix determines the format.
-    show
-        Content of the picture.
     """
     if file.suffix.lower() not in (".png", *MOVIES):
         raise Failure(f"{file}: the name must end in .png, {' or '.join(MOVIES)}, got {file.suffix!r}", WRONG_USE)
-    with failures(), _source(source, show) as (name, seen):
-        events, description = (_movie if file.suffix.lower() in MOVIES else _still)(name, seen, file, show)
-    if json:
-        print_json({"rig": source, "source": source, "file": file, "events": events})
-    else:
-        console.print(f"{file}: {events} events {description}")
+    with failures():
+        events, description = draw(source, file, show)
+    result = {"rig": source, "source": source, "file": file, "events": events}
+    print_result(json, result, [f"{file}: {events} events {description}"])
     return GOOD
+
+
+def draw(source: str, file: Path, show: PictureOptions) -> tuple[int, str]:
+    """Write the picture or movie; return its number of events, and a description. Raises as `failures` expects."""
+    with _source(source, show) as (name, seen):
+        return (_movie if file.suffix.lower() in MOVIES else _still)(name, seen, file, show)
+
+
+def play(
+    source: str,
+    /,
+    *,
+    out: Path | None = None,
+    show: Annotated[PlayOptions, Parameter(name="*")] = _PLAYED,
+    json: Json = False,
+) -> int:
+    """Show the events of a rig or a recording in the terminal: ON events in orange, OFF events in blue, over the light.
+
+    A rig is simulated alone, without its links; where this takes longer it is shown slower. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    source
+        Path of a rig file, the name of a shipped rig, or a recording in any format that can be read.
+    out
+        Write this picture (.png) or movie (.gif, .mp4) instead, as `evstim picture` does.
+    """
+    if show.seconds == math.inf:
+        if out is not None and not is_recording(Path(source)):
+            raise Failure("--out: a rig has no end: give --seconds, such as 2", WRONG_USE)
+        show = dataclasses.replace(show, seconds=_LONGEST_S)
+    if out is not None:
+        return picture(source, out, show=show, json=json)
+    if sys.stdout is None or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
+        advice = f"`evstim picture {source} FILE.gif` writes a movie"
+        raise Failure(f"stdout is not a terminal that can show pictures; {advice}", WRONG_USE)
+    with failures(), _source(source, show) as (name, seen):
+        shown = _play(name, seen, show)
+    lengths = f"{shown['stream_s']:.2f} s of stream time in {shown['wall_s']:.2f} s"
+    line = f"{name}: {shown['events']} events in {shown['pictures']} pictures, {lengths}"
+    print_result(json, {"source": source, **shown}, [line])
+    return GOOD
+
+
+def _play(name: str, seen: _Looks, show: PictureOptions) -> dict[str, float]:
+    """Show the pictures at their times until the last one or a signal; return their counts and lengths."""
+    clock = MonotonicClock()
+    period_ns = 10**9 // show.fps
+    white = 0.0
+    window_ms = show.window_ms or 1000 * show.period_s
+    shown = {"events": 0, "pictures": 0, "stream_s": 0.0, "wall_s": 0.0}
+    begin_ns = due_ns = 0
+    try:
+        for at_s, light, events in seen(show, window_ms):
+            if not shown["pictures"]:
+                begin_ns = due_ns = clock.now_ns()
+                sys.stdout.write(_ENTER)
+            white = white or white_of(light)
+            columns, rows = shutil.get_terminal_size()
+            reduced = _reduced(light, events, columns, 2 * (rows - 1))
+            rgb = event_picture(*reduced, white=white or None, dimming=show.brightness)
+            clock.sleep_until(due_ns)
+            sys.stdout.write(
+                _characters(rgb, columns, rows) + _caption(name, at_s, window_ms)[: columns - 1] + "\x1b[J"
+            )
+            sys.stdout.flush()
+            now_ns = clock.now_ns()
+            due_ns = max(due_ns, now_ns - period_ns) + period_ns  # one that is late delays those after it
+            shown["events"] += len(events)
+            shown["pictures"] += 1
+            shown |= {"stream_s": at_s - show.at_s, "wall_s": (now_ns - begin_ns) * 1e-9}
+    except KeyboardInterrupt:
+        ignore_stop_signals()
+    finally:
+        if begin_ns:
+            sys.stdout.write(_LEAVE)
+            sys.stdout.flush()
+    return shown
+
+
+def _reduced(light: Light, events: Events, columns: int, rows: int) -> tuple[Light, Events]:
+    """Return light and events on at most so many pixels: the brightest light of a block, and all its events."""
+    height, width = light.shape
+    share = min(1.0, columns / width, rows / height)
+    y, x = (np.arange(max(1, int(count * share))) * count // max(1, int(count * share)) for count in light.shape)
+    reduced = copy_events(events)
+    reduced["y"] = np.searchsorted(y, events["y"], "right") - 1
+    reduced["x"] = np.searchsorted(x, events["x"], "right") - 1
+    return np.maximum.reduceat(np.maximum.reduceat(light, y, axis=0), x, axis=1), reduced
+
+
+def _characters(rgb: Rgb, columns: int, rows: int) -> str:
+    """Return the lines of half blocks that show a picture in a terminal of this size, from its top on."""
+    height, width = rgb.shape[:2]
+    factor = max(1, min(columns // width, 2 * (rows - 1) // height))
+    rgb = rgb.repeat(factor, axis=0).repeat(factor, axis=1)
+    rgb = np.concatenate([rgb, np.zeros((len(rgb) % 2, *rgb.shape[1:]), np.uint8)])
+    lines = []
+    for upper, lower in zip(rgb[::2].tolist(), rgb[1::2].tolist(), strict=True):
+        line, before = "", None
+        for pair in zip(upper, lower, strict=True):
+            if pair != before:
+                (r, g, b), (r2, g2, b2) = before = pair
+                line += f"\x1b[38;2;{r};{g};{b};48;2;{r2};{g2};{b2}m"
+            line += "\u2580"
+        lines.append(line + "\x1b[0m\x1b[K\n")
+    return "\x1b[H" + "".join(lines)
 
 
 @contextmanager
 def _source(source: str, show: PictureOptions) -> Iterator[tuple[str, _Looks]]:
-    """Return the name of a rig or recording, and the function that gives its looks."""
+    """Return the name of a rig or recording, and the function that gives its looks; raises Failure."""
+    show.check()
     path = Path(source)
     if not is_recording(path):
         rig = load_rig(source)
@@ -121,19 +278,21 @@ def _still(name: str, seen: _Looks, file: Path, show: PictureOptions) -> tuple[i
 
 def _movie(name: str, seen: _Looks, file: Path, show: PictureOptions) -> tuple[int, str]:
     """Write a movie; return its number of events, and a description."""
-    count, white = 0, 0.0
-    window_ms = show.window_ms or 1000 / _FPS
+    count = pictures = 0
+    white = 0.0
+    window_ms = show.window_ms or 1000 * show.period_s
 
     def drawn() -> Iterator[Rgb]:
-        nonlocal count, white
+        nonlocal count, pictures, white
         for at_s, light, events in seen(show, window_ms):
             white = white or white_of(light)
             count += len(events)
+            pictures += 1
             rgb = scaled(event_picture(light, events, white=white or None, dimming=show.brightness))
             yield captioned(rgb, _caption(name, at_s, window_ms))
 
-    save_movie(file, drawn(), _FPS)
-    return count, f"in {show.seconds:g} s from {show.at_s:g} s, {_FPS} pictures a second"
+    save_movie(file, drawn(), show.fps)
+    return count, f"in {pictures} pictures from {show.at_s:g} s on, {show.fps} a second"
 
 
 def _caption(name: str, at_s: float, window_ms: float) -> str:
@@ -157,7 +316,7 @@ def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
     return next(looks(rig, PictureOptions(at_s, seconds=0.0), window_ms))[1:]
 
 
-def looks(rig: Rig, show: PictureOptions, window_ms: float, fps: int = _FPS) -> Iterator[Look]:
+def looks(rig: Rig, show: PictureOptions, window_ms: float) -> Iterator[Look]:
     """Yield the time, the light and the events of the window before it, at `at_s` and on to the end of the movie."""
     sensor = build_sensor(rig, rig.camera.sensor)
     step_ns, due_ns = rig.run.step_us * 1000, round(show.at_s * 1e9)
@@ -171,12 +330,12 @@ def looks(rig: Rig, show: PictureOptions, window_ms: float, fps: int = _FPS) -> 
         frames = build_frames(rig, scene)
         sensor.reset(frames.draw(start_ns))
         for t_ns in range(start_ns + step_ns, end_ns + step_ns + 1, step_ns):
-            if t_ns > due_ns:
+            while t_ns > due_ns:
                 seen = seen[seen["t"] >= _begin_us(due_ns * 1e-9, window_ms)]
                 yield due_ns * 1e-9, frames.last.light.copy(), seen
-                due_ns += 10**9 // fps
-            if due_ns > end_ns:
-                return
+                due_ns += round(show.period_s * 1e9)
+                if due_ns > end_ns:
+                    return
             seen = np.concatenate([seen, sensor.expose(frames.draw(t_ns))])
 
 
@@ -207,9 +366,9 @@ def _recorded_looks(
         seen = join_events([seen[seen["t"] >= _begin_us(min(due_us, last_us) * 1e-6, window_ms)], events])
         while due_us <= min(last_us, end_us):
             yield at(due_us)
-            due_us += 10**6 // _FPS
+            due_us += max(1, round(show.period_s * 1e6))
         if due_us > end_us:
             return
     if start_us < 0:
-        raise RecordingError("holds no events")
+        raise RecordingError("it holds no events: there is nothing to draw")
     yield at(last_us + 1)

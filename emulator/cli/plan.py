@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.output import GOOD, Json, console, print_json
+from emulator.cli.output import GOOD, Json, RigName, print_result
 from emulator.plan.plan import Decision, Plan
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import Rig, load_rig
@@ -20,14 +21,8 @@ _METHODS = {
 }
 
 
-def plan(rig: str, /, *, json: Json = False) -> int:
-    """Show the plan of a run: steps, each effect with the bound that decided it, expected load and measured speed.
-
-    Parameters
-    ----------
-    rig
-        Path of a rig file, or the name of a shipped one.
-    """
+def plan(rig: RigName, /, *, json: Json = False) -> int:
+    """Show the plan of a run: steps, each effect with the bound that decided it, expected load and measured speed."""
     with failures():
         loaded = load_rig(rig)
         if SCENES[loaded.scene.kind].events:
@@ -36,10 +31,7 @@ def plan(rig: str, /, *, json: Json = False) -> int:
         with build_scene(loaded) as scene:
             planned = plan_of(loaded, scene)
             speed = expected_speed(planned, scene)
-    if json:
-        print_json({**_as_json(planned), "speed": speed.as_json()})
-    else:
-        _print(planned, speed)
+    print_result(json, {**_as_json(planned), "speed": speed.as_json()}, _lines(planned, speed))
     return GOOD
 
 
@@ -47,10 +39,7 @@ def _nothing_to_plan(rig: Rig, json: bool) -> int:
     reason = (
         f"{rig.name}: a {rig.scene.kind} plays events that exist already: there is no light and no sensor to plan for"
     )
-    if json:
-        print_json({"rig": rig.name, "plan": None, "why": reason})
-    else:
-        console.print(reason, markup=False)
+    print_result(json, {"rig": rig.name, "plan": None, "why": reason}, [reason])
     return GOOD
 
 
@@ -72,34 +61,34 @@ def _finite(table: dict[str, object]) -> dict[str, object]:
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
 
 
-def _print(planned: Plan, speed: ExpectedSpeed) -> None:
+def _lines(planned: Plan, speed: ExpectedSpeed) -> Iterator[str]:
+    """Yield the plan for people."""
     p = planned.probe
     steps, load = planned.steps, planned.load
     sensor = planned.rig.camera.sensor
-    console.print(f"{planned.rig.name}: {planned.rig.title}\n")
-    console.print(
+    yield f"{planned.rig.name}: {planned.rig.title}\n"
+    yield (
         f"scene    {p.active_share:.0%} of {sensor.width}x{sensor.height} pixels active, contrast rate "
         f"{p.contrast_rate:.3g} /s, light {p.least_current:.2g} to {p.largest_current:.2g} of the reference, about "
         f"{p.events_per_s * 1e-6:.3g} Mev/s expected"
     )
-    console.print(f"chip     {_chip(planned)}")
+    yield f"chip     {_chip(planned)}"
     method = planned.rig.run.method
-    console.print(f"method   {method}: {_METHODS.get(method, 'the rule of another simulator')}")
+    yield f"method   {method}: {_METHODS.get(method, 'the rule of another simulator')}"
     motion = f", {p.motion_px_s * steps.step_us * 1e-6:.2g} px of motion" if math.isfinite(p.motion_px_s) else ""
-    console.print(
+    yield (
         f"steps    {'controlled, about' if steps.controlled else 'fixed,'} {steps.step_us:.0f} us{motion}: "
         f"{steps.bound}; timestamp error {_us(steps.error_us)} (95 %); a straight line would need "
         f"{steps.line_step_us:.0f} us for that"
     )
-    console.print(
+    yield (
         f"load     {load.total:.2f} of a core: {load.pictures_per_s:.0f} frames per second {load.drawing:.2f}, pixels "
         f"{load.pixels:.2f}, events {load.events:.2f}"
     )
-    console.print(f"speed    {speed.line}\n")
-    for line in _effects(planned):
-        console.print(line)
+    yield f"speed    {speed.line}\n"
+    yield from _effects(planned)
     if planned.pinned:
-        console.print("\nThis rig has no run.tolerance_us, so no effect is dropped.")
+        yield "\nThis rig has no run.tolerance_us, so no effect is dropped."
 
 
 def _chip(planned: Plan) -> str:

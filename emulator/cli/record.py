@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.cli.checks import check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, Json, console, print_json
-from emulator.cli.run import print_summary, rig_with_options, run_rig, summary
+from emulator.cli.output import BAD_VERDICT, GOOD, Json, RigName, print_result
+from emulator.cli.run import rig_with_options, run_rig, summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import parts_of
@@ -42,7 +42,7 @@ _DEFAULTS = RunOptions()
 
 
 def record(
-    rig: str,
+    rig: RigName,
     file: Path,
     /,
     *,
@@ -57,8 +57,6 @@ def record(
 
     Parameters
     ----------
-    rig
-        Path of a rig file, or the name of a shipped one (see `evstim rigs`).
     file
         The recording; its suffix gives the format, see docs/recordings.md.
     to
@@ -76,12 +74,8 @@ def record(
         prepared(parts_of(loaded))
         result = run_rig(loaded, show=not json)
     ignore_stop_signals()
-    if json:
-        print_json({**summary(loaded, result), "not_recorded": absent})
-    else:
-        print_summary(loaded, result)
-        for line in (*(f"not recorded: {part}" for part in absent), _outcome(file, result)):
-            console.print(line, markup=False)
+    lines = [*summary_lines(loaded, result), *(f"not recorded: {part}" for part in absent), _outcome(file, result)]
+    print_result(json, {**summary(loaded, result), "not_recorded": absent}, lines)
     return GOOD if good(judge(loaded.verdict, result)) else BAD_VERDICT
 
 

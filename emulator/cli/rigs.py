@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, Flag, Json, console, print_json
+from emulator.cli.output import GOOD, Flag, Json, RigName, print_json, print_result
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.rig.remarks import OpenedFile, open_files, remarks
@@ -58,19 +58,14 @@ def rigs(*, json: Json = False) -> int:
     with failures():
         loaded = {path: load_rig(str(path)) for path in shipped_rigs().values()}
         shipped = [(path, rig, examined_needs(rig)) for path, rig in loaded.items()]
-    if json:
-        print_json({
-            "rigs": [
-                {"name": rig.name, "title": rig.title, "path": path, "needs": [need.as_json() for need in needed]}
-                for path, rig, needed in shipped
-            ]
-        })  # fmt: skip
-        return GOOD
-    width = max(len(rig.name) for _, rig, _ in shipped)
+    rows = [
+        {"name": rig.name, "title": rig.title, "path": path, "needs": [need.as_json() for need in needed]}
+        for path, rig, needed in shipped
+    ]
+    width, lines = max(len(rig.name) for _, rig, _ in shipped), list[str]()
     for _, rig, needed in shipped:
-        console.print(f"{rig.name:{width}}  {rig.title}")
-        for need in needed:
-            console.print(f"{'':{width}}  {need.line}", markup=False)
+        lines += [f"{rig.name:{width}}  {rig.title}", *(f"{'':{width}}  {need.line}" for need in needed)]
+    print_result(json, {"rigs": rows}, lines)
     return GOOD
 
 
@@ -86,13 +81,11 @@ def schema(of: Literal["rig", "report"] = "rig", /) -> int:
     return GOOD
 
 
-def check(rig: str, /, *, draw: Flag = False, json: Json = False) -> int:
+def check(rig: RigName, /, *, draw: Flag = False, json: Json = False) -> int:
     """Check a rig file without running it, and open every file that it names; trajectories are read.
 
     Parameters
     ----------
-    rig
-        Path of a rig file, or the name of a shipped one.
     draw
         Also build the scene; this reads its files, or its recording, and needs the libraries that render it.
     """
@@ -100,34 +93,21 @@ def check(rig: str, /, *, draw: Flag = False, json: Json = False) -> int:
         loaded = load_rig(rig)
         files = [dataclasses.replace(file, is_read=file.is_read or draw) for file in open_files(loaded)]
         notes = remarks(loaded)
-        if draw:
-            _draw(loaded)
-    if json:
-        print_json({"rig": loaded.name, "good": True, "title": loaded.title, "notes": notes, "files": files})
-    else:
-        console.print(f"{loaded.name}: good. {_sentence(loaded)}")
-        for line in _unread(files):
-            console.print(line, markup=False)
-        for note in notes:
-            console.print(f"note: {note}", markup=False)
+        if draw:  # the files of the scene are read, each within the bounds of its reader
+            build_scene(loaded).close()
+            if SCENES[loaded.scene.kind].events:
+                build_sensor(loaded, loaded.camera.sensor)
+    lines = [f"{loaded.name}: good. {_sentence(loaded)}", *_unread(files), *(f"note: {note}" for note in notes)]
+    result = {"rig": loaded.name, "good": True, "title": loaded.title, "notes": notes, "files": files}
+    print_result(json, result, lines)
     return GOOD
-
-
-def _draw(rig: Rig) -> None:
-    """Read the files of the scene, each within the bounds of its reader."""
-    build_scene(rig).close()
-    if SCENES[rig.scene.kind].events:
-        build_sensor(rig, rig.camera.sensor)
 
 
 def _unread(files: Sequence[OpenedFile]) -> list[str]:
     """Return a line on the files that were opened and not read, if there are any."""
-    names = [f"{file.key} ({file.path}{_size(file)})" for file in files if not file.is_read]
+    sizes = {file.key: "" if file.bytes is None else f", {file.bytes} bytes" for file in files}
+    names = [f"{file.key} ({file.path}{sizes[file.key]})" for file in files if not file.is_read]
     return [f"opened, not read: {', '.join(names)}; `evstim check --draw` reads them"] if names else []
-
-
-def _size(file: OpenedFile) -> str:
-    return "" if file.bytes is None else f", {file.bytes} bytes"
 
 
 def _sentence(rig: Rig) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import shutil
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -22,9 +23,10 @@ from emulator.cli.output import (
     WRONG_USE,
     Failure,
     Json,
+    RigName,
     console,
     failing,
-    print_json,
+    print_result,
     status,
 )
 from emulator.cli.run_display import LiveTable, OptionalPage, begin_report, check_serving, end_report
@@ -97,19 +99,12 @@ class Files:
     report: Path | None = None
     serve: str | bool | None = None
 
-    def begin_fault_log(self) -> None:
-        """Empty the fault log, to which every link appends; raises Failure where it cannot be written."""
-        if self.fault_log is None:
-            return
-        with failing(WRONG_USE, OSError, at=f"--fault-log: {self.fault_log}"):
-            self.fault_log.write_bytes(b"")
-
 
 NO_FILES = Files()
 
 
 def run(
-    rig: str,
+    rig: RigName,
     /,
     *,
     seconds: float | None = None,
@@ -122,8 +117,6 @@ def run(
 
     Parameters
     ----------
-    rig
-        Path of a rig file, or the name of a shipped one (see `evstim rigs`).
     seconds
         Stream time to run for; 0: until Ctrl-C. Default: the rig's.
     seed
@@ -134,18 +127,17 @@ def run(
     with failures():
         loaded = rig_with_options(load_rig(rig), seconds, seed, pace)
         repeats = _repeats(files)
-        result, truth = run_with_files(loaded, files, show=not json, repeats=repeats)
+        parts = RunParts(repeats=repeats)
+        result, truth = run_with_files(loaded, files, parts, show=not json)
         # A viewer of the live page sends a seed for a further run.
         while repeats is not None and (next_seed := repeats.take(loaded, result)) is not None:
-            if not json:
-                print_summary(loaded, result)
+            for line in () if json else summary_lines(loaded, result):
+                console.print(line, markup=False)
             interrupt_on_stop_signals()
             loaded = rig_with_options(loaded, None, next_seed, None)
-            result, truth = run_with_files(loaded, files, show=not json, repeats=repeats)
-    if json:
-        print_json({**summary(loaded, result), "truth_trouble": truth.trouble})
-    else:
-        print_summary(loaded, result, truth.trouble)
+            result, truth = run_with_files(loaded, files, parts, show=not json)
+    value = {**summary(loaded, result), "truth_trouble": truth.trouble}
+    print_result(json, value, summary_lines(loaded, result, truth.trouble))
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
@@ -161,18 +153,19 @@ def _repeats(files: Files) -> Repeats | None:
     return Repeats(f"the new run would write over the files of {', '.join(options)}" if options else "")
 
 
-def run_with_files(
-    rig: Rig, files: Files, simulation: SimulationDrive | None = None, *, show: bool, repeats: Repeats | None = None
-) -> tuple[RunResult, Truth]:
+def run_with_files(rig: Rig, files: Files, parts: RunParts | None = None, *, show: bool) -> tuple[RunResult, Truth]:
     """Check that the files can be written, compile the kernels, run a rig and report; raises Failure."""
     check_record(rig, files.record)
     truth = Truth(rig, files.truth, files.truth_every)
     check_output("--ready-file", files.ready_file)
     check_serving(files.serve)
-    files.begin_fault_log()
+    if files.fault_log is not None:  # every link appends to it
+        with failing(WRONG_USE, OSError, at=f"--fault-log: {files.fault_log}"):
+            files.fault_log.write_bytes(b"")
     reporting = begin_report(rig, files.report)
     prepared([*parts_of(rig), *truth.parts])
-    result = run_rig(rig, files, RunParts(reporting, truth, simulation, repeats), show=show)
+    parts = dataclasses.replace(parts or RunParts(), reporting=reporting, truth=truth)
+    result = run_rig(rig, files, parts, show=show)
     ignore_stop_signals()
     if reporting is not None:
         end_report(reporting, result, summary(rig, result), truth.trouble)
@@ -199,12 +192,15 @@ class RunParts:
         A simulation with which the run is in step; None: none.
     repeats
         Receiver of a viewer's request to start the run again; None: it cannot be started again.
+    follow
+        Function that is called with the session and each status of the run; None: none.
     """
 
     reporting: RunReporter | None = None
     truth: Truth | None = None
     simulation: SimulationDrive | None = None
     repeats: Repeats | None = None
+    follow: Callable[[Session, RunStatus], None] | None = None
 
 
 def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *, show: bool = False) -> RunResult:
@@ -238,6 +234,8 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
                 with failing(LACKING, OSError, at="--ready-file"):
                     ready.send({name: link.address for name, link in now.links.items()})
                 faults.serve(now)
+                if parts.follow:
+                    parts.follow(session, now)
                 if reporting:
                     reporting.seen.renew(now)
                 if page:
@@ -322,42 +320,37 @@ def _worst(latencies: list[LatencySummary]) -> LatencySummary:
 _SHOWN = ("verdict.", "scene")
 
 
-def print_summary(rig: Rig, result: RunResult, truth_trouble: str = "") -> None:
-    """Print the summary of a run, for people, with the reason why its truth file is not whole."""
+def summary_lines(rig: Rig, result: RunResult, truth_trouble: str = "") -> Iterator[str]:
+    """Yield the summary of a run, for people, with the reason why its truth file is not whole."""
     ledger, syncs = result.ledger, "" if result.syncs is None else f", {result.syncs} SYNCs"
-    console.print(
+    yield (
         f"{rig.name}: {result.sim_seconds:.3f} s of stream time in {result.wall_seconds:.3f} s, "
         f"{result.frames} frames, {result.steps} steps{syncs}"
     )
-    console.print(f"drawn by {result.drawn_by}", markup=False)
-    console.print(
+    yield f"drawn by {result.drawn_by}"
+    yield (
         f"events: {ledger.raised} raised = {ledger.lost_in_pixel} lost in the pixel + {ledger.lost_at_readout} lost at "
         f"the read-out + {ledger.read_out} read out"
     )
     for link in ledger.links:
         report = result.links[link.name]
-        for line in link_lines(link, report):
-            console.print(line, markup=False)
+        yield from link_lines(link, report)
         if report.error is not None:
-            console.print(f"{link.name}: {report.error}")
-        for trouble in report.file_troubles:
-            console.print(f"{link.name}: {trouble}", markup=False)
-        for line in timing_lines(link.name, report):
-            console.print(line)
+            yield f"{link.name}: {report.error}"
+        yield from (f"{link.name}: {trouble}" for trouble in report.file_troubles)
+        yield from timing_lines(link.name, report)
         if report.latency.p50 is not None:
-            console.print(f"{link.name}: event to socket {latency_text(report.latency)}")
+            yield f"{link.name}: event to socket {latency_text(report.latency)}"
     if advice := undersampled_advice(result):
-        console.print(advice)
+        yield advice
     if result.scene_counts:
-        console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
-    for line in changes_lines(result):
-        console.print(line, markup=False)
-    for line in lateness_lines(rig, result):
-        console.print(line)
+        yield f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}"
+    yield from changes_lines(result)
+    yield from lateness_lines(rig, result)
     rules = judge(rig.verdict, result)
     for broken in (rule for rule in rules if not rule.good and rule.rule.startswith(_SHOWN)):
-        console.print(f"NOT GOOD: {broken.rule}: {broken.finding}", markup=False)
-    console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
-    console.print(verdict_line(rules), markup=False)
+        yield f"NOT GOOD: {broken.rule}: {broken.finding}"
+    yield "ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS"
+    yield verdict_line(rules)
     if truth_trouble:
-        console.print(f"--truth: {truth_trouble}", markup=False)
+        yield f"--truth: {truth_trouble}"

@@ -31,83 +31,49 @@ class Verb:
     group: str = "From other packages"
 
 
+_CLI, _LABORATORY = "emulator.cli", "laboratory.verbs"
 _VERBS = {
     "Run and read": {
-        "demo": (
-            "emulator.cli.demo:demo",
-            "Run a rig, read its camera over USB/IP in a second process, and compare every event.",
-        ),
-        "run": ("emulator.cli.run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
-        "listen": (
-            "emulator.cli.listen.cameras:verbs",
-            "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
-        ),
-        "picture": (
-            "emulator.cli.picture:picture",
-            "Write a picture or movie of a rig or a recording: its light and its events.",
-        ),
-        "doctor": (
-            "emulator.cli.doctor:doctor",
-            "Show which parts this machine has and lacks, with the command that adds each.",
-        ),
+        "demo": (f"{_CLI}.demo:demo", "Run a rig, read its camera in a second process, and compare every event."),
+        "run": (f"{_CLI}.run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
+        "listen": (f"{_CLI}.listen.cameras:verbs", "Read a camera, real or emulated, on USB or on another link."),
+        "picture": (f"{_CLI}.picture:picture", "Write a picture or movie of a rig or a recording: light and events."),
+        "play": (f"{_CLI}.picture:play", "Show the events of a rig or a recording in the terminal."),
+        "doctor": (f"{_CLI}.doctor:doctor", "Show which parts this machine has and lacks, and the command for each."),
     },
     "Rigs": {
-        "rigs": ("emulator.cli.rigs:rigs", "List the rigs that are installed with evstim."),
-        "check": ("emulator.cli.rigs:check", "Check a rig file without running it."),
-        "plan": ("emulator.cli.plan:plan", "Show the plan of a run: step, effects and expected load."),
-        "schema": ("emulator.cli.rigs:schema", "Print the JSON Schema of rig files, or of reports."),
+        "rigs": (f"{_CLI}.rigs:rigs", "List the rigs that are installed with evstim."),
+        "check": (f"{_CLI}.rigs:check", "Check a rig file without running it."),
+        "plan": (f"{_CLI}.plan:plan", "Show the plan of a run: step, effects and expected load."),
+        "schema": (f"{_CLI}.rigs:schema", "Print the JSON Schema of rig files, or of reports."),
     },
     "While a rig runs": {
-        "fault": ("emulator.cli.fault:fault", "Inject a fault into a link of a running rig."),
-        "trigger": ("emulator.cli.fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
-        "dynamics": (
-            "emulator.cli.dynamics:dynamics",
-            "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus.",
-        ),
-        "vizard": (
-            "emulator.cli.vizard:vizard",
-            "Run a rig in step with a Basilisk simulation, which sends poses and requests images.",
-        ),
+        "fault": (f"{_CLI}.fault:fault", "Inject a fault into a link of a running rig."),
+        "trigger": (f"{_CLI}.fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
+        "dynamics": (f"{_CLI}.dynamics:dynamics", "Fly an FMU, and send its poses to a running rig."),
+        "vizard": (f"{_CLI}.vizard:vizard", "Run a rig in step with a Basilisk simulation, which sends poses."),
     },
     "Recordings": {
-        "record": (
-            "emulator.cli.record:record",
-            "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ...",
-        ),
-        "info": ("emulator.cli.info:info", "Show the format and the content of a recording of events."),
-        "convert": ("emulator.cli.convert:convert", "Convert a recording of events to another format."),
-        "recover": ("emulator.cli.convert:recover", "Save the readable part of a recording that was cut."),
+        "record": (f"{_CLI}.record:record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
+        "info": (f"{_CLI}.info:info", "Show the format and the content of a recording of events."),
+        "convert": (f"{_CLI}.convert:convert", "Convert a recording of events to another format."),
+        "recover": (f"{_CLI}.convert:recover", "Save the readable part of a recording that was cut."),
     },
     "Measure": {
-        "campaign": (
-            "emulator.cli.campaign:verbs",
-            "Run a rig many times over sampled parameters, and report on the table of all runs.",
-        ),
-        "dataset": ("emulator.cli.campaign:dataset", "Make sequences of events with truth, over sampled parameters."),
-        "accuracy": (
-            "laboratory.verbs.accuracy:verbs",
-            "Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
-        ),
+        "campaign": (f"{_CLI}.campaign:verbs", "Run a rig many times over sampled parameters, and report on all runs."),
+        "dataset": (f"{_CLI}.campaign:dataset", "Make sequences of events with truth, over sampled parameters."),
+        "accuracy": (f"{_LABORATORY}.accuracy:verbs", "Measure accuracy against speed, beside other simulators."),
         "characterise": (
-            "laboratory.verbs.characterise:characterise",
-            "Measure a simulated sensor with the methods of a laboratory.",
+            f"{_LABORATORY}.characterise:characterise",
+            "Measure a sensor as a laboratory does.",
         ),
-        "validate": (
-            "laboratory.verbs.validate:validate",
-            "Repeat public measurements of real cameras on the simulated sensors.",
-        ),
-        "bench": ("laboratory.verbs.bench:verbs", "Measure the speeds that the documentation quotes."),
+        "validate": (f"{_LABORATORY}.validate:validate", "Repeat public measurements of real cameras in simulation."),
+        "bench": (f"{_LABORATORY}.bench:verbs", "Measure the speeds that the documentation quotes."),
     },
     "Connect": {
-        "gadget": (
-            "emulator.cli.gadget:verbs",
-            "Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
-        ),
-        "dbc": ("emulator.cli.listen.can:dbc", "Write the DBC file of a rig's CAN link."),
-        "export": (
-            "emulator.cli.export:export",
-            "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark.",
-        ),
+        "gadget": (f"{_CLI}.gadget:verbs", "Make or remove the USB gadget for a camera on a real cable."),
+        "dbc": (f"{_CLI}.listen.can:dbc", "Write the DBC file of a rig's CAN link."),
+        "export": (f"{_CLI}.export:export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
     },
 }
 VERBS: Registry[Verb] = Registry(

@@ -13,21 +13,10 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_address
-from emulator.cli.output import (
-    BAD_VERDICT,
-    GOOD,
-    LACKING,
-    WRONG_USE,
-    Failure,
-    Json,
-    console,
-    failing,
-    print_json,
-    status,
-)
-from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, failing, print_result, status
+from emulator.cli.run import NO_FILES, Files, RunParts, rig_with_options, run_with_files, summary, summary_lines
 from emulator.cli.run_summary import latency_text
-from emulator.report.pictures import check_png, grey_png
+from emulator.report.pictures import check_pillow, grey_png
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.basilisk import BasiliskRun, camera_differs, connected
 from emulator.run.outcome import RunResult, good, judge
@@ -89,36 +78,31 @@ def vizard(
         Seed of everything random. Default: the rig's.
     """
     with failures():
-        _check_installed()
-        check_png()
+        for module in ("zmq", "google.protobuf"):
+            try:
+                importlib.import_module(module)
+            except ImportError as error:
+                raise Failure(
+                    f"evstim vizard needs pyzmq and protobuf: {install_command('basilisk')}", LACKING
+                ) from error
+        check_pillow()
         loaded, paths = connected(load_rig(rig))
         loaded = rig_with_options(loaded, seconds or 0.0, seed, None)
         with _server(connection) as server, _forwarding(server, connection) as source:
             status.print(f"Basilisk may connect to {server.address}", markup=False)
             simulation = _simulation(loaded, paths, source, connection)
             try:
-                result, truth = run_with_files(loaded, files, simulation, show=not json)
+                result, truth = run_with_files(loaded, files, RunParts(simulation=simulation), show=not json)
             finally:
                 simulation.end("evstim has ended its run")
             counts = _basilisk_json(simulation, server)
     problems = _problems(simulation, result, seconds)
     if isinstance(source, ForwardingServer) and source.lost:
         problems.append(source.lost)
-    if json:
-        outcome = {"truth_trouble": truth.trouble, "basilisk": counts, "problems": problems}
-        print_json({**summary(loaded, result), **outcome})
-    else:
-        print_summary(loaded, result, truth.trouble)
-        _print(counts, problems)
+    outcome = {"truth_trouble": truth.trouble, "basilisk": counts, "problems": problems}
+    lines = [*summary_lines(loaded, result, truth.trouble), *_lines(counts, problems)]
+    print_result(json, {**summary(loaded, result), **outcome}, lines)
     return GOOD if good(judge(loaded.verdict, result)) and not (truth.trouble or problems) else BAD_VERDICT
-
-
-def _check_installed() -> None:
-    for module in ("zmq", "google.protobuf"):
-        try:
-            importlib.import_module(module)
-        except ImportError as error:
-            raise Failure(f"evstim vizard needs pyzmq and protobuf: {install_command('basilisk')}", LACKING) from error
 
 
 @contextmanager
@@ -185,13 +169,12 @@ def _problems(simulation: BasiliskRun, result: RunResult, seconds: float | None)
     return problems
 
 
-def _print(counts: dict[str, Any], problems: Sequence[str]) -> None:
-    console.print(
+def _lines(counts: dict[str, Any], problems: Sequence[str]) -> Iterator[str]:
+    yield (
         f"basilisk: {counts['updates']} updates, {counts['images']} images, {counts['no_images']} requests for other "
         f"cameras' images, {counts['other_peers_refused']} messages of other peers refused"
     )
     for event, name in (("first event handed to a link", "first_event_us"), ("reply", "answer_us")):
         if counts[name]["p50"] is not None:
-            console.print(f"basilisk: update to {event} {latency_text(LatencySummary(**counts[name]))}")
-    for problem in problems:
-        console.print(f"NOT GOOD: {problem}", markup=False)
+            yield f"basilisk: update to {event} {latency_text(LatencySummary(**counts[name]))}"
+    yield from (f"NOT GOOD: {problem}" for problem in problems)

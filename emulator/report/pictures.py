@@ -76,10 +76,9 @@ def scaled(rgb: Rgb) -> Rgb:
 
 def captioned(rgb: Rgb, text: str) -> Rgb:
     """Return the picture with a line of text and the key of the colours below it; needs pillow."""
-    try:
-        from PIL import Image, ImageDraw, ImageFont
-    except ImportError as error:
-        raise MachineLacks(f"drawing pictures needs pillow: {install_command('report')}") from error
+    check_pillow("drawing pictures")
+    from PIL import Image, ImageDraw, ImageFont
+
     height, width = rgb.shape[:2]
     picture = Image.new("RGB", (width, height + _CAPTION_PX))
     picture.paste(Image.fromarray(rgb))
@@ -93,10 +92,9 @@ def captioned(rgb: Rgb, text: str) -> Rgb:
 
 def save_png(path: Path, rgb: Rgb) -> None:
     """Write a picture as PNG; needs pillow."""
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise MachineLacks(f"writing pictures needs pillow: {install_command('report')}") from error
+    check_pillow("writing pictures")
+    from PIL import Image
+
     try:
         Image.fromarray(rgb).save(path, "PNG")
     except OSError as error:
@@ -106,12 +104,12 @@ def save_png(path: Path, rgb: Rgb) -> None:
 _FASTEST = 1  # of zlib's levels: three times as fast as the default, files a tenth longer
 
 
-def check_png() -> None:
-    """Raise MachineLacks where pillow is not installed."""
+def check_pillow(use: str = "writing pictures") -> None:
+    """Raise MachineLacks where pillow is not installed, which this use needs."""
     try:
         import PIL.Image  # noqa: F401
     except ImportError as error:
-        raise MachineLacks(f"writing pictures needs pillow: {install_command('report')}") from error
+        raise MachineLacks(f"{use} needs pillow: {install_command('report')}") from error
 
 
 def grey_png(light: Light, white: float) -> bytes:
@@ -133,10 +131,9 @@ def save_movie(path: Path, pictures: Iterable[Rgb], fps: int) -> None:
 
 
 def _gif(path: Path, pictures: Iterable[Rgb], fps: int) -> None:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise MachineLacks(f"writing .gif needs pillow: {install_command('report')}") from error
+    check_pillow("writing .gif")
+    from PIL import Image
+
     first, *later = (Image.fromarray(picture) for picture in pictures)
     first.save(path, "GIF", save_all=True, append_images=later, duration=round(1000 / fps), loop=0)
 

@@ -109,9 +109,10 @@ def _read_by_stock_buffer(folder, address, python, octets):
         run.kill()
 
 
-def test_the_demo_shows_the_driver_reading_every_event():
+def test_the_demo_shows_the_driver_reading_every_event(tmp_path):
     """As `make demo` does it, with the driver in evstim's own environment."""
-    command = [sys.executable, "-m", "evstim", "demo", "stars-gige", "--seconds", "2", "--json"]
+    options = ["--seconds", "2", "--report", str(tmp_path), "--json"]
+    command = [sys.executable, "-m", "evstim", "demo", "stars-gige", *options]
     done = subprocess.run([*where_libusb_starts(), *command], capture_output=True, text=True, timeout=300)
     told = json.loads(done.stdout.splitlines()[-1])
     broken = {one["rule"] for one in told["rules"] if not one["good"]}

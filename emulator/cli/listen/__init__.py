@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from emulator.cli.checks import check_output
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, print_result, status
 from transports.reception import Reception
 from transports.recording.record import Recorder
 
@@ -85,20 +85,13 @@ def listen_to(source: Source[Any], limits: Limits, *, json: bool) -> int:
     problems = [source.gone] * reception.is_early
     if recorder is not None and recorder.trouble:
         problems.append(recorder.trouble)
-    if json:
-        print_json({**dataclasses.asdict(reception), "problems": problems})
-    else:
-        _print(reception, *source.summary(reception))
+    end, *lines = source.summary(reception)
+    counts = f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s"
+    lines = [f"{counts}, digest {reception.digest:08x}{end}", *lines]
+    print_result(json, {**dataclasses.asdict(reception), "problems": problems}, lines)
     for problem in problems:
         status.print(f"evstim: {problem}", markup=False)
     return BAD_VERDICT if problems or reception.fault_count else GOOD
-
-
-def _print(reception: Reception, end: str, *lines: str) -> None:
-    counts = f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s"
-    console.print(f"{counts}, digest {reception.digest:08x}{end}")
-    for line in lines:
-        console.print(line, markup=False)
 
 
 def _until(limits: Limits) -> Callable[[Reception], bool]:

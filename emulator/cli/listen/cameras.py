@@ -39,8 +39,6 @@ def listen(
         HOST:PORT of a USB/IP server, read without a kernel module. Default: this machine's first camera.
     busid
         Bus id of the camera on that server.
-    limits
-        Limits of the reception, and the file for the received events.
     """
     limits.check()
     with failing(LACKING, UsbHostError):
@@ -79,8 +77,6 @@ def gige(
         ADDRESS or ADDRESS:PORT of the camera.
     packet_size
         Octets of a packet with the headers of IP and UDP: 576 to 9000, even; no more than the network's MTU.
-    limits
-        Limits of the reception, and the file for the received events.
     """
     limits.check()
     if not LEAST_PACKET <= packet_size <= MOST_PACKET or packet_size % 2:

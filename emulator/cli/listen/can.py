@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from emulator.cli.checks import failures, prepared
 from emulator.cli.listen import Limits, Source, listen_to
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, status
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, RigName, console, failing, status
 from emulator.cli.run_summary import latency_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
@@ -49,8 +49,6 @@ def can(
         Interface of python-can. Default: the rig's.
     channel
         Channel of that interface. Default: the rig's.
-    limits
-        Limits of the reception, and the file for the received events.
     """
     limits.check()
     with failures():
@@ -75,13 +73,13 @@ def _summary(reception: CanReception) -> list[str]:
     return lines + [f"{name}: {count}" for name, count in reception.counts.items()]
 
 
-def dbc(rig: str, /, *, link: str | None = None, output: Annotated[Path | None, Parameter(alias="-o")] = None) -> int:
+def dbc(
+    rig: RigName, /, *, link: str | None = None, output: Annotated[Path | None, Parameter(alias="-o")] = None
+) -> int:
     """Write the DBC file of a rig's CAN link: its identifiers and the layouts of its frames.
 
     Parameters
     ----------
-    rig
-        Path of a rig file, or the name of a shipped one.
     link
         Name of the CAN link. Default: the first one.
     output

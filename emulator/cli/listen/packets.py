@@ -127,12 +127,6 @@ def serial(
     ----------
     port
         Path of the port, such as the one that `evstim run serial-demo` prints, or any URL of pyserial.
-    line
-        Settings of the line.
-    orders
-        Telecommands to send.
-    limits
-        Limits of the reception, and the file for the received events.
     """
     limits.check()
     with failing(WRONG_USE, ValueError):
@@ -169,10 +163,6 @@ def udp(
         HOST:PORT on which the camera takes telecommands.
     allow
         Addresses and networks whose packets are taken; needed where HOST can be reached from other machines.
-    orders
-        Telecommands to send.
-    limits
-        Limits of the reception, and the file for the received events.
     """
     limits.check()
     host, port = parsed_address("AT", at)

@@ -11,6 +11,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from emulator.cli import doctor
 from emulator.cli.app import _main
@@ -336,12 +337,36 @@ def test_a_port_that_is_taken_is_told_with_the_cure(rig, tmp_path, capsys):
 def test_the_demo_compares_every_event(tmp_path, capsys):
     path = tmp_path / "demo.toml"
     path.write_text(DEMO)
-    code = _main(["demo", str(path), "--seconds", "1.5", "--json"])
-    told = last_json(capsys.readouterr().out)
+    out = tmp_path / "out"
+    code = _main(["demo", str(path), "--seconds", "1.5", "--report", str(out), "--json"])
+    printed = capsys.readouterr().out
+    told = last_json(printed)
     assert code == 0, told
     assert told["good"] is True
     assert told["comparison"]["equal"] is True
     assert told["comparison"]["received"] > 1000
+    assert f"report: {out / 'report.html'}" in printed
+    assert f"movie: {out / 'received.gif'}, " in printed
+    assert (told["movie"], told["report"]) == (str(out / "received.gif"), str(out))
+    assert json.loads((out / "report.json").read_text())["verdict"] == "good"
+    with Image.open(out / "received.gif") as movie:
+        assert 2 <= movie.n_frames <= 22  # few on a machine that is late
+        movie.seek(movie.n_frames - 1)
+        colours = set(map(tuple, np.asarray(movie.convert("RGB")).reshape(-1, 3)))
+    assert {(230, 159, 0), (86, 180, 233)} <= colours  # ON and OFF events
+
+
+@pytest.mark.system
+@pytest.mark.socket
+def test_a_demo_without_pillow_has_no_movie_and_is_good(tmp_path, capsys, monkeypatch):
+    (tmp_path / "demo.toml").write_text(DEMO)
+    monkeypatch.setitem(sys.modules, "PIL", None)  # importing it raises ImportError
+    monkeypatch.setitem(sys.modules, "PIL.Image", None)
+    command = ["demo", str(tmp_path / "demo.toml"), "--seconds", "0.5", "--report", str(tmp_path / "out"), "--json"]
+    assert _main(command) == 0
+    printed = capsys.readouterr().out
+    assert "no movie of the received events: writing .gif needs pillow: pip install" in printed
+    assert last_json(printed)["movie"] is None
 
 
 @pytest.mark.system
@@ -351,5 +376,5 @@ def test_modules_in_the_users_folder_are_not_taken_for_libraries(tmp_path, monke
     trimesh.creation.icosphere(1).export(tmp_path / "ball.stl")
     (tmp_path / "demo.toml").write_text(DEMO)
     monkeypatch.chdir(tmp_path)
-    assert _main(["demo", "demo.toml", "--seconds", "0.5", "--json"]) == 0, capsys.readouterr().out
+    assert _main(["demo", "demo.toml", "--seconds", "0.5", "--report", "out", "--json"]) == 0, capsys.readouterr().out
     assert len(load_mesh(tmp_path / "ball.stl").faces) == 80

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.cli.run import print_summary, run_rig, summary
+from emulator.cli.run import run_rig, summary, summary_lines
 from emulator.gl import context
 from emulator.gl.context import WANTED, open_context, probe, renderer_name
 from emulator.rig.loading import LoopbackLink, RigError, load_rig, parse_rig
@@ -97,8 +97,7 @@ def test_the_names_of_painters_exclude_no_renderer(gl, monkeypatch, wanted):
 def test_summary_and_json_contain_the_painter(gl, capsys, painter):
     rig = rig_by(painter)
     result = run_rig(rig, show=True)
-    print_summary(rig, result)
-    lines = capsys.readouterr().out.splitlines()
+    lines = [*capsys.readouterr().out.splitlines(), *summary_lines(rig, result)]
     words = "the CPU, exact coverage" if painter == "cpu" else f"GL: {gl.renderer}"
     assert f"drawn by {words}" in lines
     assert summary(rig, result)["painter"] == painter

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from emulator.cli.run import print_summary
+from emulator.cli.run import summary_lines
 from emulator.rig.loading import load_rig
 from emulator.rig.tables import Trigger, TriggerEdges
 from emulator.run.outcome import Ledger, RunResult, RunStatus, judge
@@ -45,38 +45,35 @@ def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, p
         {"lateness": dataclasses.replace(RESULT.lateness, worst_gap_us=9e6), "max_late_us": 1e6},
     ],
 )
-def test_a_late_run_has_no_opposite_advice(late, capsys):
-    print_summary(load_rig("checkerboard"), dataclasses.replace(RESULT, undersampled_share=0.25, **late))
-    shown = capsys.readouterr().out
+def test_a_late_run_has_no_opposite_advice(late):
+    result = dataclasses.replace(RESULT, undersampled_share=0.25, **late)
+    shown = "\n".join(summary_lines(load_rig("checkerboard"), result))
     assert "the run was late" in shown
     assert "shorten run.step_us" not in shown
 
 
 @pytest.mark.parametrize("share", [0.25, 0.02])
-def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
+def test_the_report_has_the_advice_of_the_terminal(share, page):
     result = dataclasses.replace(RESULT, undersampled_share=share)
-    print_summary(load_rig("checkerboard"), result)
-    advice = [line for line in capsys.readouterr().out.splitlines() if line.startswith("light frames too far apart")]
+    lines = summary_lines(load_rig("checkerboard"), result)
+    advice = [line for line in lines if line.startswith("light frames too far apart")]
     assert len(advice) == (share > 0.1)
     text = page(result)
     assert ("light frames too far apart" in text) is bool(advice)
     assert all(f"<p>{line}</p>" in text for line in advice)
 
 
-def test_the_terminal_and_the_report_have_the_reason_why_a_scene_ended(page, capsys):
+def test_the_terminal_and_the_report_have_the_reason_why_a_scene_ended(page):
     dark = dataclasses.replace(RESULT, scene_trouble="the renderer closed the connection")
-    print_summary(load_rig("checkerboard"), dark)
-    assert "NOT GOOD: scene: the renderer closed the connection" in capsys.readouterr().out
+    lines = summary_lines(load_rig("checkerboard"), dark)
+    assert "NOT GOOD: scene: the renderer closed the connection" in lines
     assert "the renderer closed the connection" in page(dark)
 
 
-def test_the_last_line_of_the_summary_is_the_verdict(capsys):
-    last = {}
+def test_the_last_line_of_the_summary_is_the_verdict():
     dark = dataclasses.replace(RESULT, scene_trouble="the renderer closed the connection")
-    for name, result in (("good", RESULT), ("dark", dark)):
-        print_summary(load_rig("checkerboard"), result)
-        last[name] = capsys.readouterr().out.splitlines()[-1]
-    assert last == {"good": "good: 1 of 1 rules kept", "dark": "NOT GOOD: 1 of 2 rules broken: scene"}
+    last = [[*summary_lines(load_rig("checkerboard"), result)][-1] for result in (RESULT, dark)]
+    assert last == ["good: 1 of 1 rules kept", "NOT GOOD: 1 of 2 rules broken: scene"]
 
 
 def test_late_steps_are_counted_in_the_report(page):
