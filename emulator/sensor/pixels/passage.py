@@ -226,7 +226,8 @@ def _nearer(c_ahead: float, nu: float) -> float:
     if c_ahead < 1:
         return least
     steep = (0.4 + nu) / (nu * _POINTS)
-    c = math.sqrt(2 * math.log(max(steep * max(c_ahead - c, 0.3), 1.0)))
+    for _ in range(2):
+        c = math.sqrt(2 * math.log(max(steep * max(c_ahead - c, 0.3), 1.0)))
     return max(c_ahead - c, least)
 
 
