@@ -11,7 +11,6 @@ import json
 import subprocess
 import sys
 import tempfile
-from json import dumps
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +33,14 @@ from transports.link.pacing import MonotonicClock
 from transports.recording.record import load_record
 
 _HEIGHT_M = 500.0
-_PARENTS = Path(__file__).parents
 
 
-def fly_landing(*, as_json: bool) -> int:
-    """Fly one landing, its descent on stderr; return the exit code."""
+def fly_landing(guidance: str = "", *, as_json: bool) -> int:
+    """Fly one landing, by the law FILE.py:NAME where one is given, its descent on stderr; return the exit code."""
     out = Path(tempfile.mkdtemp(prefix="evstim-landing-"))
     status.print(f"a lander falls from {_HEIGHT_M:g} m, guided by events; about 65 s of flight; files in {out}")
-    command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), "--compare", "--out", str(out)]
+    law = ["--guidance", guidance] if guidance else ["--compare"]
+    command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), *law, "--out", str(out)]
     code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
     file = out / "verdict.json"
     if not file.exists():
@@ -57,8 +56,8 @@ def fly_landing(*, as_json: bool) -> int:
 
 def _program() -> Path:
     """Return the example's program: in the package when installed, else in the checkout."""
-    for root in (_PARENTS[2] / "evstim" / "examples", _PARENTS[2] / "examples"):
-        if (program := root / "landing" / "fly.py").is_file():
+    for folder in ("evstim/examples", "examples"):
+        if (program := Path(__file__).parents[2] / folder / "landing" / "fly.py").is_file():
             return program
     raise Failure("examples/landing is not here: it comes with evstim and lies in its repository", WRONG_USE)
 
@@ -86,11 +85,9 @@ def _ended(verdict: dict[str, Any]) -> str:
     return text if verdict.get("touched", True) else f"no touchdown within {verdict['t_s']:.0f} s"
 
 
-_START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from emulator.cli import main; main()"
-_DRIVER = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
-    "from emulator.cli.driver_client import main; sys.exit(main(*sys.argv[1:]))"
-)
+_PATH = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
+_START = _PATH + "from emulator.cli import main; main()"
+_DRIVER = _PATH + "from emulator.cli.driver_client import main; sys.exit(main(*sys.argv[1:]))"
 
 
 def start_reader(kind: str, address: str, record: Path, seconds: float) -> subprocess.Popen[bytes]:
@@ -104,11 +101,11 @@ def start_reader(kind: str, address: str, record: Path, seconds: float) -> subpr
         camera = ["--usbip", address] if kind == "usbip" else ["gige", address]
         arguments = ["listen", *camera, "--seconds", str(seconds), "--record", str(record)]
     status.print(f"the camera is at {address}; {description} attaches to it in a second process")
-    command = [sys.executable, "-P", "-c", code, dumps(sys.path), *arguments]
+    command = [sys.executable, "-P", "-c", code, json.dumps(sys.path), *arguments]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
 
-def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Json = False) -> int:
+def demo(rig: str = "eros", /, *, seconds: float = 5.0, guidance: str = "", json: Json = False) -> int:
     """Run a rig, read its camera in a second process, as a driver does, and compare every event.
 
     The camera is on USB/IP or on GigE Vision; the latter is read by neuromorphic_drivers where that is installed.
@@ -120,11 +117,15 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Json = False) -> i
         500 m, guided by events, is flown instead.
     seconds
         Time for which the second process reads.
+    guidance
+        With `landing`: FILE.py:NAME, a guidance law of your own that flies in the place of evstim's.
     """
     if rig == "landing":
         with failures():
-            return fly_landing(as_json=json)
+            return fly_landing(guidance, as_json=json)
     with failures(), tempfile.TemporaryDirectory() as folder:
+        if guidance:
+            raise Failure(f"{rig} has no guidance: give --guidance with `evstim demo landing`", WRONG_USE)
         loaded = _on_a_free_port(load_rig(rig))
         sent, received = Path(folder, "sent.npz"), Path(folder, "received.npz")
         prepared(parts_of(loaded))
@@ -202,6 +203,5 @@ def _print_verdict(result: RunResult, verdict: dict[str, object], good: bool) ->
     console.print(f"{result.sim_seconds:.1f} s of stream time, {rate:.0f} frames per second, {raised} events raised")
     console.print(f"{verdict['sent']} events sent since the last clock reset, {verdict['received']} received")
     console.print("all events are equal" if verdict["equal"] else "THE STREAMS DIFFER")
-    balance = result.ledger.imbalance
-    console.print("ledger: balanced" if not balance else f"ledger: OFF BY {balance} EVENTS")
+    console.print(f"ledger: OFF BY {result.ledger.imbalance} EVENTS" if result.ledger.imbalance else "ledger: balanced")
     console.print("good" if good else "NOT GOOD")

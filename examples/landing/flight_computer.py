@@ -29,11 +29,13 @@ from typing import TextIO
 import can
 import numpy as np
 from divergence import Motion, MotionEstimator, Rays
+from given_law import GivenLaw, LawFailed
 from guidance import Law
 from links import Edge, Links
 from navigation import Known
 from pilot import NAVIGATIONS, Pilot, PilotSettings
 from prediction import PredictingGuidance
+from processes import LAW_FAILED
 from sensors import PERIOD_S
 from window import Lens, Window
 
@@ -253,9 +255,10 @@ def _failing(crash_s: float, hang_s: float) -> Callable[[float], None]:
     return fails
 
 
-def main() -> None:
-    """Fly until the program is ended; the log is complete at each turn."""
+def main() -> int:
+    """Fly until the program is ended, or its given law fails; the log is complete at each turn."""
     arguments = _arguments()
+    started, sys.stdout = sys.stdout, sys.stderr  # a law that prints must not fill the pipe of "ready"
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
     lens, port = Lens(), arguments.can_port
     window = Window(lens, arguments.seed)
@@ -265,18 +268,23 @@ def main() -> None:
     ):
         flying: Callable[..., None] = fly_real_time if arguments.real_time else fly_lockstep
         if arguments.navigation:
-            pilot = Pilot(Known(**json.loads(arguments.known)), _settings(arguments, lens))
+            law = GivenLaw(arguments.guidance) if arguments.guidance else None
+            pilot = Pilot(Known(**json.loads(arguments.known)), _settings(arguments, lens), law)
             computer: FlightComputer | NavigatingComputer = NavigatingComputer(pilot, window, _estimator(lens), log)
             links = Links(arguments.serial, bus, lambda number: 0.0, pilot.take)
         else:
             computer = FlightComputer(_guidance(arguments, lens), window, _estimator(lens), log)
             links = Links(arguments.serial, bus, _attitude_time(arguments.attitude_s, window))
         time.sleep(_JOINED_S)
-        print("ready", flush=True)
+        print("ready", file=started, flush=True)
         try:
             flying(links, window, computer, _failing(arguments.crash_at, arguments.hang_at))
         except (KeyboardInterrupt, can.CanError) as end:
             print(f"flight computer: {end}", file=sys.stderr)
+        except LawFailed as failure:
+            (arguments.log.parent / LAW_FAILED).write_text(f"guidance {arguments.guidance} {failure}")
+            return 1
+    return 0
 
 
 def _settings(arguments: argparse.Namespace, lens: Lens) -> PilotSettings:
@@ -315,6 +323,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--height", type=float, help="from navigation, m")
     parser.add_argument("--velocity", type=float, nargs=3, help="the same, m/s")
     parser.add_argument("--navigation", choices=NAVIGATIONS, help="with the vehicle's own sensors")
+    parser.add_argument("--guidance", help="with --navigation: FILE.py:NAME, the law in the place of the pilot's")
     parser.add_argument("--delay-s", type=float, default=PilotSettings.delay_s, help="with --navigation")
     parser.add_argument("--known", help="with --navigation: the start, JSON of navigation.Known")
     parser.add_argument("--seed", type=int, default=1)
@@ -327,4 +336,4 @@ def _arguments() -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

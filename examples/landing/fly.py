@@ -27,12 +27,13 @@ from pathlib import Path
 import numpy as np
 from connection import Connection
 from faults import Fault, Faults
+from given_law import GivenLaw, LawFailed
 from guidance import Law
 from latency import latencies
 from mission import Mission, SensingSpacecraft, fly_without_camera, judgement
 from outcome import verdict
 from pilot import NAVIGATIONS, PilotSettings
-from processes import Ended, Ends, NotStarted, bus_of, camera, computer
+from processes import LAW_FAILED, Ended, Ends, NotStarted, bus_of, camera, computer
 from real_time import STEP_S, RealTimeSpacecraft
 from sensors import SensorErrors, Sensors
 from spacecraft import USUAL, Limits, Spacecraft, TouchDown
@@ -88,12 +89,14 @@ class Flight:
     limits: Limits = USUAL
     navigation: str = ""
     delay_s: float = PilotSettings.delay_s
+    guidance: str = ""
 
     @property
     def of_computer(self) -> list[str]:
         """Arguments of the flight computer."""
         real_time = ["--real-time", "--attitude-s", str(STEP_S)] if self.real_time else []
-        return [*self.faults.of_computer, *real_time, "--delay-s", str(self.delay_s)]
+        law = ["--guidance", self.guidance] if self.guidance else []
+        return [*self.faults.of_computer, *real_time, *law, "--delay-s", str(self.delay_s)]
 
 
 def fly(height_m: float, flight: Flight, camera_ended: Ended = lambda: "") -> tuple[TouchDown, Height]:
@@ -152,6 +155,10 @@ def ground_of(rig: Path) -> Height:
 def main() -> int:
     """Fly once."""
     arguments = _arguments()
+    navigation = arguments.navigation or ("given" if arguments.real_time else "events")
+    if wrong := _wrong_use(arguments, navigation):
+        print(f"fly.py: {wrong}", file=sys.stderr)
+        return 2
     out = (arguments.out or Path(tempfile.mkdtemp(prefix="landing-"))).resolve()
     out.mkdir(parents=True, exist_ok=True)
     ends = Ends.free(out)
@@ -162,12 +169,18 @@ def main() -> int:
     rig.write_text(_rig_text(arguments, ends))
     faults = Faults(arguments.fault, arguments.seed)
     limits = Limits(arguments.answer_s, arguments.longest_s)
-    navigation = arguments.navigation or ("given" if arguments.real_time else "events")
-    if arguments.real_time and navigation != "given":
-        print("fly.py: in real time only --navigation given flies; leave out one of both", file=sys.stderr)
-        return 2
     navigation = "" if navigation == "given" else navigation
-    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits, navigation, arguments.delay_s)
+    flight = Flight(
+        ends,
+        arguments.seed,
+        out,
+        faults,
+        arguments.real_time,
+        limits,
+        navigation,
+        arguments.delay_s,
+        arguments.guidance,
+    )
     try:
         with ExitStack() as stack:
             camera_ended: Ended = lambda: ""  # noqa: E731
@@ -181,6 +194,23 @@ def main() -> int:
     if flight.navigation and arguments.compare:
         judged["others"] = {name: _other(name, arguments.height, flight, ground) for name in ("blind", "altimeter")}
     return _report(end, flight, judged, arguments.result)
+
+
+def _wrong_use(arguments: argparse.Namespace, navigation: str) -> str:
+    """Return why the arguments cannot be flown, and the remedy; "" where they can."""
+    if arguments.real_time and navigation != "given":
+        return "in real time only --navigation given flies; leave out one of both"
+    if not arguments.guidance:
+        return ""
+    if navigation == "given":
+        return "--guidance flies with the vehicle's own sensors: leave out --real-time and --navigation given"
+    if arguments.compare:
+        return "--compare flies the law of pilot.py with other sensors; leave out --guidance or --compare"
+    try:
+        GivenLaw(arguments.guidance)
+    except LawFailed as failure:
+        return f"--guidance {arguments.guidance} {failure}"
+    return ""
 
 
 def _other(navigation: str, height_m: float, flight: Flight, ground: Height) -> dict[str, object]:
@@ -202,6 +232,8 @@ def _report(end: TouchDown, flight: Flight, own: dict[str, object], result: Path
     """Write and print the result of a flight, with its `judgement` where it has one; return the exit code."""
     out, judged = flight.out, verdict(end, flight.out, flight.faults.frames_lost) | own
     judged["navigation"] = flight.navigation or "given"
+    judged |= {"guidance": flight.guidance} if flight.guidance else {}
+    judged["soft"] = judged["soft"] and not (out / LAW_FAILED).exists()
     print(f"\n{_headline(end, soft=bool(judged['soft']))}; files in {out}")
     for sentence in judged["why"]:
         print(f"  {sentence}")
@@ -235,6 +267,9 @@ def _arguments() -> argparse.Namespace:
         choices=[*NAVIGATIONS, "given"],
         default=None,
         help="given: exact attitude, no IMU",
+    )
+    parser.add_argument(
+        "--guidance", default="", metavar="FILE.py:NAME", help="your law in the place of the pilot's: docs/landing.md"
     )
     parser.add_argument(
         "--delay-s", type=float, default=PilotSettings.delay_s, help="of a command, s; not in real time"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +30,7 @@ from frames import (
     unpack_range,
     unpack_vector,
 )
+from given_law import LawInput
 from guidance import Law
 from navigation import Filter, Known, of_events, of_range, of_star
 from sensors import PERIOD_S, SensorErrors
@@ -79,10 +81,12 @@ class Pilot:
     ----------
     known : state from navigation at the start.
     settings : of the pilot.
+    law : gives the wanted acceleration, (3,), in the place of that of `settings.law`.
     """
 
-    def __init__(self, known: Known, settings: PilotSettings) -> None:
+    def __init__(self, known: Known, settings: PilotSettings, law: Callable[[LawInput], Vector] | None = None) -> None:
         self._settings, self._used = settings, NAVIGATIONS[settings.navigation]
+        self._law = law or (lambda state: wanted_m_s2(settings.law, state.position_m, state.velocity_m_s))
         self.filter = Filter(known, settings.errors)
         self._turn = np.zeros(3)
         self._sent: deque[tuple[float, Vector]] = deque([(-math.inf, np.array([0.0, 0.0, GRAVITY_M_S2]))], maxlen=20)
@@ -130,9 +134,13 @@ class Pilot:
 
     def command_m_s2(self, now_s: float) -> Vector:
         """Return the acceleration wanted when the command of now acts, (east, north, up), gravity's not included."""
-        acts_s = now_s + self._settings.delay_s
+        acts_s, now = now_s + self._settings.delay_s, self.filter.now
         position, velocity = self._predicted(acts_s + _ENGINE_S)
-        command = wanted_m_s2(self._settings.law, position, velocity)
+        sigma = np.sqrt(np.diag(now.covariance))
+        state = LawInput(
+            acts_s + _ENGINE_S, position, velocity, now.attitude.copy(), sigma[:3], sigma[3:6], self._settings.turn_s
+        )
+        command = self._law(state)
         self._sent.append((acts_s, command))
         return command
 
@@ -149,7 +157,7 @@ class Pilot:
     def _predicted(self, until_s: float) -> tuple[Vector, Vector]:
         """Return position and velocity at a time, from the commands that act until then."""
         now, t_s = self.filter.now, self.filter.newest * PERIOD_S
-        position, velocity = now.position_m, now.velocity_m_s
+        position, velocity = now.position_m.copy(), now.velocity_m_s.copy()
         while t_s < until_s - 1e-9:
             step_s = min(PERIOD_S, until_s - t_s)
             acting = [command for acts_s, command in self._sent if acts_s + _ENGINE_S <= t_s + 1e-9]

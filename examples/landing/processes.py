@@ -14,14 +14,18 @@ from pathlib import Path
 
 import can
 
-__all__ = ["Ended", "Ends", "NotStarted", "bus_of", "camera", "computer"]
+__all__ = ["LAW_FAILED", "Ended", "Ends", "NotStarted", "bus_of", "camera", "computer"]
 
 Ended = Callable[[], str]
 """Returns a text when a process has ended; "" while it runs."""
 
+LAW_FAILED = "law_failed.txt"
+"""File of a flight whose given law has failed: the sentence about it."""
+
 _LACKING = 3  # exit code: the machine lacks something
 _HERE = Path(__file__).parent
 _READY_S = 600.0
+_END_S = 10.0
 _JOINED_S = 0.5  # the served bus sends no frames to a new client for a quarter of a second
 
 
@@ -95,13 +99,20 @@ def computer(ends: Ends, known: Sequence[str], seed: int, out: Path, more: Seque
     command = [sys.executable, str(_HERE / "flight_computer.py"), "--seed", str(seed), *more]
     command += ["--serial", ends.serial, "--can-port", str(ends.can_port), "--log", str(out / "computer.jsonl")]
     command += known
+    failed = out / LAW_FAILED
+    failed.unlink(missing_ok=True)
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             if process.stdout is None or process.stdout.readline().strip() != "ready":
                 raise NotStarted("the flight computer has not started, see above", _LACKING)
-            yield _ended(process, "the flight computer")
+            ended = _ended(process, "the flight computer")
+            yield lambda: failed.read_text() if ended() and failed.exists() else ended()
         finally:
             process.terminate()
+            try:
+                process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()  # a law of the user's may hold the interpreter
 
 
 def _ended(process: subprocess.Popen[str] | subprocess.Popen[bytes], name: str) -> Ended:

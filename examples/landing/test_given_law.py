@@ -1,0 +1,135 @@
+"""A law of the user's own: loaded, called and refused within bounds; flights with one are in the suite."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import fly
+import given_law
+import numpy as np
+import pytest
+from faults import Faults
+from given_law import GivenLaw, LawFailed, LawInput
+from mission import Mission
+from pilot import Pilot, PilotSettings
+from processes import LAW_FAILED, Ends
+from sensors import PERIOD_S
+from simple_law import Law
+from spacecraft import TouchDown
+from vehicle import GRAVITY_M_S2, State
+
+STATE = LawInput(3.0, np.array([0.0, 1.0, 50.0]), np.array([0.1, 0.0, -5.0]), np.eye(4)[0], np.ones(3), np.ones(3), 0.2)
+
+
+def law_of(folder: Path, body: str) -> str:
+    """Return FILE.py:law of a file whose law has this body."""
+    (folder / "mine.py").write_text(f"def law(state):\n    {body}\n\n\nnumber = 3.0\n")
+    return f"{folder / 'mine.py'}:law"
+
+
+def test_a_law_is_a_function_or_a_class() -> None:
+    """That of the example: 4 m/s at 50 m, one too fast, gain 1."""
+    law = GivenLaw(f"{Path(__file__).parent / 'simple_law.py'}:Law")
+    assert law(STATE) == pytest.approx([0.0, 0.0, GRAVITY_M_S2 + 1.0])
+
+
+def test_a_function_and_a_file_with_a_dataclass(tmp_path: Path) -> None:
+    """Three numbers of any kind."""
+    (tmp_path / "mine.py").write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n\n\n"
+        "@dataclass\nclass Gain:\n    up: float = 2.0\n\n\ndef law(state):\n    return [0, 1, Gain().up]\n"
+    )
+    assert GivenLaw(f"{tmp_path / 'mine.py'}:law")(STATE).tolist() == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        ("return 1 / 0", "raised ZeroDivisionError: division by zero, in line 2 of mine.py"),
+        ("raise SystemExit(3)", "raised SystemExit: 3, in line 2 of mine.py"),
+        ("return 0.0, float('nan'), 1.62", "returned (0.0, nan, 1.62), not three finite numbers (east, north, up)"),
+        ("return 1.62", "returned 1.62, not three finite numbers (east, north, up)"),
+        ("return 'up'", "returned 'up', not three finite numbers (east, north, up)"),
+        ("return None", "returned None, not three finite numbers (east, north, up)"),
+        ("return 0, 0, 33", "returned (0, 0, 33), beyond 32 m/s2"),
+        ("while True: pass", "did not return within 0.2 s"),
+    ],
+)
+def test_a_law_that_fails_is_described(
+    body: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one sentence, soon, and without its exception."""
+    monkeypatch.setattr(given_law, "_CALL_S", 0.2)
+    law = GivenLaw(law_of(tmp_path, body.replace("while True: pass", "while not stopped(state): pass")))
+    law._law.__globals__["stopped"] = lambda state: time.sleep(0.01) or time.monotonic() > end_s
+    end_s = time.monotonic() + 1.0  # the thread of this test ends
+    with pytest.raises(LawFailed) as failure:
+        law(STATE)
+    assert str(failure.value) == sentence
+    assert time.monotonic() < end_s
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("law", "is not FILE.py:NAME: give a file and the law's name in it, such as simple_law.py:Law"),
+        ("nothing.py:law", "names no file: give the path of a file that exists"),
+        ("mine.py:Law", "names nothing in mine.py: give a name that it defines: law"),
+        ("mine.py:number", "cannot be called: give a function, or a class with a method __call__(self, state)"),
+        ("broken.py:law", "raised SyntaxError: expected ':' (broken.py, line 2), in line 2 of broken.py"),
+        ("lacking.py:law", "raised ModuleNotFoundError: No module named 'lacked', in line 1 of lacking.py"),
+    ],
+)
+def test_a_wrong_name_is_refused_before_anything_starts(
+    text: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 2, why, what to do; no folder of a flight."""
+    law_of(tmp_path, "return 0, 0, 1.62")
+    (tmp_path / "broken.py").write_text("x = 1\ndef law(state)\n")
+    (tmp_path / "lacking.py").write_text("import lacked\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["fly.py", "--out", "flight", "--guidance", text])
+    assert fly.main() == 2
+    assert f"fly.py: --guidance {text} {sentence}" in capsys.readouterr().err
+    assert not (tmp_path / "flight").exists()
+
+
+@pytest.mark.parametrize("more", [["--real-time"], ["--navigation", "given"], ["--compare"]])
+def test_what_a_law_cannot_fly_with_is_refused(
+    more: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without sensors of the vehicle there is no state from navigation."""
+    monkeypatch.setattr("sys.argv", ["fly.py", "--out", str(tmp_path / "flight"), "--guidance", "mine.py:law", *more])
+    assert fly.main() == 2
+    assert "leave out" in capsys.readouterr().err
+
+
+def test_the_pilot_flies_the_given_law() -> None:
+    """Its command is the law's, decided from the state when the command acts; the law cannot change the filter."""
+    states: list[LawInput] = []
+
+    def law(state: LawInput) -> np.ndarray:
+        states.append(state)
+        command = Law()(state)
+        state.position_m[:] = np.nan
+        return command
+
+    pilot = Pilot(Mission.drawn(100.0, 1).known, PilotSettings("blind"), law)
+    for number in range(1, 11):
+        pilot.filter.sample(number, np.zeros(3), np.array([0.0, 0.0, GRAVITY_M_S2 * PERIOD_S]))
+    place, speed = pilot.filter.now.position_m.copy(), pilot.filter.now.velocity_m_s
+    command = pilot.command_m_s2(0.2)
+    assert states[0].t_s == pytest.approx(0.4)  # 0.1 s of delay and 0.1 s of the engine
+    assert states[0].velocity_m_s == pytest.approx(speed)
+    assert command[2] == pytest.approx(Law()(LawInput(0.4, place + speed * 0.2, speed, *[np.ones(3)] * 3, 0.2))[2])
+    assert np.isfinite(pilot.filter.now.position_m).all()
+
+
+def test_a_flight_whose_law_failed_is_not_good(tmp_path: Path) -> None:
+    """However softly the last command lands it."""
+    end = TouchDown(30.0, State(np.zeros(3), np.array([0.0, 0.0, -0.5])), touched=True, fuel_kg=5.0)
+    flight = fly.Flight(Ends(0, 0, ""), 1, tmp_path, Faults(), navigation="events", guidance="mine.py:law")
+    assert fly._report(end, flight, {"soft": True}, None) == 0
+    (tmp_path / LAW_FAILED).write_text("guidance mine.py:law raised ZeroDivisionError: division by zero")
+    assert fly._report(end, flight, {"soft": True}, None) == 1
