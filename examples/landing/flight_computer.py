@@ -20,6 +20,7 @@ import argparse
 import json
 import logging
 import math
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -258,6 +259,7 @@ def _failing(crash_s: float, hang_s: float) -> Callable[[float], None]:
 def main() -> int:
     """Fly until the program is ended, or its given law fails; the log is complete at each turn."""
     arguments = _arguments()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))  # the end of a flight
     started, sys.stdout = sys.stdout, sys.stderr  # a law that prints must not fill the pipe of "ready"
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
     lens, port = Lens(), arguments.can_port
@@ -284,6 +286,8 @@ def main() -> int:
         except LawFailed as failure:
             (arguments.log.parent / LAW_FAILED).write_text(f"guidance {arguments.guidance} {failure}")
             return 1
+        finally:
+            np.savez(arguments.log.with_name("last_events.npz"), events=window.events)
     return 0
 
 

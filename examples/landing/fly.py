@@ -31,14 +31,16 @@ from given_law import GivenLaw, LawFailed
 from guidance import Law
 from latency import latencies
 from mission import Mission, SensingSpacecraft, fly_without_camera, judgement
-from outcome import verdict
+from outcome import reasons, verdict
 from pilot import NAVIGATIONS, PilotSettings
+from plot import write_page
 from processes import LAW_FAILED, Ended, Ends, NotStarted, bus_of, camera, computer
 from real_time import STEP_S, RealTimeSpacecraft
 from sensors import SensorErrors, Sensors
 from spacecraft import USUAL, Limits, Spacecraft, TouchDown
 from vehicle import GRAVITY_M_S2, Lander, State
 
+from emulator.report.page import ChartsLacking
 from emulator.rig.loading import load_rig
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import build_ground
@@ -235,12 +237,16 @@ def _report(end: TouchDown, flight: Flight, own: dict[str, object], result: Path
     judged |= {"guidance": flight.guidance} if flight.guidance else {}
     judged["soft"] = judged["soft"] and not (out / LAW_FAILED).exists()
     print(f"\n{_headline(end, soft=bool(judged['soft']))}; files in {out}")
-    for sentence in judged["why"]:
+    for sentence in (*reasons(judged), *judged["why"]):
         print(f"  {sentence}")
     for file in (out / "verdict.json", *([result] if result else [])):
         file.write_text(json.dumps(judged))
     if flight.real_time and (out / "standing.json").exists():
         (out / "latency.json").write_text(json.dumps(latencies(out), indent=1))
+    try:
+        print(f"page: {write_page(out)}")
+    except ChartsLacking as error:
+        print(f"no page: {error}")
     return 0 if judged["soft"] else 1
 
 

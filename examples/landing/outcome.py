@@ -5,11 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from errors import divergence_errors
+from mission import Bounds
 from spacecraft import TouchDown
 
-__all__ = ["verdict"]
+__all__ = ["FIGURES", "reasons", "verdict"]
+
+FIGURES = {
+    "vertical_m_s": "speed down, m/s",
+    "horizontal_m_s": "speed along the ground, m/s",
+    "tilt_deg": "tilt, degrees",
+    "place_m": "distance from the site, m",
+}
+"""Figures that are judged, and their names with the unit."""
 
 _SOFT_M_S = 1.0
 _STORM_1_S = 300_000  # the ground alone gives 60 000 to 100 000 events a second
@@ -34,6 +44,15 @@ def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object
     why = [*end.why, *_of_computer(out), *_of_camera(out)]
     why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
     return found | {"why": why} | _errors(out)
+
+
+def reasons(judged: dict[str, Any]) -> Iterator[str]:
+    """Yield why a flight is not good: a sentence for each figure beyond its bound."""
+    if not judged["touched"]:
+        yield f"no touchdown: {judged['height_m']:.1f} m up after {judged['t_s']:.1f} s"
+        return
+    for name in judged.get("beyond", [] if judged["soft"] else ["vertical_m_s"]):
+        yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {getattr(Bounds(), name):g}"
 
 
 def _errors(out: Path) -> dict[str, float]:

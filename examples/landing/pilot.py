@@ -157,7 +157,7 @@ class Pilot:
     def _predicted(self, until_s: float) -> tuple[Vector, Vector]:
         """Return position and velocity at a time, from the commands that act until then."""
         now, t_s = self.filter.now, self.filter.newest * PERIOD_S
-        position, velocity = now.position_m.copy(), now.velocity_m_s.copy()
+        position, velocity = now.position_m, now.velocity_m_s
         while t_s < until_s - 1e-9:
             step_s = min(PERIOD_S, until_s - t_s)
             acting = [command for acts_s, command in self._sent if acts_s + _ENGINE_S <= t_s + 1e-9]

@@ -1,7 +1,10 @@
-"""Pictures of a landing: a GIF of the events beside the descent, and its last picture with the whole of it.
+"""Pictures of a flight: `page.html` after each one, and on request a GIF of the events beside the descent.
 
-python fly.py --height 300 --out flight --record flight/events.npz
-python plot.py flight                # flight/landing.gif, flight/landing.png; needs matplotlib and pillow
+    python fly.py --height 300 --out flight --record flight/events.npz
+    python plot.py flight          # flight/landing.gif, and its last picture, flight/landing.png; needs pillow
+
+The page contains the verdict and its reasons, the track, velocities and divergence beside the truth, and the last
+events that the flight computer received. It needs no network and no script; charts are drawn by matplotlib.
 """
 
 from __future__ import annotations
@@ -9,60 +12,130 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
+from mission import Bounds
+from outcome import FIGURES, reasons
 
-_DARK, _ON, _OFF = 30, (230, 159, 0), (86, 180, 233)  # orange and blue, as `evstim picture` draws events
+from emulator.report.document import Column, Document, Section
+from emulator.report.page import BLUE, RED, image, panels, pyplot
+from emulator.report.pictures import OFF_RGB, ON_RGB, image_element, palette_png
+
+__all__ = ["Flight", "write_page"]
+
+_PALETTE = np.array([(30, 30, 30), ON_RGB, OFF_RGB], np.uint8)
 _SHAPE = 260, 346
 _SHOWN_US = 30_000
 _GIF_FRAMES, _GIF_MS = 40, 150
+_BEFORE_S = (2.0, 1.0, 0.0)  # pictures of the page, before the newest event
+_MOST_1_S = 0.3  # of a divergence that is drawn: at touchdown that of the truth grows beyond bounds
 
 
 class Flight:
-    """Files of a flight in its folder."""
+    """Files of a flight in its folder; `events` are those of a record, or the last ones of the flight computer."""
 
     def __init__(self, folder: Path) -> None:
-        self.truth = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
-        self.rows = [json.loads(line) for line in (folder / "computer.jsonl").read_text().splitlines()]
-        file = folder / "events-events.npz"  # the record of the link "events"
-        self.events = np.load(file)["events"] if file.exists() else None
+        names, *lines = [line.split(",") for line in (folder / "truth.csv").read_text().splitlines()]
+        columns = np.array(lines, np.float64).reshape(-1, len(names)).T
+        self.truth = dict(zip(names, columns, strict=True))
+        log = folder / "computer.jsonl"
+        text = log.read_text() if log.exists() else ""
+        self.rows: list[dict[str, Any]] = [json.loads(line) for line in text.splitlines()]
+        record, last = folder / "events-events.npz", folder / "last_events.npz"  # the record of the link "events"
+        file = record if record.exists() else last
+        self.events = np.load(file)["events"] if file.exists() else np.zeros(0, [("t", "u8"), ("on", "?")])
         self.height_m = self.truth["z_m"] - self.truth["ground_m"]
-        self.end_s = float(self.truth["t_s"][-1])
+        self.end_s = float(self.truth["t_s"].max(initial=0.0))
 
     def seen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times and divergences that were accepted."""
+        """Return times, s, and divergences, 1/s, that were accepted, (n,) each."""
         pairs = {row["at_s"]: row["down_1_s"] for row in self.rows if np.isfinite(row.get("gain", np.nan))}
         return np.array(list(pairs)), np.array(list(pairs.values()))
 
     def picture(self, t_s: float) -> np.ndarray:
-        """Return the events of 30 ms as colours, (260, 346, 3)."""
-        out = np.full((*_SHAPE, 3), _DARK, np.uint8)
-        if self.events is None:
-            return out
-        first, last = np.searchsorted(self.events["t"], [t_s * 1e6 - _SHOWN_US, t_s * 1e6])
-        chosen = self.events[first:last]
-        out[chosen["y"], chosen["x"]] = np.where(chosen["on"][:, None], _ON, _OFF)
+        """Return the pixels with events in the 30 ms before a time as numbers of colours, (260, 346)."""
+        out = np.zeros(_SHAPE, np.uint8)
+        if len(self.events):
+            first, last = np.searchsorted(self.events["t"], [t_s * 1e6 - _SHOWN_US, t_s * 1e6])
+            chosen = self.events[first:last]
+            out[chosen["y"], chosen["x"]] = np.where(chosen["on"], 1, 2)
         return out
 
 
-def figure(flight: Flight, t_s: float) -> Figure:
-    """Return events of one instant, and height, speed and divergence up to it."""
-    made = Figure(figsize=(9.2, 3.9), dpi=80, layout="constrained")
+def write_page(folder: Path) -> Path:
+    """Write page.html beside verdict.json; return its path. Raises ChartsLacking where matplotlib is not installed."""
+    judged = json.loads((folder / "verdict.json").read_text())
+    flight = Flight(folder)
+    law = judged.get("guidance") or ("the example's law" if judged["navigation"] != "given" else "given attitude")
+    words = "landed within the bounds" if judged["soft"] else "not a landing within the bounds"
+    kind = "good" if judged["soft"] else "bad"
+    page = Document("A landing guided by events", f"{law}; navigation: {judged['navigation']}; {folder}", kind, words)
+    page.add(Section("Reasons").listed([*reasons(judged), *judged["why"]] or ["Nothing went wrong."]))
+    columns = [Column("name", "figure"), Column("value", "at the end", "number"), Column("bound", "bound", "number")]
+    figures = [{"name": words, "value": judged.get(name)} for name, words in FIGURES.items()]
+    for row, name in zip(figures, FIGURES, strict=True):
+        row["bound"] = getattr(Bounds(), name)
+    rest = {"time, s": "t_s", "height of the camera, m": "height_m", "propellant, kg": "fuel_kg"}
+    figures += [{"name": words, "value": judged[name]} for words, name in rest.items()]
+    page.add(Section("Figures").table("Touchdown, or the end of the flight", columns, figures))
+    if len(flight.height_m):
+        page.add(Section("Track, velocities and divergence").chart(*_charts(flight)))
+    events = Section("Last events")
+    shown = len(flight.events) > 0 and len(flight.height_m) > 0
+    end_s = min(flight.end_s + 1.0, float(flight.events["t"][-1]) * 1e-6) if shown else 0.0
+    pictures = []
+    for before_s in _BEFORE_S if shown else ():
+        at_s = end_s - before_s
+        up_m = float(np.interp(at_s, flight.truth["t_s"], flight.height_m))
+        text = f"events of 30 ms at {at_s:.2f} s, {up_m:.1f} m above the ground; ON orange, OFF blue"
+        element = image_element(palette_png(flight.picture(at_s), _PALETTE), text, _SHAPE[1])
+        pictures.append(f"<figure>{element}<figcaption>{text}</figcaption></figure>")
+    events.element(f'<div class="maps">{"".join(pictures)}</div>')
+    return page.add(events.text("" if shown else "No events came.")).write(folder / "page.html")
+
+
+def _charts(flight: Flight) -> tuple[str, str]:
+    """Return the charts of a flight as an element, and the text below it."""
+    truth, known = flight.truth, [row for row in flight.rows if "velocity_m_s" in row]
+    figure, axes = panels(6, 3, 3.6, 2.6)
+    (plan,), (height,), (divergence,), *speeds = axes
+    at_s = np.array([row["estimate_s"] for row in known])
+    places = np.array([row["position_m"] for row in known]).reshape(-1, 3)
+    plan.plot(truth["x_m"], truth["y_m"], color=BLUE)
+    plan.plot(places[:, 0], places[:, 1], color=RED, lw=0.8)
+    plan.add_patch(pyplot().Circle((0, 0), Bounds().place_m, fill=False, ls=":"))
+    plan.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="track; dots: bound of the place")
+    plan.margins(0.1)
+    height.plot(truth["t_s"], truth["z_m"], color=BLUE, label="truth")
+    height.plot(at_s, places[:, 2], color=RED, lw=0.8, label="navigation")
+    height.set(xlabel="time, s", title="height above the site, m", yscale="log")
+    height.legend(fontsize=7)
+    divergence.plot(truth["t_s"], -truth["vz_m_s"] / flight.height_m, color=BLUE)
+    divergence.plot(*flight.seen(), ".", ms=2.5, color=RED)
+    divergence.set(xlabel="time, s", title="divergence, 1/s; dots: from events", ylim=(0, _MOST_1_S))
+    velocities = np.array([row["velocity_m_s"] for row in known]).reshape(-1, 3)
+    for k, ((axis,), name, key) in enumerate(zip(speeds, ("east", "north", "up"), ("vx", "vy", "vz"), strict=True)):
+        axis.plot(truth["t_s"], truth[f"{key}_m_s"], color=BLUE)
+        axis.plot(at_s, velocities[:, k], color=RED, lw=0.8)
+        axis.set(xlabel="time, s", title=f"velocity {name}, m/s")
+    for (axis,) in axes:
+        axis.grid(alpha=0.3)
+    return image(figure, "track, height, divergence and velocities"), "Blue: truth; red: navigation, or from events."
+
+
+def picture_at(flight: Flight, t_s: float) -> Any:
+    """Return a figure of the events of one instant, and of height, speed and divergence up to it."""
+    made = pyplot().figure(figsize=(9.2, 3.9), dpi=80, layout="constrained")
     left, *right = made.subplot_mosaic([["e", "h"], ["e", "v"], ["e", "d"]], width_ratios=[1.35, 1]).values()
-    left.imshow(flight.picture(t_s), interpolation="nearest")
-    k = int(np.searchsorted(flight.truth["t_s"], t_s).clip(0, len(flight.truth) - 1))
+    left.imshow(_PALETTE[flight.picture(t_s)], interpolation="nearest")
+    k = int(np.searchsorted(flight.truth["t_s"], t_s).clip(0, len(flight.height_m) - 1))
     speed = -flight.truth["vz_m_s"]
     left.set_title(f"{t_s:5.1f} s   {flight.height_m[k]:6.1f} m   {speed[k]:5.2f} m/s down", family="monospace")
     left.set_axis_off()
     times = flight.truth["t_s"][: k + 1]
-    for axes, values, name in zip(
-        right,
-        (flight.height_m, speed, speed / flight.height_m),
-        ("height, m", "speed, m/s", "divergence, 1/s"),
-        strict=True,
-    ):
+    shown = (flight.height_m, "height, m"), (speed, "speed, m/s"), (speed / flight.height_m, "divergence, 1/s")
+    for axes, (values, name) in zip(right, shown, strict=True):
         axes.plot(times, values[: k + 1], color="k", lw=1.2, label="truth")
         axes.set(xlim=(0, flight.end_s), ylabel=name)
         axes.grid(alpha=0.3)
@@ -70,22 +143,22 @@ def figure(flight: Flight, t_s: float) -> Figure:
     right[1].set(ylim=(0, speed.max() * 1.1))
     at_s, down = flight.seen()
     right[2].plot(at_s[at_s <= t_s], down[at_s <= t_s], ".", ms=2.5, color="tab:orange", label="from events")
-    right[2].set(ylim=(0, 0.3), xlabel="time, s")
+    right[2].set(ylim=(0, _MOST_1_S), xlabel="time, s")
     right[2].legend(loc="upper left", fontsize=7)
     return made
 
 
 def main(folder: Path) -> None:
-    """Write both files."""
+    """Write the GIF and its last picture."""
     from PIL import Image
 
-    mpl.use("agg")
     flight, frames = Flight(folder), []
     for t_s in np.linspace(0.4, flight.end_s, _GIF_FRAMES):
-        made = figure(flight, float(t_s))
+        made = picture_at(flight, float(t_s))
         made.savefig(folder / "landing.png")
-        with Image.open(folder / "landing.png") as image:
-            frames.append(image.convert("P", palette=Image.Palette.ADAPTIVE, colors=32))
+        pyplot().close(made)
+        with Image.open(folder / "landing.png") as image_file:
+            frames.append(image_file.convert("P", palette=Image.Palette.ADAPTIVE, colors=32))
     frames[0].save(folder / "landing.gif", save_all=True, append_images=frames[1:], duration=_GIF_MS, loop=0)
 
 

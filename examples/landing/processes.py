@@ -101,6 +101,7 @@ def computer(ends: Ends, known: Sequence[str], seed: int, out: Path, more: Seque
     command += known
     failed = out / LAW_FAILED
     failed.unlink(missing_ok=True)
+    (out / "last_events.npz").unlink(missing_ok=True)
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             if process.stdout is None or process.stdout.readline().strip() != "ready":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 
@@ -12,7 +13,9 @@ import pytest
 from faults import Faults
 from given_law import GivenLaw, LawFailed, LawInput
 from mission import Mission
+from outcome import reasons
 from pilot import Pilot, PilotSettings
+from plot import write_page
 from processes import LAW_FAILED, Ends
 from sensors import PERIOD_S
 from simple_law import Law
@@ -112,7 +115,7 @@ def test_the_pilot_flies_the_given_law() -> None:
     def law(state: LawInput) -> np.ndarray:
         states.append(state)
         command = Law()(state)
-        state.position_m[:] = np.nan
+        state.position_m[:] = state.attitude[:] = np.nan
         return command
 
     pilot = Pilot(Mission.drawn(100.0, 1).known, PilotSettings("blind"), law)
@@ -123,13 +126,41 @@ def test_the_pilot_flies_the_given_law() -> None:
     assert states[0].t_s == pytest.approx(0.4)  # 0.1 s of delay and 0.1 s of the engine
     assert states[0].velocity_m_s == pytest.approx(speed)
     assert command[2] == pytest.approx(Law()(LawInput(0.4, place + speed * 0.2, speed, *[np.ones(3)] * 3, 0.2))[2])
-    assert np.isfinite(pilot.filter.now.position_m).all()
+    assert np.isfinite([*pilot.filter.now.position_m, *pilot.filter.now.attitude]).all()
 
 
 def test_a_flight_whose_law_failed_is_not_good(tmp_path: Path) -> None:
     """However softly the last command lands it."""
     end = TouchDown(30.0, State(np.zeros(3), np.array([0.0, 0.0, -0.5])), touched=True, fuel_kg=5.0)
+    (tmp_path / "truth.csv").write_text("t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s\n")
     flight = fly.Flight(Ends(0, 0, ""), 1, tmp_path, Faults(), navigation="events", guidance="mine.py:law")
     assert fly._report(end, flight, {"soft": True}, None) == 0
     (tmp_path / LAW_FAILED).write_text("guidance mine.py:law raised ZeroDivisionError: division by zero")
     assert fly._report(end, flight, {"soft": True}, None) == 1
+
+
+def test_the_page_has_reasons_charts_and_the_last_events(tmp_path: Path) -> None:
+    """Of a flight that ended in the air, and of one that never began."""
+    judged = {"soft": False, "touched": False, "t_s": 2.0, "vertical_m_s": 1.5, "height_m": 7.0, "fuel_kg": 1.0}
+    judged |= {"horizontal_m_s": 0.6, "beyond": ["vertical_m_s", "horizontal_m_s"], "navigation": "events"}
+    judged |= {"why": ["guidance <mine>.py:law did not return within 2 s"], "guidance": "<mine>.py:law"}
+    (tmp_path / "verdict.json").write_text(json.dumps(judged))
+    truth = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s\n"
+    (tmp_path / "truth.csv").write_text(truth)
+    never = write_page(tmp_path).read_text()
+    assert never.count("<img") == 0
+    (tmp_path / "truth.csv").write_text(truth + "1,0,0,9,0,0,0,-1.5\n2,0,0,7.5,0,0,0,-1.5\n")
+    row = {"t_s": 1.0, "estimate_s": 1.0, "position_m": [0, 0, 9], "velocity_m_s": [0, 0, -1], "lost": False}
+    (tmp_path / "computer.jsonl").write_text(json.dumps(row))
+    events = np.zeros(300, [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
+    events["t"], events["x"], events["y"] = np.arange(300) * 7_000, np.arange(300), 100
+    np.savez(tmp_path / "last_events.npz", events=events)
+    page = write_page(tmp_path).read_text()
+    assert page.count("<img") == 4
+    assert "no touchdown: 7.0 m up after 2.0 s" in page
+    assert "&lt;mine&gt;.py:law did not return within 2 s" in page
+    judged |= {"touched": True}
+    assert list(reasons(judged)) == [
+        "speed down, m/s: 1.50, beyond the bound of 1",
+        "speed along the ground, m/s: 0.60, beyond the bound of 0.5",
+    ]

@@ -52,6 +52,13 @@ class Window:
         """Time of the newest event; below 0 before the first."""
         return float(self._events[-1]["t"][-1]) * 1e-6 if self._events else -1.0
 
+    @property
+    def events(self) -> npt.NDArray[np.void]:
+        """Events of the last five seconds, (n,) EVENT, in the order in which they came."""
+        if not self._events:
+            return np.zeros(0, [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
+        return np.concatenate(self._events)
+
     def add_events(self, events: npt.NDArray[np.void]) -> None:
         """Take the next events."""
         if len(events):
@@ -72,7 +79,7 @@ class Window:
         """Return the time of the oldest event, us, and the number of each bin of `bin_us` since then, (n,)."""
         if not self._events:
             return 0, np.zeros(0, np.int64)
-        t_us = np.concatenate(self._events)["t"].astype(np.int64)
+        t_us = self.events["t"].astype(np.int64)
         return int(t_us[0]), np.bincount((t_us - t_us[0]) // bin_us)
 
     def rays(self, since_s: float, until_s: float) -> Rays:
@@ -99,9 +106,7 @@ class Window:
 
     def _between(self, since_s: float, until_s: float) -> npt.NDArray[np.void]:
         """Return a fair choice of the events of a stretch of time, not more than the estimator needs."""
-        if not self._events:
-            return np.zeros(0, [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
-        events = np.concatenate(self._events)
+        events = self.events
         first, last = np.searchsorted(events["t"], [since_s * 1e6, until_s * 1e6])
         events = events[first:last]
         place = events["y"].astype(np.uint64) * np.uint64(self._lens.size[0]) + events["x"]
