@@ -29,18 +29,12 @@ from typing import TextIO
 
 import can
 import numpy as np
-from divergence import Motion, MotionEstimator, Rays
-from given_law import GivenLaw, LawFailed
-from guidance import Law
+from divergence import Lens, Motion, MotionEstimator, Rays, Window
+from guidance import Law, PredictingGuidance
 from links import Edge, Links
 from navigation import Known
-from pilot import NAVIGATIONS, Pilot, PilotSettings
-from prediction import PredictingGuidance
-from processes import LAW_FAILED
+from pilot import LAW_FAILED, NAVIGATIONS, GivenLaw, LawFailed, Pilot, PilotSettings
 from sensors import PERIOD_S
-from window import Lens, Window
-
-__all__ = ["FlightComputer", "NavigatingComputer", "fly_lockstep", "fly_real_time"]
 
 _MARGIN_PX = 60.0  # for a tilt of 10 degrees
 _TURN_S = 0.2  # in lockstep a command acts a turn after its SYNC
@@ -73,7 +67,7 @@ class FlightComputer:
         self.began_s = -math.inf
 
     def begin(self, now_s: float) -> None:
-        """Begin the descent now: earlier events do not count, and are written for latency.py."""
+        """Begin the descent now: earlier events do not count, and are written for latency.json."""
         self.began_s = now_s
         self._guidance.begin(now_s)
         from_us, counts = self._window.counts(_BIN_US)
@@ -271,11 +265,14 @@ def main() -> int:
         flying: Callable[..., None] = fly_real_time if arguments.real_time else fly_lockstep
         if arguments.navigation:
             law = GivenLaw(arguments.guidance) if arguments.guidance else None
-            pilot = Pilot(Known(**json.loads(arguments.known)), _settings(arguments, lens), law)
+            settings = PilotSettings(arguments.navigation, lens.size[0] / 2, _TURN_S, arguments.delay_s)
+            pilot = Pilot(Known(**json.loads(arguments.known)), settings, law)
             computer: FlightComputer | NavigatingComputer = NavigatingComputer(pilot, window, _estimator(lens), log)
             links = Links(arguments.serial, bus, lambda number: 0.0, pilot.take)
         else:
-            computer = FlightComputer(_guidance(arguments, lens), window, _estimator(lens), log)
+            known = Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2
+            guidance = PredictingGuidance(*known, delay_s=_FIRST_DELAY_S if arguments.real_time else _TURN_S)
+            computer = FlightComputer(guidance, window, _estimator(lens), log)
             links = Links(arguments.serial, bus, _attitude_time(arguments.attitude_s, window))
         time.sleep(_JOINED_S)
         print("ready", file=started, flush=True)
@@ -289,17 +286,6 @@ def main() -> int:
         finally:
             np.savez(arguments.log.with_name("last_events.npz"), events=window.events)
     return 0
-
-
-def _settings(arguments: argparse.Namespace, lens: Lens) -> PilotSettings:
-    """Return the settings of a pilot."""
-    return PilotSettings(arguments.navigation, lens.size[0] / 2, _TURN_S, arguments.delay_s)
-
-
-def _guidance(arguments: argparse.Namespace, lens: Lens) -> PredictingGuidance:
-    """Return the guidance of a flight whose attitude is given."""
-    known = Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2
-    return PredictingGuidance(*known, delay_s=_FIRST_DELAY_S if arguments.real_time else _TURN_S)
 
 
 def _attitude_time(step_s: float, window: Window) -> Callable[[int], float]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from given_law import LawInput
+    from pilot import LawInput
 
 GRAVITY_M_S2 = 1.62
 

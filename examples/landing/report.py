@@ -1,7 +1,7 @@
-"""Pictures of a flight: `page.html` after each one, and on request a GIF of the events beside the descent.
+"""Verdict of a flight, and its pages: verdict.json, `page.html`, and on request a GIF of the events beside the descent.
 
     python fly.py --height 300 --out flight --record flight/events.npz
-    python plot.py flight          # flight/landing.gif, and its last picture, flight/landing.png; needs pillow
+    python report.py flight        # flight/landing.gif, and its last picture, flight/landing.png; needs pillow
 
 The page contains the verdict and its reasons, the track, velocities and divergence beside the truth, and the last
 events that the flight computer received. It needs no network and no script; charts are drawn by matplotlib.
@@ -10,26 +10,90 @@ events that the flight computer received. It needs no network and no script; cha
 from __future__ import annotations
 
 import json
+import math
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mission import Bounds
-from outcome import FIGURES, reasons
+from spacecraft import TouchDown
+from vehicle import Height, matrix
 
 from emulator.report.document import Column, Document, Section
 from emulator.report.page import BLUE, RED, image, panels, pyplot
 from emulator.report.pictures import OFF_RGB, ON_RGB, image_element, palette_png
 
-__all__ = ["Flight", "write_page"]
+FIGURES = {
+    "vertical_m_s": "speed down, m/s",
+    "horizontal_m_s": "speed along the ground, m/s",
+    "tilt_deg": "tilt, degrees",
+    "place_m": "distance from the site, m",
+}
+"""Figures that are judged, and their names with the unit."""
 
+_SOFT_M_S = 1.0
+_STORM_1_S = 300_000  # the ground alone gives 60 000 to 100 000 events a second
+_POSES = {
+    "poses refused": "poses were refused: no numbers, or damaged",
+    "poses stale": "poses were refused: their times went back",
+    "poses too far ahead": "poses were refused: stamped too far ahead",
+    "pictures with a late pose": "pictures were drawn with a pose that stood still for want of a newer one",
+}
+_FEET_M, _PLACES = 1.5, 9
+_LEAST_M = 3.0  # nearer, the ground in view is no longer that below
 _PALETTE = np.array([(30, 30, 30), ON_RGB, OFF_RGB], np.uint8)
 _SHAPE = 260, 346
 _SHOWN_US = 30_000
 _GIF_FRAMES, _GIF_MS = 40, 150
 _BEFORE_S = (2.0, 1.0, 0.0)  # pictures of the page, before the newest event
 _MOST_1_S = 0.3  # of a divergence that is drawn: at touchdown that of the truth grows beyond bounds
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of a landing: speeds, m/s; tilt at contact, degrees; place, m. Of the site: slope, degrees; rock, m."""
+
+    vertical_m_s: float = 1.0
+    horizontal_m_s: float = 0.5
+    tilt_deg: float = 5.0
+    place_m: float = 25.0
+    slope_deg: float = 12.0
+    rock_m: float = 0.4
+
+
+def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) -> dict[str, object]:
+    """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and touched).
+
+    `site_good`: slope of the ground under the feet and the highest rock between them are within theirs. Nothing on
+    board looks for a good site, so it is no part of `soft`.
+    """
+    x, y, _ = end.state.position_m.tolist()
+    slope_deg, rock_m = map(float, _site(ground_m, x, y))
+    bounds = bounds or Bounds()
+    figures = {
+        "vertical_m_s": end.vertical_m_s,
+        "horizontal_m_s": end.horizontal_m_s,
+        "tilt_deg": math.degrees(math.acos(min(1.0, float(matrix(end.state.attitude)[2, 2])))),
+        "place_m": math.hypot(x, y),
+    }
+    beyond = [name for name, value in figures.items() if not value < getattr(bounds, name)]
+    site = {"slope_deg": slope_deg, "rock_m": rock_m}
+    site_good = slope_deg < bounds.slope_deg and rock_m < bounds.rock_m
+    return figures | site | {"site_good": bool(site_good), "beyond": beyond, "soft": bool(end.touched and not beyond)}
+
+
+def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
+    """Return the slope of the plane through the ground under four feet, degrees, and the highest ground above it, m."""
+    heights = [ground_m(x_m + a * _FEET_M, y_m + b * _FEET_M) for a, b in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    east, north = (heights[0] - heights[2]) / (2 * _FEET_M), (heights[1] - heights[3]) / (2 * _FEET_M)
+    middle, over = sum(heights) / 4, 0.0
+    for a in np.linspace(-_FEET_M, _FEET_M, _PLACES):
+        for b in np.linspace(-_FEET_M, _FEET_M, _PLACES):
+            plane = middle + a * east + b * north
+            over = max(over, ground_m(x_m + float(a), y_m + float(b)) - plane)
+    return math.degrees(math.atan(math.hypot(east, north))), over
 
 
 class Flight:
@@ -61,6 +125,83 @@ class Flight:
             chosen = self.events[first:last]
             out[chosen["y"], chosen["x"]] = np.where(chosen["on"], 1, 2)
         return out
+
+
+def divergence_errors(flight: Flight) -> dict[str, float]:
+    """Return median and 90 % of the absolute relative error of the divergence, its median with its sign, and losses.
+
+    Each accepted motion counts once; its truth is speed over height above the ground below, at its time.
+    """
+    (at_s, down), truth = flight.seen(), flight.truth
+    height_m = np.interp(at_s, truth["t_s"], flight.height_m)
+    wanted = height_m > _LEAST_M
+    if not wanted.any():
+        return {}
+    speed_m_s = -np.interp(at_s, truth["t_s"], truth["vz_m_s"])
+    error = (down * height_m / speed_m_s - 1)[wanted]
+    low, high = np.percentile(np.abs(error), [50, 90])
+    share = float(np.mean([row["lost"] for row in flight.rows]))
+    return {"error_median": float(low), "error_p90": float(high), "bias": float(np.median(error)), "lost_share": share}
+
+
+def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object]:
+    """Return the verdict of a landing and the error of its divergence; call after the camera's end.
+
+    `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each fault and error, also after a
+    good landing.
+    """
+    soft = end.touched and end.vertical_m_s < _SOFT_M_S
+    found: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
+    found |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
+    found["height_m"] = float(end.state.position_m[2])
+    why = [*end.why, *_of_computer(out), *_of_camera(out)]
+    why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
+    flown = (out / "computer.jsonl").exists() and (out / "computer.jsonl").read_text().strip()
+    return found | {"why": why} | (divergence_errors(Flight(out)) if flown else {})
+
+
+def reasons(judged: dict[str, Any]) -> Iterator[str]:
+    """Yield why a flight is not good: a sentence for each figure beyond its bound."""
+    if not judged["touched"]:
+        yield f"no touchdown: {judged['height_m']:.1f} m up after {judged['t_s']:.1f} s"
+        return
+    for name in judged.get("beyond", [] if judged["soft"] else ["vertical_m_s"]):
+        yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {getattr(Bounds(), name):g}"
+
+
+def _of_computer(out: Path) -> Iterator[str]:
+    log = out / "computer.jsonl"
+    rows = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+    if not rows:
+        yield "the flight computer answered no SYNC"
+        return
+    if lost := rows[-1].get("events_lost", 0):
+        yield f"{lost} events were lost on the serial line"
+    if without := sum(row["lost"] for row in rows):
+        yield f"dead reckoning: no motion was seen in {without} of {len(rows)} turns"
+    if without := sum(not row.get("edge", True) for row in rows):
+        yield f"no edge of the SYNC came from the camera in {without} of {len(rows)} turns"
+
+
+def _of_camera(out: Path) -> Iterator[str]:
+    """Yield sentences from the camera's summary, where this flight started the camera."""
+    file = out / "summary.json"
+    text = file.read_text().strip() if file.exists() else ""
+    if not text:
+        return
+    found = json.loads(text.splitlines()[-1])
+    for name, words in _POSES.items():
+        if count := found["scene"].get(name, 0):
+            yield f"{count} {words}"
+    if (rate := found["events"]["read_out"] / (found["sim_seconds"] or 1.0)) > _STORM_1_S:
+        yield f"a storm of events: {rate:.0f} a second"
+    for link, report in found["links"].items():
+        for fault in report.get("faults", []):
+            lost = f": {fault['events_lost']} events lost" if fault.get("events_lost") else ""
+            yield f"fault {fault['kind']} on {link} from {fault.get('began_us', 0) * 1e-6:.1f} s on{lost}"
+    for rule in found["rules"]:
+        if not rule["good"]:
+            yield f"the camera's run was not good: {rule['rule']}: {rule['told']}"
 
 
 def write_page(folder: Path) -> Path:

@@ -7,19 +7,16 @@ import time
 from pathlib import Path
 
 import fly
-import given_law
 import numpy as np
+import pilot as pilot_module
 import pytest
-from faults import Faults
-from given_law import GivenLaw, LawFailed, LawInput
-from mission import Mission
-from outcome import reasons
-from pilot import Pilot, PilotSettings
-from plot import write_page
-from processes import LAW_FAILED, Ends
+from fly import Ends
+from links import Faults
+from pilot import LAW_FAILED, GivenLaw, LawFailed, LawInput, Pilot, PilotSettings
+from report import reasons, write_page
 from sensors import PERIOD_S
 from simple_law import Law
-from spacecraft import TouchDown
+from spacecraft import Mission, TouchDown
 from vehicle import GRAVITY_M_S2, State
 
 STATE = LawInput(3.0, np.array([0.0, 1.0, 50.0]), np.array([0.1, 0.0, -5.0]), np.eye(4)[0], np.ones(3), np.ones(3), 0.2)
@@ -33,7 +30,7 @@ def law_of(folder: Path, body: str) -> str:
 
 def test_a_law_is_a_function_or_a_class() -> None:
     """That of the example: 4 m/s at 50 m, one too fast, gain 1."""
-    law = GivenLaw(f"{Path(__file__).parent / 'simple_law.py'}:Law")
+    law = GivenLaw(f"{Path(fly.__file__).parent / 'simple_law.py'}:Law")
     assert law(STATE) == pytest.approx([0.0, 0.0, GRAVITY_M_S2 + 1.0])
 
 
@@ -63,7 +60,7 @@ def test_a_law_that_fails_is_described(
     body: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In one sentence, soon, and without its exception."""
-    monkeypatch.setattr(given_law, "_CALL_S", 0.2)
+    monkeypatch.setattr(pilot_module, "_CALL_S", 0.2)
     law = GivenLaw(law_of(tmp_path, body.replace("while True: pass", "while not stopped(state): pass")))
     law._law.__globals__["stopped"] = lambda state: time.sleep(0.01) or time.monotonic() > end_s
     end_s = time.monotonic() + 1.0  # the thread of this test ends
@@ -118,15 +115,15 @@ def test_the_pilot_flies_the_given_law() -> None:
         state.position_m[:] = state.attitude[:] = np.nan
         return command
 
-    pilot = Pilot(Mission.drawn(100.0, 1).known, PilotSettings("blind"), law)
+    flying = Pilot(Mission.drawn(100.0, 1).known, PilotSettings("blind"), law)
     for number in range(1, 11):
-        pilot.filter.sample(number, np.zeros(3), np.array([0.0, 0.0, GRAVITY_M_S2 * PERIOD_S]))
-    place, speed = pilot.filter.now.position_m.copy(), pilot.filter.now.velocity_m_s
-    command = pilot.command_m_s2(0.2)
+        flying.filter.sample(number, np.zeros(3), np.array([0.0, 0.0, GRAVITY_M_S2 * PERIOD_S]))
+    place, speed = flying.filter.now.position_m.copy(), flying.filter.now.velocity_m_s
+    command = flying.command_m_s2(0.2)
     assert states[0].t_s == pytest.approx(0.4)  # 0.1 s of delay and 0.1 s of the engine
     assert states[0].velocity_m_s == pytest.approx(speed)
     assert command[2] == pytest.approx(Law()(LawInput(0.4, place + speed * 0.2, speed, *[np.ones(3)] * 3, 0.2))[2])
-    assert np.isfinite([*pilot.filter.now.position_m, *pilot.filter.now.attitude]).all()
+    assert np.isfinite([*flying.filter.now.position_m, *flying.filter.now.attitude]).all()
 
 
 def test_a_flight_whose_law_failed_is_not_good(tmp_path: Path) -> None:
