@@ -1,7 +1,7 @@
 """A law of thirty lines, to start from:  python fly.py --height 100 --guidance simple_law.py:Law
 
-It brakes the fall and stays upright. docs/landing.md has what it receives and returns, how it is judged, why it rarely
-lands, and the steps to a better one.
+It brakes the fall and stays upright. docs/landing.md has what it receives and returns, how it is judged, why it lands
+in half of its flights, and the steps to a better one.
 """
 
 from __future__ import annotations
