@@ -12,7 +12,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from json import dumps
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +33,14 @@ from transports.recording.record import load_record
 
 _HEIGHT_M = 500.0
 _MOVIE_S, _MOVIE_FPS = 2.0, 10  # a small file that is written in about a second
-_PARENTS = Path(__file__).parents
 
 
-def fly_landing(*, as_json: bool) -> int:
-    """Fly one landing, its descent on stderr; return the exit code."""
-    out = Path(tempfile.mkdtemp(prefix="evstim-landing-"))
+def fly_landing(guidance: str = "", report: Path | None = None, *, as_json: bool) -> int:
+    """Fly one landing, by the law FILE.py:NAME where one is given, its descent on stderr; return the exit code."""
+    out = report or Path(tempfile.mkdtemp(prefix="evstim-landing-"))
     status.print(f"a lander falls from {_HEIGHT_M:g} m, guided by events; about 65 s of flight; files in {out}")
-    command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), "--compare", "--out", str(out)]
+    law = ["--guidance", guidance] if guidance else ["--compare"]
+    command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), *law, "--out", str(out)]
     code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
     file = out / "verdict.json"
     if not file.exists():
@@ -54,8 +53,8 @@ def fly_landing(*, as_json: bool) -> int:
 
 def _program() -> Path:
     """Return the example's program: in the package when installed, else in the checkout."""
-    for root in (_PARENTS[2] / "evstim" / "examples", _PARENTS[2] / "examples"):
-        if (program := root / "landing" / "fly.py").is_file():
+    for folder in ("evstim/examples", "examples"):
+        if (program := Path(__file__).parents[2] / folder / "landing" / "fly.py").is_file():
             return program
     raise Failure("examples/landing is not here: it comes with evstim and lies in its repository", WRONG_USE)
 
@@ -82,11 +81,9 @@ def _ended(verdict: dict[str, Any]) -> str:
     return text if verdict.get("touched", True) else f"no touchdown within {verdict['t_s']:.0f} s"
 
 
-_START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from emulator.cli import main; main()"
-_DRIVER = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
-    "from emulator.cli.driver_client import main; sys.exit(main(*sys.argv[1:]))"
-)
+_PATH = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
+_START = _PATH + "from emulator.cli import main; main()"
+_DRIVER = _PATH + "from emulator.cli.driver_client import main; sys.exit(main(*sys.argv[1:]))"
 
 
 def start_reader(kind: str, address: str, record: Path, seconds: float) -> subprocess.Popen[bytes]:
@@ -100,11 +97,13 @@ def start_reader(kind: str, address: str, record: Path, seconds: float) -> subpr
         camera = ["--usbip", address] if kind == "usbip" else ["gige", address]
         arguments = ["listen", *camera, "--seconds", str(seconds), "--record", str(record)]
     status.print(f"the camera is at {address}; {description} attaches to it in a second process")
-    command = [sys.executable, "-P", "-c", code, dumps(sys.path), *arguments]
+    command = [sys.executable, "-P", "-c", code, json.dumps(sys.path), *arguments]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
 
-def demo(rig: str = "eros", /, *, seconds: float = 5.0, report: Path | None = None, json: Json = False) -> int:
+def demo(
+    rig: str = "eros", /, *, seconds: float = 5.0, guidance: str = "", report: Path | None = None, json: Json = False
+) -> int:
     """Run a rig, read its camera in a second process, as a driver does, and compare every event.
 
     The camera is on USB/IP or on GigE Vision; the latter is read by neuromorphic_drivers where that is installed. A
@@ -113,17 +112,20 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, report: Path | None = No
     Parameters
     ----------
     rig
-        Path of a rig file, or the name of a shipped one; it needs a usbip or a gige link. Or `landing`: a landing from
-        500 m, guided by events, is flown instead.
+        Rig file or name of a shipped rig, with a usbip or gige link; or `landing`: one from 500 m, guided by events.
     seconds
         Time for which the second process reads.
+    guidance
+        With `landing`: FILE.py:NAME, a guidance law of your own that flies in the place of evstim's.
     report
-        Write the report and received.gif into this folder. Default: a new one in the temporary folder.
+        Folder for the report and received.gif, or for the files of a landing. Default: a temporary one.
     """
     if rig == "landing":
         with failures():
-            return fly_landing(as_json=json)
+            return fly_landing(guidance, report, as_json=json)
     with failures(), tempfile.TemporaryDirectory() as folder:
+        if guidance:
+            raise Failure(f"{rig} has no guidance: give --guidance with `evstim demo landing`", WRONG_USE)
         sent, received = Path(folder) / "sent.npz", Path(folder) / "received.npz"
         loaded = rig_with_options(_on_a_free_port(load_rig(rig)), seconds + 60, None, None)
         report = report or Path(tempfile.mkdtemp(prefix="evstim-demo-"))
@@ -190,9 +192,8 @@ def _compare(sent: Path, received: Path, *, to_the_end: bool) -> dict[str, objec
 
 def _movie(received: Path, folder: Path, rig: Rig) -> Path | None:
     """Write a movie of the first received events, and print its path; None where there is none to write."""
-    width, height = rig.camera.size
     file = folder / "received.gif"
-    show = PictureOptions(0.0, seconds=_MOVIE_S, fps=_MOVIE_FPS, size=f"{width}x{height}")
+    show = PictureOptions(0.0, seconds=_MOVIE_S, fps=_MOVIE_FPS, size="x".join(map(str, rig.camera.size)))
     try:
         with failures():
             events, description = draw(str(received), file, show)
@@ -208,6 +209,5 @@ def _verdict_lines(result: RunResult, verdict: dict[str, object], good: bool) ->
     yield f"{result.sim_seconds:.1f} s of stream time, {rate:.0f} frames per second, {raised} events raised"
     yield f"{verdict['sent']} events sent since the last clock reset, {verdict['received']} received"
     yield "all events are equal" if verdict["equal"] else "THE STREAMS DIFFER"
-    balance = result.ledger.imbalance
-    yield "ledger: balanced" if not balance else f"ledger: OFF BY {balance} EVENTS"
+    yield f"ledger: OFF BY {result.ledger.imbalance} EVENTS" if result.ledger.imbalance else "ledger: balanced"
     yield "good" if good else "NOT GOOD"

@@ -1,12 +1,13 @@
-"""Fly the same starts with each navigation, and print what each is worth.
+"""Fly many landings, and print a table: the same starts with each navigation, or one landing with each fault.
 
     python compare.py FOLDER --height 1500 --flights 100 --navigation blind altimeter events
+    python compare.py FOLDER --faults [NAME ...]
 
 A flight's number is its seed: start, errors of vehicle and sensors, ground (one of four, 3 degrees of slope,
-boulders on 3 % of it), the Sun's elevation, the camera's thresholds. Flights that have a row in FOLDER/rows.jsonl
-are not flown again; `--flights 0` only prints. Two programs with different `--first` can share a folder. Blind
-flights and those with the altimeter alone need no camera (mission.py); the others are those of fly.py, over the
-real serial line, bus and poses, one at a time.
+boulders on 3 % of it), the Sun's elevation, the camera's thresholds. Flights that have a row in FOLDER/rows.jsonl, or a
+verdict in FOLDER/NAME, are not flown again; `--flights 0` only prints. Two programs with different `--first` can share
+a folder. Blind flights and those with the altimeter alone need no camera (spacecraft.py); the others are those of
+fly.py, over the real serial line, bus and poses, one at a time.
 """
 
 from __future__ import annotations
@@ -23,15 +24,13 @@ from typing import Any
 
 import numpy as np
 from fly import ground_of
-from mission import Bounds, fly_without_camera, judgement
 from pilot import NAVIGATIONS, PilotSettings
+from report import Bounds, judgement
 from scipy.stats import binomtest
-
-__all__ = ["rig_of", "row_of", "table"]
+from spacecraft import fly_without_camera
 
 _HERE = Path(__file__).parent
 _GROUNDS = (8, 3, 5, 11)
-_LONGEST_S = 300
 _MOST_WALL_S = 1800
 _FIGURES = {
     "vertical_m_s": "down, m/s",
@@ -39,8 +38,36 @@ _FIGURES = {
     "tilt_deg": "tilt, degrees",
     "place_m": "from the site, m",
 }
+_ALL = "--navigation given --height 20 --seed 3 --longest-s 32 --answer-s 60"
+_TABLES = ["lost_bytes", "bit_flips", "unplugged", "stuck", "stuck_low", "storm", "babbling", "dead_bus"]
+FAULTS = {
+    "none": "",
+    **{name: f"--table faults_of_links/{name}.toml" for name in _TABLES},
+    "frames_lost": "--fault lose@0=0.05",
+    "nan": "--fault nan@5+1",
+    "nan_to_the_end": "--fault nan@5",
+    "poses_stop": "--fault stop@5+1",
+    "poses_stop_to_the_end": "--fault stop@5",
+    "poses_backwards": "--fault backwards@5+1",
+    "poses_backwards_to_the_end": "--fault backwards@5",
+    "crash": "--fault crash@5",
+    "crash_near_the_ground": "--fault crash@19",
+    "hang": "--fault hang@5 --answer-s 20",
+}
+"""Name of each flight with a fault, and its arguments of fly.py."""
 
 Row = dict[str, Any]
+
+
+def flown(out: Path, arguments: Sequence[str]) -> Row:
+    """Return the verdict of a flight of fly.py into a folder; raises RuntimeError for one without a verdict."""
+    command = [sys.executable, "fly.py", *arguments, "--out", str(out)]
+    ended = subprocess.run(command, cwd=_HERE, capture_output=True, text=True, check=False, timeout=_MOST_WALL_S)
+    file = out / "verdict.json"
+    if not file.exists():
+        raise RuntimeError(f"{out.name} has no verdict: {ended.stderr[-2000:]}")
+    judged: Row = json.loads(file.read_text())
+    return judged
 
 
 def rig_of(seed: int) -> str:
@@ -58,33 +85,20 @@ def rig_of(seed: int) -> str:
 
 
 def row_of(navigation: str, height_m: float, seed: int, folder: Path) -> Row:
-    """Fly once; return its row. Raises RuntimeError for a flight without a verdict."""
+    """Fly a start once with a navigation; return its row. Raises RuntimeError for a flight without a verdict."""
     out = folder / f"{navigation}-{seed}"
     out.mkdir(parents=True, exist_ok=True)
-    rig = out / "rig.toml"
+    rig, began_s = out / "rig.toml", time.monotonic()
     rig.write_text(rig_of(seed))
-    began_s = time.monotonic()
-    fly = _with_camera if "events" in NAVIGATIONS[navigation] else _without_camera
-    judged = fly(navigation, height_m, seed, rig)
-    row = {"navigation": navigation, "seed": seed, "height_m": height_m, "wall_s": round(time.monotonic() - began_s, 1)}
-    return judged | row
-
-
-def _without_camera(navigation: str, height_m: float, seed: int, rig: Path) -> Row:
-    ground = ground_of(rig)
-    end = fly_without_camera(height_m, seed, PilotSettings(navigation), ground)
-    return {"touched": end.touched, "t_s": end.t_s, "why": list(end.why)} | judgement(end, ground)
-
-
-def _with_camera(navigation: str, height_m: float, seed: int, rig: Path) -> Row:
-    command = [sys.executable, str(_HERE / "fly.py"), "--height", str(height_m), "--seed", str(seed)]
-    command += ["--rig", str(rig), "--navigation", navigation, "--out", str(rig.parent), "--longest-s", str(_LONGEST_S)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_MOST_WALL_S)
-    file = rig.parent / "verdict.json"
-    if not file.exists():
-        raise RuntimeError(f"{navigation}, flight {seed} has no verdict: {done.stderr[-2000:]}")
-    judged: Row = json.loads(file.read_text())
-    return judged
+    if "events" in NAVIGATIONS[navigation]:
+        start = ["--height", str(height_m), "--seed", str(seed), "--rig", str(rig), "--longest-s", "300"]
+        judged = flown(out, [*start, "--navigation", navigation])
+    else:
+        ground = ground_of(rig)
+        end = fly_without_camera(height_m, seed, PilotSettings(navigation), ground)
+        judged = {"touched": end.touched, "t_s": end.t_s, "why": list(end.why)} | judgement(end, ground)
+    wall_s = round(time.monotonic() - began_s, 1)
+    return judged | {"navigation": navigation, "seed": seed, "height_m": height_m, "wall_s": wall_s}
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -117,8 +131,19 @@ def _quantiles(values: Sequence[float]) -> str:
     return f"{middle:.2f} / {high:.2f} / {most:.2f}"
 
 
-def _flown(file: Path) -> list[Row]:
-    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+def fly_fault(name: str, folder: Path) -> Row:
+    """Return the verdict of the flight with a fault, flown now unless its folder has one."""
+    file = folder / name / "verdict.json"
+    known: Row | None = json.loads(file.read_text()) if file.exists() else None
+    return known or flown(file.parent, [*_ALL.split(), *FAULTS[name].split()])
+
+
+def fault_line(name: str, judged: Row) -> str:
+    """Return a line of the table of faults."""
+    title = f"{name}: `{FAULTS[name]}`" if FAULTS[name] else name
+    ended = f"{judged['vertical_m_s']:.2f} m/s" if judged["touched"] else f"not landed, {judged['height_m']:.1f} m up"
+    errors = [f"{judged[key] * 100:.1f} %" for key in ("error_median", "error_p90") if key in judged]
+    return " ".join(f"| {title} | {ended} | {' / '.join(errors)} | {'; '.join(judged['why'])} |".split())
 
 
 def main(print_line: Callable[[str], None] = print) -> None:
@@ -129,22 +154,29 @@ def main(print_line: Callable[[str], None] = print) -> None:
     parser.add_argument("--flights", type=int, default=100)
     parser.add_argument("--first", type=int, default=1, help="first seed: two programs can share the work")
     parser.add_argument("--navigation", nargs="+", choices=NAVIGATIONS, default=["blind", "altimeter", "events"])
+    parser.add_argument("--faults", nargs="*", choices=[[], *FAULTS], metavar="NAME", help="all, or these")
     arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    file = arguments.folder.resolve() / "rows.jsonl"
-    known = {(row["navigation"], row["seed"], row["height_m"]) for row in _flown(file)}
+    folder = arguments.folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    if arguments.faults is not None:
+        print_line("| flight | ended | error of the divergence, median / 90 % | verdict |\n|---|---|---|---|")
+        for name in arguments.faults or FAULTS:
+            print_line(fault_line(name, fly_fault(name, folder)))
+        return
+    file = folder / "rows.jsonl"
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    known = {(row["navigation"], row["seed"], row["height_m"]) for row in rows}
     for seed in range(arguments.first, arguments.first + arguments.flights):
         for navigation in arguments.navigation:
             if (navigation, seed, arguments.height) in known:
                 continue
-            row = row_of(navigation, arguments.height, seed, file.parent)
-            with file.open("a") as rows:
-                print(json.dumps(row), file=rows)
+            row = row_of(navigation, arguments.height, seed, folder)
+            with file.open("a") as more:
+                print(json.dumps(row), file=more)
             print(f"{navigation} {seed}: {'good' if row['soft'] else row['beyond']}", file=sys.stderr, flush=True)
-    chosen = [row for row in _flown(file) if row["height_m"] == arguments.height]
-    bounds = Bounds()
-    print_line(f"From {arguments.height:g} m; median / 90 % / most of each figure; bounds: {bounds}")
-    print_line(table(chosen))
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    print_line(f"From {arguments.height:g} m; median / 90 % / most of each figure; bounds: {Bounds()}")
+    print_line(table([row for row in rows if row["height_m"] == arguments.height]))
 
 
 if __name__ == "__main__":

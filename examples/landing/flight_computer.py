@@ -20,6 +20,7 @@ import argparse
 import json
 import logging
 import math
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -28,16 +29,12 @@ from typing import TextIO
 
 import can
 import numpy as np
-from divergence import Motion, MotionEstimator, Rays
-from guidance import Law
+from divergence import Lens, Motion, MotionEstimator, Rays, Window
+from guidance import Law, PredictingGuidance
 from links import Edge, Links
 from navigation import Known
-from pilot import NAVIGATIONS, Pilot, PilotSettings
-from prediction import PredictingGuidance
+from pilot import LAW_FAILED, NAVIGATIONS, GivenLaw, LawFailed, Pilot, PilotSettings
 from sensors import PERIOD_S
-from window import Lens, Window
-
-__all__ = ["FlightComputer", "NavigatingComputer", "fly_lockstep", "fly_real_time"]
 
 _MARGIN_PX = 60.0  # for a tilt of 10 degrees
 _TURN_S = 0.2  # in lockstep a command acts a turn after its SYNC
@@ -70,7 +67,7 @@ class FlightComputer:
         self.began_s = -math.inf
 
     def begin(self, now_s: float) -> None:
-        """Begin the descent now: earlier events do not count, and are written for latency.py."""
+        """Begin the descent now: earlier events do not count, and are written for latency.json."""
         self.began_s = now_s
         self._guidance.begin(now_s)
         from_us, counts = self._window.counts(_BIN_US)
@@ -253,9 +250,11 @@ def _failing(crash_s: float, hang_s: float) -> Callable[[float], None]:
     return fails
 
 
-def main() -> None:
-    """Fly until the program is ended; the log is complete at each turn."""
+def main() -> int:
+    """Fly until the program is ended, or its given law fails; the log is complete at each turn."""
     arguments = _arguments()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))  # the end of a flight
+    started, sys.stdout = sys.stdout, sys.stderr  # a law that prints must not fill the pipe of "ready"
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
     lens, port = Lens(), arguments.can_port
     window = Window(lens, arguments.seed)
@@ -265,29 +264,28 @@ def main() -> None:
     ):
         flying: Callable[..., None] = fly_real_time if arguments.real_time else fly_lockstep
         if arguments.navigation:
-            pilot = Pilot(Known(**json.loads(arguments.known)), _settings(arguments, lens))
+            law = GivenLaw(arguments.guidance) if arguments.guidance else None
+            settings = PilotSettings(arguments.navigation, lens.size[0] / 2, _TURN_S, arguments.delay_s)
+            pilot = Pilot(Known(**json.loads(arguments.known)), settings, law)
             computer: FlightComputer | NavigatingComputer = NavigatingComputer(pilot, window, _estimator(lens), log)
             links = Links(arguments.serial, bus, lambda number: 0.0, pilot.take)
         else:
-            computer = FlightComputer(_guidance(arguments, lens), window, _estimator(lens), log)
+            known = Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2
+            guidance = PredictingGuidance(*known, delay_s=_FIRST_DELAY_S if arguments.real_time else _TURN_S)
+            computer = FlightComputer(guidance, window, _estimator(lens), log)
             links = Links(arguments.serial, bus, _attitude_time(arguments.attitude_s, window))
         time.sleep(_JOINED_S)
-        print("ready", flush=True)
+        print("ready", file=started, flush=True)
         try:
             flying(links, window, computer, _failing(arguments.crash_at, arguments.hang_at))
         except (KeyboardInterrupt, can.CanError) as end:
             print(f"flight computer: {end}", file=sys.stderr)
-
-
-def _settings(arguments: argparse.Namespace, lens: Lens) -> PilotSettings:
-    """Return the settings of a pilot."""
-    return PilotSettings(arguments.navigation, lens.size[0] / 2, _TURN_S, arguments.delay_s)
-
-
-def _guidance(arguments: argparse.Namespace, lens: Lens) -> PredictingGuidance:
-    """Return the guidance of a flight whose attitude is given."""
-    known = Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2
-    return PredictingGuidance(*known, delay_s=_FIRST_DELAY_S if arguments.real_time else _TURN_S)
+        except LawFailed as failure:
+            (arguments.log.parent / LAW_FAILED).write_text(f"guidance {arguments.guidance} {failure}")
+            return 1
+        finally:
+            np.savez(arguments.log.with_name("last_events.npz"), events=window.events)
+    return 0
 
 
 def _attitude_time(step_s: float, window: Window) -> Callable[[int], float]:
@@ -315,6 +313,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--height", type=float, help="from navigation, m")
     parser.add_argument("--velocity", type=float, nargs=3, help="the same, m/s")
     parser.add_argument("--navigation", choices=NAVIGATIONS, help="with the vehicle's own sensors")
+    parser.add_argument("--guidance", help="with --navigation: FILE.py:NAME, the law in the place of the pilot's")
     parser.add_argument("--delay-s", type=float, default=PilotSettings.delay_s, help="with --navigation")
     parser.add_argument("--known", help="with --navigation: the start, JSON of navigation.Known")
     parser.add_argument("--seed", type=int, default=1)
@@ -327,4 +326,4 @@ def _arguments() -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -4,10 +4,11 @@
 
 By default the vehicle flies with its own sensors and the camera's events (`--navigation events`; also blind, altimeter,
 both, or given: the exact attitude from the simulation, as in real time). The seed draws the start (speeds, place), the
-errors of navigation, sensors, mass, gravity and engine, the camera's noise. In DIR: truth.csv
-(the vehicle), computer.jsonl (the computer's turns), summary.json (the camera's run), verdict.json; in real time
-latency.json too. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already: so `evstim campaign` uses it.
-`--fault crash@12` and others: see faults.py; `--table faults.toml` adds tables to the rig, such as [[faults]].
+errors of navigation, sensors, mass, gravity and engine, the camera's noise. In DIR: truth.csv (the vehicle),
+computer.jsonl (the computer's turns), summary.json (the camera's run), verdict.json, page.html; in real time
+latency.json too. `--guidance my.py:Law` flies your law: docs/landing.md. With --attach CAN_PORT POSE_PORT SERIAL the
+camera runs already: so `evstim campaign` uses it. `--fault crash@12` and others: see links.py; `--table faults.toml`
+adds tables to the rig, such as [[faults]].
 
 Exit codes: 0 landed within the bounds (given: below 1 m/s); 1 not; 2 wrong use or wrong rig; 3 something did not start.
 """
@@ -16,36 +17,143 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import re
+import socket
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import can
 import numpy as np
-from connection import Connection
-from faults import Fault, Faults
 from guidance import Law
-from latency import latencies
-from mission import Mission, SensingSpacecraft, fly_without_camera, judgement
-from outcome import verdict
-from pilot import NAVIGATIONS, PilotSettings
-from processes import Ended, Ends, NotStarted, bus_of, camera, computer
-from real_time import STEP_S, RealTimeSpacecraft
+from links import Connection, Fault, Faults
+from pilot import LAW_FAILED, NAVIGATIONS, GivenLaw, LawFailed, PilotSettings
+from real_time import STEP_S, RealTimeSpacecraft, latencies
+from report import judgement, reasons, verdict, write_page
 from sensors import SensorErrors, Sensors
-from spacecraft import USUAL, Limits, Spacecraft, TouchDown
-from vehicle import GRAVITY_M_S2, Lander, State
+from spacecraft import USUAL, Limits, Mission, SensingSpacecraft, Spacecraft, TouchDown, fly_without_camera
+from vehicle import GRAVITY_M_S2, Height, Lander, State
 
+from emulator.report.page import ChartsLacking
 from emulator.rig.loading import load_rig
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import build_ground
 
-_HERE = Path(__file__).parent
-_COLUMNS = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s,thrust_n,mass_kg,qw,qx,qy,qz"
+Ended = Callable[[], str]
+"""Returns a text when a process has ended; "" while it runs."""
 
-Height = Callable[[float, float], float]
+
+_LACKING = 3  # exit code: the machine lacks something
+_HERE = Path(__file__).parent
+_READY_S = 600.0
+_END_S = 10.0
+_JOINED_S = 0.5  # the served bus sends no frames to a new client for a quarter of a second
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Addresses of the links: the bus's TCP port, the UDP port of poses, the serial line."""
+
+    can_port: int
+    pose_port: int
+    serial: str
+
+    @classmethod
+    def free(cls, out: Path) -> Ends:
+        """Return free ports, and a serial line in a folder."""
+        with socket.create_server(("127.0.0.1", 0)) as bus, socket.socket(type=socket.SOCK_DGRAM) as poses:
+            poses.bind(("127.0.0.1", 0))
+            return cls(bus.getsockname()[1], poses.getsockname()[1], str(out / "serial"))
+
+    def rig(self, text: str) -> str:
+        """Return the text of a rig like landing.toml with these in it."""
+        text = text.replace("29536", str(self.can_port)).replace("10364", str(self.pose_port))
+        return text.replace("/tmp/evstim-landing", self.serial)
+
+
+class NotStarted(RuntimeError):
+    """A process did not start; `code` is the exit code by cause."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@contextmanager
+def camera(rig: Path, seed: int, out: Path, record: Path | None = None) -> Iterator[Ended]:
+    """Run evstim until the block ends; `record` takes the events.
+
+    Gives a function that reports its end; raises NotStarted.
+    """
+    ready = out / "ready"
+    ready.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "evstim", "run", str(rig), "--json", "--seconds", "0"]
+    command += ["--seed", str(seed), "--ready-file", str(ready)]
+    command += ["--record", str(record)] if record else []
+    with (out / "summary.json").open("w") as summary, subprocess.Popen(command, stdout=summary) as run:
+        try:
+            end_s = time.monotonic() + _READY_S
+            while not ready.exists():
+                if run.poll() is not None or time.monotonic() > end_s:
+                    raise NotStarted("evstim has not started, see above", run.poll() or _LACKING)
+                time.sleep(0.05)
+            yield _ended(run, "evstim")
+        finally:
+            run.terminate()
+
+
+@contextmanager
+def bus_of(ends: Ends) -> Iterator[can.BusABC]:
+    """Give the bus."""
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
+    with can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=ends.can_port) as bus:
+        time.sleep(_JOINED_S)
+        yield bus
+
+
+@contextmanager
+def computer(ends: Ends, known: Sequence[str], seed: int, out: Path, more: Sequence[str] = ()) -> Iterator[Ended]:
+    """Run the flight computer until the block ends; `known` are the arguments with the state from navigation.
+
+    Gives a function that reports its end; raises NotStarted.
+    """
+    command = [sys.executable, str(_HERE / "flight_computer.py"), "--seed", str(seed), *more]
+    command += ["--serial", ends.serial, "--can-port", str(ends.can_port), "--log", str(out / "computer.jsonl")]
+    command += known
+    failed = out / LAW_FAILED
+    failed.unlink(missing_ok=True)
+    (out / "last_events.npz").unlink(missing_ok=True)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            if process.stdout is None or process.stdout.readline().strip() != "ready":
+                raise NotStarted("the flight computer has not started, see above", _LACKING)
+            ended = _ended(process, "the flight computer")
+            yield lambda: failed.read_text() if ended() and failed.exists() else ended()
+        finally:
+            process.terminate()
+            try:
+                process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()  # a law of the user's may hold the interpreter
+
+
+def _ended(process: subprocess.Popen[str] | subprocess.Popen[bytes], name: str) -> Ended:
+    """Return a function that gives a text when a process has ended."""
+
+    def ended() -> str:
+        code = process.poll()
+        return "" if code is None else f"{name} has ended with {f'code {code}' if code >= 0 else f'signal {-code}'}"
+
+    return ended
+
+
+_COLUMNS = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s,thrust_n,mass_kg,qw,qx,qy,qz"
 
 
 @dataclass(frozen=True)
@@ -88,12 +196,14 @@ class Flight:
     limits: Limits = USUAL
     navigation: str = ""
     delay_s: float = PilotSettings.delay_s
+    guidance: str = ""
 
     @property
     def of_computer(self) -> list[str]:
         """Arguments of the flight computer."""
         real_time = ["--real-time", "--attitude-s", str(STEP_S)] if self.real_time else []
-        return [*self.faults.of_computer, *real_time, "--delay-s", str(self.delay_s)]
+        law = ["--guidance", self.guidance] if self.guidance else []
+        return [*self.faults.of_computer, *real_time, *law, "--delay-s", str(self.delay_s)]
 
 
 def fly(height_m: float, flight: Flight, camera_ended: Ended = lambda: "") -> tuple[TouchDown, Height]:
@@ -152,6 +262,10 @@ def ground_of(rig: Path) -> Height:
 def main() -> int:
     """Fly once."""
     arguments = _arguments()
+    navigation = arguments.navigation or ("given" if arguments.real_time else "events")
+    if wrong := _wrong_use(arguments, navigation):
+        print(f"fly.py: {wrong}", file=sys.stderr)
+        return 2
     out = (arguments.out or Path(tempfile.mkdtemp(prefix="landing-"))).resolve()
     out.mkdir(parents=True, exist_ok=True)
     ends = Ends.free(out)
@@ -162,12 +276,18 @@ def main() -> int:
     rig.write_text(_rig_text(arguments, ends))
     faults = Faults(arguments.fault, arguments.seed)
     limits = Limits(arguments.answer_s, arguments.longest_s)
-    navigation = arguments.navigation or ("given" if arguments.real_time else "events")
-    if arguments.real_time and navigation != "given":
-        print("fly.py: in real time only --navigation given flies; leave out one of both", file=sys.stderr)
-        return 2
     navigation = "" if navigation == "given" else navigation
-    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits, navigation, arguments.delay_s)
+    flight = Flight(
+        ends,
+        arguments.seed,
+        out,
+        faults,
+        arguments.real_time,
+        limits,
+        navigation,
+        arguments.delay_s,
+        arguments.guidance,
+    )
     try:
         with ExitStack() as stack:
             camera_ended: Ended = lambda: ""  # noqa: E731
@@ -181,6 +301,23 @@ def main() -> int:
     if flight.navigation and arguments.compare:
         judged["others"] = {name: _other(name, arguments.height, flight, ground) for name in ("blind", "altimeter")}
     return _report(end, flight, judged, arguments.result)
+
+
+def _wrong_use(arguments: argparse.Namespace, navigation: str) -> str:
+    """Return why the arguments cannot be flown, and the remedy; "" where they can."""
+    if arguments.real_time and navigation != "given":
+        return "in real time only --navigation given flies; leave out one of both"
+    if not arguments.guidance:
+        return ""
+    if navigation == "given":
+        return "--guidance flies with the vehicle's own sensors: leave out --real-time and --navigation given"
+    if arguments.compare:
+        return "--compare flies the law of pilot.py with other sensors; leave out --guidance or --compare"
+    try:
+        GivenLaw(arguments.guidance)
+    except LawFailed as failure:
+        return f"--guidance {arguments.guidance} {failure}"
+    return ""
 
 
 def _other(navigation: str, height_m: float, flight: Flight, ground: Height) -> dict[str, object]:
@@ -202,13 +339,19 @@ def _report(end: TouchDown, flight: Flight, own: dict[str, object], result: Path
     """Write and print the result of a flight, with its `judgement` where it has one; return the exit code."""
     out, judged = flight.out, verdict(end, flight.out, flight.faults.frames_lost) | own
     judged["navigation"] = flight.navigation or "given"
+    judged |= {"guidance": flight.guidance} if flight.guidance else {}
+    judged["soft"] = judged["soft"] and not (out / LAW_FAILED).exists()
     print(f"\n{_headline(end, soft=bool(judged['soft']))}; files in {out}")
-    for sentence in judged["why"]:
+    for sentence in (*reasons(judged), *judged["why"]):
         print(f"  {sentence}")
     for file in (out / "verdict.json", *([result] if result else [])):
         file.write_text(json.dumps(judged))
     if flight.real_time and (out / "standing.json").exists():
         (out / "latency.json").write_text(json.dumps(latencies(out), indent=1))
+    try:
+        print(f"page: {write_page(out)}")
+    except ChartsLacking as error:
+        print(f"no page: {error}")
     return 0 if judged["soft"] else 1
 
 
@@ -237,6 +380,9 @@ def _arguments() -> argparse.Namespace:
         help="given: exact attitude, no IMU",
     )
     parser.add_argument(
+        "--guidance", default="", metavar="FILE.py:NAME", help="your law in the place of the pilot's: docs/landing.md"
+    )
+    parser.add_argument(
         "--delay-s", type=float, default=PilotSettings.delay_s, help="of a command, s; not in real time"
     )
     parser.add_argument("--compare", action="store_true", help="fly the start blind and with an altimeter too")
@@ -244,7 +390,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"), default=None)
     parser.add_argument("--record", type=Path, default=None, help="write the events to this .npz")
     parser.add_argument("--result", type=Path, default=None, help="a copy of verdict.json")
-    parser.add_argument("--fault", type=Fault.parse, action="append", default=[], help="see faults.py; repeat")
+    parser.add_argument("--fault", type=Fault.parse, action="append", default=[], help="see links.py; repeat")
     parser.add_argument(
         "--answer-s", type=float, default=120.0, help="time limit for an answer of the flight computer, in lockstep"
     )

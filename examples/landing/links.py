@@ -1,31 +1,208 @@
-"""The flight computer's two links: events from a serial line, attitudes and SYNCs from the CAN bus.
+"""Links of the spacecraft and of the flight computer, and faults outside the camera.
 
-A line does not repeat lost data: the camera's housekeeping contains the number of sent events, and those that have not
-come before a second report on the same line are lost. A port that disappears is opened again as soon as it is back.
+The spacecraft sends poses by UDP; attitudes, samples, SYNCs and commands go over the CAN bus; the flight computer
+receives events from a serial line. A line does not repeat lost data: the camera's housekeeping contains the number of
+sent events, and those that have not come before a second report on the same line are lost. A port that disappears is
+opened again as soon as it is back. Faults of poses, of frames, and of the flight computer:
+
+    KIND@AT[+FOR][=SHARE]      from stream time AT, s, for FOR seconds (to the end where left out)
+
+    nan@12+3          poses whose place is not a number         refused and counted by evstim
+    stop@12+3         no poses
+    backwards@12+3    poses whose times run back from AT        refused as stale and counted by evstim
+    lose@0=0.05       attitudes and commands are lost on the bus, each with this chance
+    crash@12          the flight computer ends with an exception
+    hang@12           the flight computer runs, and answers no more
+
+Faults of the camera's links are evstim's own: tables of the rig, docs/faults.md.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
+import re
 import select
+import socket
+import struct
 import termios
 import time
 import tty
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import can
 import numpy as np
-from frames import ATTITUDE, COMMAND, EDGE, SYNC, pack_command, pack_edge, unpack_attitude
-from window import Window
+from divergence import Window
+from sensors import (
+    ATTITUDE,
+    COMMAND,
+    EDGE,
+    ESTIMATE,
+    SYNC,
+    pack_attitude,
+    pack_command,
+    pack_edge,
+    unpack_attitude,
+    unpack_command,
+)
+from vehicle import State, product
 
 from evstim import SerialReceiver
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.telecommands import RequestHousekeeping
+from firmware_protocol.pose_message import PoseMessage
 
-__all__ = ["Arrival", "Edge", "Links"]
+KINDS = ("nan", "stop", "backwards", "lose", "crash", "hang")
+_TEXT = re.compile(r"(?P<kind>[a-z]+)@(?P<at>[\d.]+)(\+(?P<for>[\d.]+))?(=(?P<share>[\d.]+))?")
+_PLACE = 16  # of x in the datagram, docs/rigs.md
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault: kind, beginning and length in stream time, s, and chance for each where that matters."""
+
+    kind: str
+    at_s: float
+    for_s: float = math.inf
+    share: float = 1.0
+
+    @classmethod
+    def parse(cls, text: str) -> Fault:
+        """Return the fault of a text as above; raises ValueError."""
+        found = _TEXT.fullmatch(text)
+        if found is None or found["kind"] not in KINDS:
+            raise ValueError(f"{text!r}: a fault is KIND@AT[+FOR][=SHARE], KIND one of {', '.join(KINDS)}")
+        return cls(found["kind"], float(found["at"]), float(found["for"] or "inf"), float(found["share"] or 1))
+
+    def on(self, t_s: float) -> bool:
+        """Return True while the fault lasts."""
+        return self.at_s <= t_s < self.at_s + self.for_s
+
+
+class Faults:
+    """The faults of one flight.
+
+    Parameters
+    ----------
+    faults : in any order.
+    seed : of the frames that are lost.
+    """
+
+    def __init__(self, faults: Sequence[Fault] = (), seed: int = 0) -> None:
+        self._faults = tuple(faults)
+        self._draw = np.random.default_rng([seed, 1])
+        self.frames_lost = 0
+
+    def datagram(self, message: PoseMessage, t_s: float) -> bytes | None:
+        """Return what is sent in the place of a pose; None for nothing."""
+        kinds = {fault.kind: fault for fault in self._faults if fault.on(t_s)}
+        if "stop" in kinds:
+            return None
+        if "backwards" in kinds:
+            t_ns = max(round((2 * kinds["backwards"].at_s - t_s) * 1e9), 0)
+            message = dataclasses.replace(message, t_ns=t_ns)
+        return datagram_with_nan(message) if "nan" in kinds else bytes(message)
+
+    def loses_frame(self, t_s: float) -> bool:
+        """Return whether the bus loses the next attitude or command."""
+        lost = any(one.kind == "lose" and one.on(t_s) and self._draw.random() < one.share for one in self._faults)
+        self.frames_lost += lost
+        return lost
+
+    @property
+    def of_computer(self) -> list[str]:
+        """Arguments of the flight computer that make it fail."""
+        return [f"--{one.kind}-at={one.at_s}" for one in self._faults if one.kind in ("crash", "hang")]
+
+
+def datagram_with_nan(message: PoseMessage) -> bytes:
+    """Return a pose's datagram with a place that is not a number and a checksum that fits."""
+    data = bytearray(bytes(message))
+    struct.pack_into("<d", data, _PLACE, math.nan)
+    struct.pack_into("<I", data, len(data) - 4, zlib.crc32(data[:-4]))
+    return bytes(data)
+
+
+_LOOKING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])  # body from camera
+_POLL_S = 0.5
+
+
+class Connection:
+    """The spacecraft's side of its links.
+
+    Parameters
+    ----------
+    bus : the CAN bus.
+    poses : address at which the camera receives poses, (host, port).
+    trouble : returns a text that names the process that has ended; "" while all run.
+    faults : injected faults.
+    """
+
+    def __init__(
+        self, bus: can.BusABC, poses: tuple[str, int], trouble: Callable[[], str], faults: Faults | None = None
+    ) -> None:
+        self._bus, self._poses, self.trouble = bus, poses, trouble
+        self._faults = faults or Faults()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._counter = 0
+        self._estimate = b""
+
+    def pose(self, t_s: float, state: State) -> None:
+        """Send the pose of the camera at a stream time."""
+        q = product(state.attitude, _LOOKING_DOWN)
+        message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._counter)
+        self._counter += 1
+        if (data := self._faults.datagram(message, t_s)) is not None:
+            self._socket.sendto(data, self._poses)
+
+    def attitude(self, t_s: float, state: State, number: int) -> None:
+        """Send the attitude of a time, which has a number."""
+        if not self._faults.loses_frame(t_s):
+            self._send(ATTITUDE, pack_attitude(state.attitude, number))
+
+    def frame(self, t_s: float, identifier: int, data: bytes) -> None:
+        """Send a frame of a sensor."""
+        if not self._faults.loses_frame(t_s):
+            self._send(identifier, data)
+
+    def sync(self, counter: bytes = b"") -> None:
+        """Send a SYNC."""
+        self._send(SYNC, counter)
+
+    def command(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int] | None:
+        """Return the next command and the turn that it answers; None when the bus lost it.
+
+        Raises TimeoutError when none comes within `limit_s` of wall time, or when there is trouble.
+        """
+        end_s = time.monotonic() + limit_s
+        while (left_s := end_s - time.monotonic()) > 0 and not self.trouble():
+            message = self.receive(min(left_s, _POLL_S))
+            if message is not None and message.arbitration_id == ESTIMATE:
+                self._estimate = bytes(message.data)
+            if message is not None and message.arbitration_id == COMMAND:
+                return None if self._faults.loses_frame(t_s) else unpack_command(bytes(message.data))
+        raise TimeoutError
+
+    def answer(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int, bytes] | None:
+        """Return the next command, its turn, and the data of the newest estimate; see `command`."""
+        answer = self.command(t_s, limit_s)
+        return None if answer is None else (*answer, self._estimate)
+
+    def receive(self, timeout_s: float) -> can.Message | None:
+        """Return the next frame of the bus, if one comes in time."""
+        return self._bus.recv(timeout_s)
+
+    def loses(self, t_s: float) -> bool:
+        """Return whether the bus loses the command that came."""
+        return self._faults.loses_frame(t_s)
+
+    def _send(self, identifier: int, data: bytes) -> None:
+        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
 
 _REQUEST_S = 0.5
 _PATIENCE_S = 10.0  # longest wait for missing events, wall time: the line is stalled

@@ -33,8 +33,6 @@ from sensors import PERIOD_S, SensorErrors, turn_of, vector_of
 from vehicle import GRAVITY_M_S2, product
 from vehicle import matrix as matrix_of
 
-__all__ = ["Estimate", "Filter", "Known", "Measurement", "of_events", "of_range", "of_star"]
-
 Vector = npt.NDArray[np.float64]
 
 _KEPT = 350  # periods: 7 s, longer than the longest window

@@ -2,28 +2,45 @@
 
 1. Synchronisation: SYNCs go out, and the flight computer sends the time of each one's edge among the events. The least
    delay of them gives the wall time at which the camera's stream began.
-2. Standing: poses at the start; nods of one pixel, from which latency.py finds the delay from a pose to its light.
+2. Standing: poses at the start; nods of one pixel, from which `latencies` finds the delay from a pose to its light.
 3. Flying: every 10 ms the equations go on by 10 ms; pose and attitude leave with their own time, each 0.2 s a SYNC.
    A command holds from the next step after it came until the next one comes.
 
 Poses are not stamped ahead: evstim draws a picture up to a lead and a step before its time, and carries the motion of
 the two newest poses on until then (straight line, great circle). With an acceleration a that is wrong by a t^2 / 2: by
 6 mm for 1.2 m/s2 and 100 ms. A late machine integrates the missed time, and sends the newest pose alone.
+
+`latency.json` has medians and 95 % of the parts of the loop's delay. Of each command, on CLOCK_MONOTONIC, t the time of
+the edge whose SYNC it answers (the end of its window of events):
+
+    turn begins        from t until the estimate begins: SYNC, edge and events on the links, end of the last estimate
+    estimate           until the command is decided
+    command on bus     until the spacecraft has it
+    shown by a pose    until a pose that it changed is sent: the rest of a step of the dynamics
+    light              until the first event of that pose's light: from nods of one pixel before the descent, which are
+                       steps at known times; median and 95 % of them
+    event on the link  until that event is at the computer
+
+`loop` is the whole of it. Apart: the estimator's window, half of which delays the estimate, the time between two
+commands, and the lead: the value of the rig beside the one that its steps needed (from the camera's summary.json).
 """
 
 from __future__ import annotations
 
+import json
+import os
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
-from connection import Connection
-from frames import COMMAND, EDGE, unpack_command, unpack_edge
+import numpy.typing as npt
+from links import Connection
+from sensors import COMMAND, EDGE, unpack_command, unpack_edge
 from spacecraft import FOOT_M, LEFT_ALONE_S, USUAL, Limits, TouchDown, flies
-from vehicle import GRAVITY_M_S2, Lander, State, advance
-
-__all__ = ["STEP_S", "CommandTimes", "RealTimeSpacecraft", "Times"]
+from vehicle import GRAVITY_M_S2, Height, Lander, Record, State, advance
 
 STEP_S = 0.01
 _STEPS_A_TURN = 20
@@ -34,9 +51,6 @@ _SILENT_S = 2.0
 _MOST_COUNTER = 240
 _LATE_NS = 1_000_000_000  # for an edge: a camera that is later does not keep up
 _NO_CAMERA = "the descent did not begin: the camera is silent, or more than half a second late"
-
-Height = Callable[[float, float], float]
-Record = Callable[[float, State], None]
 
 
 @dataclass(frozen=True)
@@ -50,7 +64,7 @@ class CommandTimes:
 
 @dataclass
 class Times:
-    """Times of the spacecraft for latency.py: start of the stream, nods (stream time, s), commands."""
+    """Times of the spacecraft for `latencies`: start of the stream, nods (stream time, s), commands."""
 
     origin_ns: int = 0
     start_s: float = 0.0
@@ -207,3 +221,100 @@ class RealTimeSpacecraft:
             cause = trouble or f"the flight computer has sent nothing for {silent_s:.1f} s"
             self._why.append(f"{cause}, at {self.t_s - self.times.start_s:.1f} s and {self.state.position_m[2]:.1f} m")
             self._end_s = min(self.t_s + LEFT_ALONE_S, self._end_s)
+
+
+Floats = npt.NDArray[np.float64]
+
+_TIMES_QUIET = 5.0  # a nod's first events: so many times the events of the quiet before it, and
+_LEAST_EVENTS = 20  # not fewer than so many in a bin
+_LONGEST_S = 0.2  # before the next nod
+
+
+def latencies(out: Path) -> dict[str, object]:
+    """Return the delays for latency.json, from spacecraft.json, computer.jsonl, standing.json of a real-time flight."""
+    times = json.loads((out / "spacecraft.json").read_text())
+    rows = [json.loads(line) for line in (out / "computer.jsonl").read_text().splitlines()]
+    parts = _parts(times, rows)
+    events = _event_delays_s(rows, times["origin_ns"])
+    light = light_delays_s(json.loads((out / "standing.json").read_text()), times["nods_s"])
+    link_s = float(np.median(events)) if len(events) else float("nan")
+    fixed_s = float(np.median(light)) + link_s if len(light) else float("nan")
+    loop = sum(parts.values()) + fixed_s
+    parts_ms = {name: _statistics(values) for name, values in parts.items()}
+    parts_ms |= {"light": _statistics(light), "event on the link": _statistics(events), "loop": _statistics(loop)}
+    windows = np.array([row["window_s"] for row in rows])
+    return {
+        "parts_ms": parts_ms,
+        "window_s": {"median": _quantile(windows, 50), "p95": _quantile(windows, 95)},
+        "period_ms": _statistics(np.diff([row["t_s"] for row in rows])),
+        "nods_seen": [len(light), len(times["nods_s"])],
+        "lead_us": _lead(out),
+        "machine": {"cores": os.cpu_count(), "load_now": os.getloadavg()[0]},
+    }
+
+
+def light_delays_s(standing: dict[str, object], nods_s: list[float]) -> Floats:
+    """Return the time from each detected nod to its first events, stream time, s.
+
+    `standing` has counts of events from `from_us` on in bins of `bin_us`.
+    """
+    counts, bin_us = np.array(standing["counts"], float), float(standing["bin_us"])
+    starts_s = (float(standing["from_us"]) + bin_us * np.arange(len(counts))) * 1e-6
+    found = []
+    for nod_s in nods_s:
+        before = counts[(starts_s > nod_s - 0.02) & (starts_s <= nod_s)]
+        after = (starts_s > nod_s) & (starts_s < nod_s + _LONGEST_S)
+        if len(before):
+            many = after & (counts > max(_TIMES_QUIET * float(np.median(before)), _LEAST_EVENTS))
+            found += [float(starts_s[many][0]) - nod_s] if many.any() else []
+    return np.array(found)
+
+
+def _parts(times: dict[str, object], rows: list[dict[str, float]]) -> dict[str, Floats]:
+    """Return the parts of each command that a pose showed, s."""
+    origin_ns, ends = times["origin_ns"], {row["ended_ns"]: row for row in rows if row["counter"]}
+    ended_ns = np.array(sorted(ends))
+    names = ("turn begins", "estimate", "command on bus", "shown by a pose")
+    out = []
+    for command in times["commands"]:
+        k = int(np.searchsorted(ended_ns, command["heard_ns"])) - 1
+        while k >= 0 and ends[ended_ns[k]]["counter"] != command["counter"]:
+            k -= 1  # counters restart after 240: the newest row before
+        if k < 0:
+            continue
+        row = ends[ended_ns[k]]
+        edge_ns = origin_ns + row["t_s"] * 1e9
+        instants = (edge_ns, row["began_ns"], row["ended_ns"], command["heard_ns"], command["shown_ns"])
+        out.append(np.diff(instants) * 1e-9)
+    table = np.array(out).reshape(-1, len(names))
+    return dict(zip(names, table.T, strict=True))
+
+
+def _event_delays_s(rows: list[dict[str, list[list[int]]]], origin_ns: int) -> Floats:
+    """Return the delay of each event, s: that of the oldest and newest of a read, for half of it each."""
+    arrivals = np.array([one for row in rows for one in row["arrivals"]], np.int64).reshape(-1, 4)
+    at_ns, oldest_us, newest_us, events = arrivals.T
+    late = [(at_ns - origin_ns - us * 1000) * 1e-9 for us in (oldest_us, newest_us)]
+    return np.repeat(np.concatenate(late), np.tile((events + 1) // 2, 2))
+
+
+def _lead(out: Path) -> dict[str, object]:
+    """Return the lead that is set, and the lead that the steps needed."""
+    run = tomllib.loads((out / "landing.toml").read_text())["run"]
+    lead: dict[str, object] = {"set": max(run["lead_us"], run["step_us"]), "step": run["step_us"]}
+    summary = out / "summary.json"
+    text = summary.read_text().strip() if summary.exists() else ""
+    if text:
+        lateness = json.loads(text.splitlines()[-1])["lateness"]
+        lead["needed"] = lateness["lead_needed_us"]
+        lead |= {name: lateness[name] for name in ("frames_late", "worst_gap_us", "steps_stretched")}
+    return lead
+
+
+def _statistics(values_s: Floats) -> dict[str, float]:
+    return {"median": _quantile(values_s * 1e3, 50), "p95": _quantile(values_s * 1e3, 95), "n": len(values_s)}
+
+
+def _quantile(values: Floats, percent: float) -> float | None:
+    finite = values[np.isfinite(values)]
+    return round(float(np.percentile(finite, percent)), 3) if len(finite) else None

@@ -11,12 +11,11 @@ gravity's, is constant between two calls, and the equations are integrated by RK
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-
-__all__ = ["GRAVITY_M_S2", "NO_TURN", "Lander", "State", "advance", "matrix", "product"]
 
 Vector = npt.NDArray[np.float64]
 
@@ -76,6 +75,13 @@ class State:
         """Return the state of an array; the attitude is brought back to unit length."""
         q = y[6:10] / np.linalg.norm(y[6:10])
         return cls(y[0:3].copy(), y[3:6].copy(), q, y[10:13].copy(), float(y[13]), float(y[14]))
+
+
+Height = Callable[[float, float], float]
+"""Height of the ground, m, by the place east and north, m."""
+
+Record = Callable[[float, State], None]
+"""Takes stream time, s, and state of each turn."""
 
 
 def matrix(q: Vector) -> Vector:

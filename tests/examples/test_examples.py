@@ -106,10 +106,12 @@ def test_the_campaign(tmp_path):
 
 
 def test_the_parts_of_the_landing():
-    """As its README says, in its folder."""
-    done = subprocess.run(PYTEST, cwd=EXAMPLES / "landing", capture_output=True, text=True, timeout=300)
+    """In a process of their own: the example's modules have short names."""
+    done = subprocess.run(
+        PYTEST[:-2], cwd=Path(__file__).parent / "landing", capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stdout
-    assert "57 passed" in done.stdout
+    assert "79 passed" in done.stdout
 
 
 def landing(out, *more):
@@ -181,6 +183,43 @@ def test_an_unplugged_line_is_bridged(tmp_path):
     code, verdict, text = landing(tmp_path, "--table", table)
     assert code == 0, text
     assert any("unplugged on events from 2.0 s on" in sentence for sentence in verdict["why"])
+
+
+@pytest.mark.socket
+def test_a_landing_by_a_law_of_the_user_s(tmp_path):
+    """It differs from that of the pilot's law, lands as softly, and the verdict contains its name."""
+    law = f"{EXAMPLES / 'landing' / 'simple_law.py'}:Law"
+    _, verdict, text = landing(tmp_path, "--guidance", law)
+    assert verdict["guidance"] == law, text
+    assert verdict["touched"]
+    assert 0 < verdict["vertical_m_s"] < 1
+    assert verdict["why"] == []
+    assert verdict["beyond"] == ["horizontal_m_s"], "it stays upright, and the start has a speed along the ground"
+
+
+LAW = """def law(state):
+    print("x" * 100_000)  # more than a pipe holds
+    {body}
+    return 0.0, 0.0, 1.5
+"""
+
+
+@pytest.mark.socket
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        ("while state.t_s > 1.0: pass", "did not return within 2 s, at 1.0 s and "),
+        ("if state.t_s > 1: raise ValueError('late')", "raised ValueError: late, in line 3 of mine.py, at 1.0 s"),
+    ],
+)
+def test_a_law_that_hangs_or_raises_ends_with_its_name(body, sentence, tmp_path):
+    """The last command lands the vehicle, which is not good for all that."""
+    law = tmp_path / "mine.py"
+    law.write_text(LAW.format(body=body))
+    code, verdict, text = landing(tmp_path, "--guidance", f"{law}:law")
+    assert (code, verdict["soft"]) == (1, False), text[-2000:]
+    assert verdict["why"][0].startswith(f"guidance {law}:law {sentence}")
+    assert verdict["touched"]
 
 
 def test_a_wrong_rig_is_wrong_use(tmp_path):

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from emulator.cli import demo as demo_landing
+from emulator.cli.app import _main
 from emulator.cli.output import Failure
 
 SOFT = {"soft": True, "touched": True, "t_s": 31.2, "vertical_m_s": 0.55, "error_median": 0.008, "why": []}
@@ -18,6 +19,7 @@ def program(monkeypatch, tmp_path):
     def made(verdict, code):
         file = tmp_path / "fly.py"
         write = f"pathlib.Path(sys.argv[-1], 'verdict.json').write_text({json.dumps(json.dumps(verdict))})"
+        write += f"; pathlib.Path({str(tmp_path / 'arguments')!r}).write_text(' '.join(sys.argv[1:-1]))"
         file.write_text(f"import pathlib, sys\n{write if verdict else ''}\nsys.exit({code})\n")
         monkeypatch.setattr(demo_landing, "_program", lambda: file)
 
@@ -48,6 +50,20 @@ def test_people_are_told_what_went_wrong(program, capfd):
     out = capfd.readouterr().out
     assert "evstim has ended" in out
     assert "touchdown" not in out
+
+
+@pytest.mark.parametrize(
+    ("given", "passed"), [([], "--compare"), (["--guidance", "my.py:Law"], "--guidance my.py:Law")]
+)
+def test_a_law_goes_to_the_program(program, tmp_path, given, passed):
+    program(SOFT, 0)
+    assert _main(["demo", "landing", *given]) == 0
+    assert (tmp_path / "arguments").read_text() == f"--height 500.0 {passed} --out"
+
+
+def test_a_law_without_a_landing_is_refused(capsys):
+    assert _main(["demo", "eros", "--guidance", "my.py:Law"]) == 2
+    assert "eros has no guidance: give --guidance with `evstim demo landing`" in capsys.readouterr().err
 
 
 def test_the_program_is_where_the_package_says():

@@ -7,11 +7,10 @@ import math
 
 import numpy as np
 import pytest
-from divergence import Motion, MotionEstimator, Rays
-from frames import pack_attitude, pack_command, unpack_attitude, unpack_command
+from divergence import Lens, Motion, MotionEstimator, Rays, Window
 from guidance import Guidance, Law
+from sensors import pack_attitude, pack_command, unpack_attitude, unpack_command
 from vehicle import GRAVITY_M_S2, Lander, State, advance, matrix
-from window import Lens, Window
 
 UP = np.array([1.0, 0.0, 0.0, 0.0])
 

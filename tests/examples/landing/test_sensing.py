@@ -9,13 +9,27 @@ import numpy as np
 import pytest
 from compare import table
 from divergence import Motion
-from frames import PUSH, RANGE, STAR, nearest_number, pack_range, pack_vector, unpack_range, unpack_vector
-from mission import Mission, SensingSpacecraft, WithoutCamera, judgement
 from navigation import Filter, Known, of_events, of_range, of_star
 from pilot import Pilot, PilotSettings
+from report import judgement
 from scipy.stats import chi2
-from sensors import PERIOD_S, Inertial, SensorErrors, Sensors, turn_of, vector_of
-from spacecraft import TouchDown
+from sensors import (
+    PERIOD_S,
+    PUSH,
+    RANGE,
+    STAR,
+    Inertial,
+    SensorErrors,
+    Sensors,
+    nearest_number,
+    pack_range,
+    pack_vector,
+    turn_of,
+    unpack_range,
+    unpack_vector,
+    vector_of,
+)
+from spacecraft import Mission, SensingSpacecraft, TouchDown, WithoutCamera
 from vehicle import GRAVITY_M_S2, Lander, State, advance, product
 
 ROLLING = State(np.array([3.0, 4.0, 100.0]), np.array([0.5, 0.0, -8.0]), thrust_n=1620.0)

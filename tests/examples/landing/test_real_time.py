@@ -11,11 +11,9 @@ import can
 import numpy as np
 import pytest
 from divergence import Motion
-from frames import ATTITUDE, COMMAND, EDGE, pack_command, pack_edge, unpack_edge
-from guidance import Guidance, Law
-from latency import latencies, light_delays_s
-from prediction import PredictingGuidance
-from real_time import STEP_S, RealTimeSpacecraft
+from guidance import Guidance, Law, PredictingGuidance
+from real_time import STEP_S, RealTimeSpacecraft, latencies, light_delays_s
+from sensors import ATTITUDE, COMMAND, EDGE, pack_command, pack_edge, unpack_edge
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 
 

@@ -6,11 +6,12 @@ import dataclasses
 import json
 from pathlib import Path
 
+import compare
 import numpy as np
 import pytest
-from faults import Fault, Faults, datagram_with_nan
-from fly_faults import FLIGHTS, fly, line
-from outcome import verdict
+from compare import FAULTS, fault_line, fly_fault
+from links import Fault, Faults, datagram_with_nan
+from report import verdict
 from spacecraft import Limits, Spacecraft, TouchDown
 from vehicle import Lander, State
 
@@ -122,12 +123,12 @@ def test_the_verdict_lists_what_went_wrong(tmp_path: Path) -> None:
 
 def test_each_flight_has_arguments_that_can_be_read() -> None:
     """Its faults, and tables that are there."""
-    for arguments in FLIGHTS.values():
+    for arguments in FAULTS.values():
         words = arguments.split()
         for option, value in zip(words[::2], words[1::2], strict=True):
             assert option in ("--fault", "--table", "--answer-s")
             assert option != "--fault" or Fault.parse(value)
-            assert option != "--table" or (Path(__file__).parent / value).is_file()
+            assert option != "--table" or (Path(compare.__file__).parent / value).is_file()
 
 
 def test_a_flight_becomes_a_line_of_the_table(tmp_path: Path) -> None:
@@ -135,12 +136,12 @@ def test_a_flight_becomes_a_line_of_the_table(tmp_path: Path) -> None:
     found = verdict(LANDED, tmp_path, frames_lost=3) | {"error_median": 0.008, "error_p90": 0.025}
     (tmp_path / "crash").mkdir()
     (tmp_path / "crash" / "verdict.json").write_text(json.dumps(found))
-    assert line("crash", fly("crash", tmp_path)) == (
+    assert fault_line("crash", fly_fault("crash", tmp_path)) == (
         "| crash: `--fault crash@5` | 0.50 m/s | 0.8 % / 2.5 % | "
         "the flight computer answered no SYNC; 3 attitudes and commands were lost on the bus |"
     )
     up = {"touched": False, "height_m": 4.31, "why": []}
-    assert line("none", up) == "| none | not landed, 4.3 m up | | |"
+    assert fault_line("none", up) == "| none | not landed, 4.3 m up | | |"
 
 
 @pytest.mark.parametrize(("down_m_s", "touched"), [(1.2, True), (0.5, False)])

@@ -1,0 +1,3 @@
+"""Tests of examples/."""
+
+collect_ignore = ["landing"]  # run by test_examples.py

@@ -1,0 +1,164 @@
+"""A law of the user's own: loaded, called and refused within bounds; flights with one are in the suite."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import fly
+import numpy as np
+import pilot as pilot_module
+import pytest
+from fly import Ends
+from links import Faults
+from pilot import LAW_FAILED, GivenLaw, LawFailed, LawInput, Pilot, PilotSettings
+from report import reasons, write_page
+from sensors import PERIOD_S
+from simple_law import Law
+from spacecraft import Mission, TouchDown
+from vehicle import GRAVITY_M_S2, State
+
+STATE = LawInput(3.0, np.array([0.0, 1.0, 50.0]), np.array([0.1, 0.0, -5.0]), np.eye(4)[0], np.ones(3), np.ones(3), 0.2)
+
+
+def law_of(folder: Path, body: str) -> str:
+    """Return FILE.py:law of a file whose law has this body."""
+    (folder / "mine.py").write_text(f"def law(state):\n    {body}\n\n\nnumber = 3.0\n")
+    return f"{folder / 'mine.py'}:law"
+
+
+def test_a_law_is_a_function_or_a_class() -> None:
+    """That of the example: 4 m/s at 50 m, one too fast, gain 1."""
+    law = GivenLaw(f"{Path(fly.__file__).parent / 'simple_law.py'}:Law")
+    assert law(STATE) == pytest.approx([0.0, 0.0, GRAVITY_M_S2 + 1.0])
+
+
+def test_a_function_and_a_file_with_a_dataclass(tmp_path: Path) -> None:
+    """Three numbers of any kind."""
+    (tmp_path / "mine.py").write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n\n\n"
+        "@dataclass\nclass Gain:\n    up: float = 2.0\n\n\ndef law(state):\n    return [0, 1, Gain().up]\n"
+    )
+    assert GivenLaw(f"{tmp_path / 'mine.py'}:law")(STATE).tolist() == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        ("return 1 / 0", "raised ZeroDivisionError: division by zero, in line 2 of mine.py"),
+        ("raise SystemExit(3)", "raised SystemExit: 3, in line 2 of mine.py"),
+        ("return 0.0, float('nan'), 1.62", "returned (0.0, nan, 1.62), not three finite numbers (east, north, up)"),
+        ("return 1.62", "returned 1.62, not three finite numbers (east, north, up)"),
+        ("return 'up'", "returned 'up', not three finite numbers (east, north, up)"),
+        ("return None", "returned None, not three finite numbers (east, north, up)"),
+        ("return 0, 0, 33", "returned (0, 0, 33), beyond 32 m/s2"),
+        ("while True: pass", "did not return within 0.2 s"),
+    ],
+)
+def test_a_law_that_fails_is_described(
+    body: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one sentence, and without its exception; one that hangs is left behind, and ends with this test."""
+    hangs, ended = body.startswith("while"), threading.Event()
+    monkeypatch.setattr(pilot_module, "_CALL_S", 0.2 if hangs else 60.0)
+    law = GivenLaw(law_of(tmp_path, "ended.wait()" if hangs else body))
+    law._law.__globals__["ended"] = ended
+    with pytest.raises(LawFailed) as failure:
+        law(STATE)
+    assert str(failure.value) == sentence
+    assert not ended.is_set()
+    ended.set()
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("law", "is not FILE.py:NAME: give a file and the law's name in it, such as simple_law.py:Law"),
+        ("nothing.py:law", "names no file: give the path of a file that exists"),
+        ("mine.py:Law", "names nothing in mine.py: give a name that it defines: law"),
+        ("mine.py:number", "cannot be called: give a function, or a class with a method __call__(self, state)"),
+        ("broken.py:law", "raised SyntaxError: expected ':' (broken.py, line 2), in line 2 of broken.py"),
+        ("lacking.py:law", "raised ModuleNotFoundError: No module named 'lacked', in line 1 of lacking.py"),
+    ],
+)
+def test_a_wrong_name_is_refused_before_anything_starts(
+    text: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 2, why, what to do; no folder of a flight."""
+    law_of(tmp_path, "return 0, 0, 1.62")
+    (tmp_path / "broken.py").write_text("x = 1\ndef law(state)\n")
+    (tmp_path / "lacking.py").write_text("import lacked\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["fly.py", "--out", "flight", "--guidance", text])
+    assert fly.main() == 2
+    assert f"fly.py: --guidance {text} {sentence}" in capsys.readouterr().err
+    assert not (tmp_path / "flight").exists()
+
+
+@pytest.mark.parametrize("more", [["--real-time"], ["--navigation", "given"], ["--compare"]])
+def test_what_a_law_cannot_fly_with_is_refused(
+    more: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without sensors of the vehicle there is no state from navigation."""
+    monkeypatch.setattr("sys.argv", ["fly.py", "--out", str(tmp_path / "flight"), "--guidance", "mine.py:law", *more])
+    assert fly.main() == 2
+    assert "leave out" in capsys.readouterr().err
+
+
+def test_the_pilot_flies_the_given_law() -> None:
+    """Its command is the law's, decided from the state when the command acts; the law cannot change the filter."""
+    states: list[LawInput] = []
+
+    def law(state: LawInput) -> np.ndarray:
+        states.append(state)
+        command = Law()(state)
+        state.position_m[:] = state.attitude[:] = np.nan
+        return command
+
+    flying = Pilot(Mission.drawn(100.0, 1).known, PilotSettings("blind"), law)
+    for number in range(1, 11):
+        flying.filter.sample(number, np.zeros(3), np.array([0.0, 0.0, GRAVITY_M_S2 * PERIOD_S]))
+    place, speed = flying.filter.now.position_m.copy(), flying.filter.now.velocity_m_s
+    command = flying.command_m_s2(0.2)
+    assert states[0].t_s == pytest.approx(0.4)  # 0.1 s of delay and 0.1 s of the engine
+    assert states[0].velocity_m_s == pytest.approx(speed)
+    assert command[2] == pytest.approx(Law()(LawInput(0.4, place + speed * 0.2, speed, *[np.ones(3)] * 3, 0.2))[2])
+    assert np.isfinite([*flying.filter.now.position_m, *flying.filter.now.attitude]).all()
+
+
+def test_a_flight_whose_law_failed_is_not_good(tmp_path: Path) -> None:
+    """However softly the last command lands it."""
+    end = TouchDown(30.0, State(np.zeros(3), np.array([0.0, 0.0, -0.5])), touched=True, fuel_kg=5.0)
+    (tmp_path / "truth.csv").write_text("t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s\n")
+    flight = fly.Flight(Ends(0, 0, ""), 1, tmp_path, Faults(), navigation="events", guidance="mine.py:law")
+    assert fly._report(end, flight, {"soft": True}, None) == 0
+    (tmp_path / LAW_FAILED).write_text("guidance mine.py:law raised ZeroDivisionError: division by zero")
+    assert fly._report(end, flight, {"soft": True}, None) == 1
+
+
+def test_the_page_has_reasons_charts_and_the_last_events(tmp_path: Path) -> None:
+    """Of a flight that ended in the air, and of one that never began."""
+    judged = {"soft": False, "touched": False, "t_s": 2.0, "vertical_m_s": 1.5, "height_m": 7.0, "fuel_kg": 1.0}
+    judged |= {"horizontal_m_s": 0.6, "beyond": ["vertical_m_s", "horizontal_m_s"], "navigation": "events"}
+    judged |= {"why": ["guidance <mine>.py:law did not return within 2 s"], "guidance": "<mine>.py:law"}
+    (tmp_path / "verdict.json").write_text(json.dumps(judged))
+    truth = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s\n"
+    (tmp_path / "truth.csv").write_text(truth)
+    never = write_page(tmp_path).read_text()
+    assert never.count("<img") == 0
+    (tmp_path / "truth.csv").write_text(truth + "1,0,0,9,0,0,0,-1.5\n2,0,0,7.5,0,0,0,-1.5\n")
+    row = {"t_s": 1.0, "estimate_s": 1.0, "position_m": [0, 0, 9], "velocity_m_s": [0, 0, -1], "lost": False}
+    (tmp_path / "computer.jsonl").write_text(json.dumps(row))
+    events = np.zeros(300, [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
+    events["t"], events["x"], events["y"] = np.arange(300) * 7_000, np.arange(300), 100
+    np.savez(tmp_path / "last_events.npz", events=events)
+    page = write_page(tmp_path).read_text()
+    assert page.count("<img") == 4
+    assert "no touchdown: 7.0 m up after 2.0 s" in page
+    assert "&lt;mine&gt;.py:law did not return within 2 s" in page
+    judged |= {"touched": True}
+    assert list(reasons(judged)) == [
+        "speed down, m/s: 1.50, beyond the bound of 1",
+        "speed along the ground, m/s: 0.60, beyond the bound of 0.5",
+    ]
