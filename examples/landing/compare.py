@@ -154,7 +154,7 @@ def main(print_line: Callable[[str], None] = print) -> None:
     parser.add_argument("--flights", type=int, default=100)
     parser.add_argument("--first", type=int, default=1, help="first seed: two programs can share the work")
     parser.add_argument("--navigation", nargs="+", choices=NAVIGATIONS, default=["blind", "altimeter", "events"])
-    parser.add_argument("--faults", nargs="*", choices=[[], *FAULTS], metavar="NAME", help="all, or these")
+    parser.add_argument("--faults", nargs="*", choices=list(FAULTS), metavar="NAME", help="all, or these")
     arguments = parser.parse_args()
     folder = arguments.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
