@@ -123,7 +123,8 @@ class GivenLaw:
 
         thread = Thread(target=work, daemon=True)
         thread.start()
-        thread.join(seconds)
+        for _ in range(2):  # a machine that stands still may take away one half
+            thread.join(seconds / 2)
         if failures:
             raise failures[0]
         if not results:
