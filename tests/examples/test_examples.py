@@ -13,6 +13,8 @@ import pytest
 import trimesh
 from gymnasium.utils.env_checker import check_env
 
+import evstim
+
 pytestmark = pytest.mark.system
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -48,6 +50,16 @@ def test_own_mesh(monkeypatch, tmp_path):
 
 def test_read_recording(monkeypatch, tmp_path):
     assert main_of("read_recording.py", monkeypatch, tmp_path)() > 1e4
+
+
+def test_learn_flow(monkeypatch, tmp_path):
+    """From twelve sequences a network learns some of the flow of four others; with the default of 96, half of it."""
+    main = main_of("learn_flow.py", monkeypatch, tmp_path)
+    with evstim.run("loopback", seconds=0.1, pace="free", record="mine.npz") as run:
+        run.wait()
+    medians = main("--sequences", "16", "--recording", "mine.npz")
+    assert medians["network"] < 0.95 * min(medians["no flow"], medians["mean flow"])
+    assert (tmp_path / "flow.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("rig", ["rendezvous", "itokawa"])
