@@ -1,0 +1,297 @@
+"""Descents over the Moon in the layout of ELOPE, their score, and a baseline of optical flow and range finder.
+
+    python elope.py make FOLDER --count 28       # our own descents, over three kinds of terrain; minutes each
+    python elope.py solve FOLDER velocities.json # the baseline; --tick-us 1000: with event times of whole milliseconds
+    python elope.py score FOLDER velocities.json # of the baseline, or of a program of yours; a published folder too
+    python elope.py table FOLDER ...             # the baseline's scores by terrain, of one folder or more
+
+ELOPE is ESA's Event-based Lunar OPtical flow Egomotion challenge of 2025. A sequence is a file 0000.npz, 0001.npz, ...:
+
+    events        (n,) structured: x, y (0 to 199), p (bool, True: brighter), t (us)
+    timestamps    (120,) s
+    traj          (120, 12) at these times: x y z, m; vx vy vz, m/s; phi theta psi, rad; p q r, rad/s. NaN: not given
+    range_meter   (m, 2): time, s, and distance along pixel (100, 100), m; 10 a second
+
+Axes here are x east, y north, z up; R = Rz(psi) Ry(theta) Rx(phi) turns the body, which looks along its -z, into them,
+and p q r are about the body's axes. Those of the published files are not described where we could read it.
+
+The score of a sequence is the mean over its times of |v estimated - v true| / z true. Answers are a JSON with lists vx,
+vy and vz by the sequence's number. Events of the published files have times of whole milliseconds; ours have the
+sensor's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import evstim
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "landing"))
+from divergence import Lens, Motion, MotionEstimator, Window
+
+SIZE = 200, 200
+LENS = Lens(100 / math.tan(math.radians(30)), SIZE)
+TIMES, PERIOD_S = 120, 0.1  # of the range finder and of the given poses
+TERRAINS = {"plain": (0.5, 0.01), "craters": (2.0, 0.046), "hills": (8.0, 0.046)}  # slope in degrees, craters
+EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "?"), ("t", "<i8")])
+TRAVEL_PX, LONGEST_S = 8.0, 3.0  # of a window of the baseline
+
+
+class Sequence(NamedTuple):
+    """One descent; the arrays of its file."""
+
+    events: np.ndarray
+    timestamps: np.ndarray
+    traj: np.ndarray
+    range_meter: np.ndarray
+
+    @classmethod
+    def load(cls, file: Path) -> Sequence:
+        """Read a sequence; raises ValueError for a file with another layout."""
+        with np.load(file) as arrays:
+            if missing := [name for name in cls._fields if name not in arrays]:
+                raise ValueError(f"{file}: {', '.join(missing)} missing: it is no sequence of ELOPE")
+            return cls(*(arrays[name] for name in cls._fields))
+
+
+@dataclasses.dataclass(frozen=True)
+class Descent:
+    """A descent at rates that fall with the height: z = z0 e^(-k t), and so its speed along the ground.
+
+    Attributes
+    ----------
+    seed : of the descent; it determines the rest, and terrain and Sun.
+    without : "noise" of the sensor, "relief" of the ground, which then differs in brightness alone; "": with both.
+    """
+
+    seed: int
+    without: str = ""
+
+    @property
+    def terrain(self) -> str:
+        """Name of the terrain."""
+        return list(TERRAINS)[self.seed % len(TERRAINS)]
+
+    @property
+    def _drawn(self) -> tuple[float, ...]:
+        """Height and its end, m; duration, s; course, rad; slope of the path; Sun; amplitude of the tilt; its rate."""
+        low = np.array([2000.0, 130.0, 40.0, 0.0, 0.1, 10.0, 0.01, 0.1])
+        high = np.array([3000.0, 170.0, 55.0, 2 * math.pi, 0.6, 45.0, 0.05, 0.3])
+        return tuple(np.random.default_rng([5, self.seed]).uniform(low, high).tolist())
+
+    @property
+    def seconds(self) -> float:
+        """Length of the descent."""
+        return self._drawn[2]
+
+    def at(self, t_s: float) -> np.ndarray:
+        """Return the row of `traj` at a time, (12,)."""
+        height, end, seconds, course, along, _, tilt, rate = self._drawn
+        fall = math.log(height / end) / seconds
+        z = height * math.exp(-fall * t_s)
+        east, north = math.cos(course) * along, math.sin(course) * along
+        angles = [tilt * math.sin(rate * t_s), tilt * math.sin(rate * t_s + 2), rate * 0.1 * t_s]
+        speeds = [tilt * rate * math.cos(rate * t_s), tilt * rate * math.cos(rate * t_s + 2), rate * 0.1]
+        phi, theta, _ = angles
+        turning = [
+            speeds[0] - speeds[2] * math.sin(theta),
+            speeds[1] * math.cos(phi) + speeds[2] * math.cos(theta) * math.sin(phi),
+            speeds[2] * math.cos(theta) * math.cos(phi) - speeds[1] * math.sin(phi),
+        ]
+        place, velocity = [-east * z, -north * z, z], [east * fall * z, north * fall * z, -fall * z]
+        return np.array(place + velocity + angles + turning)
+
+    def rig(self) -> evstim.Rig:
+        """Return the rig, with the terrain and the Sun of this descent."""
+        rig = evstim.load_rig(Path(__file__).with_name("descent.toml"))
+        sensor = rig.camera.sensor
+        if self.without == "noise":
+            sensor = dataclasses.replace(sensor, noise=dataclasses.replace(sensor.noise, rms=0.0))
+        slope_deg, craters = TERRAINS[self.terrain]
+        relief = {"slope_deg": slope_deg, "crater_density": craters}
+        if self.without == "relief":
+            relief = {"slope_deg": 0.0, "crater_density": 0.0, "boulder_cover": 0.0, "albedo_rms": 0.2}
+        ground = dataclasses.replace(rig.scene.ground, seed=self.seed // len(TERRAINS) + 1, **relief)
+        start = camera_pose(self.at(0.0))
+        camera = dataclasses.replace(
+            rig.scene.camera,
+            position_m=tuple(start.position_m.tolist()),
+            q_world_from_body=tuple(start.q_world_from_body.tolist()),
+        )
+        scene = dataclasses.replace(rig.scene, ground=ground, camera=camera, sun_elevation_deg=self._drawn[5])
+        return dataclasses.replace(rig, scene=scene, camera=dataclasses.replace(rig.camera, sensor=sensor))
+
+
+def body_attitude(angles: np.ndarray) -> np.ndarray:
+    """Return the quaternion world from body of phi, theta, psi, scalar first, (4,)."""
+    (a, b, c), (d, e, f) = np.cos(angles / 2), np.sin(angles / 2)
+    return np.array([
+        a * b * c + d * e * f, d * b * c - a * e * f, a * e * c + d * b * f, a * b * f - d * e * c
+    ])  # fmt: skip
+
+
+def camera_pose(row: np.ndarray) -> evstim.Pose:
+    """Return the pose of the camera, which looks along the body's -z with its y to the body's -y."""
+    w, x, y, z = body_attitude(row[6:9])
+    return evstim.Pose(row[:3].copy(), np.array([-x, w, z, -y]))  # times (0, 1, 0, 0)
+
+
+def fly(descent: Descent) -> Sequence:
+    """Return a descent and its events."""
+    steps = math.floor(descent.seconds / PERIOD_S)
+    pieces, ranges = [], []
+    with evstim.Simulation(descent.rig(), seed=descent.seed) as sim:
+        for k in range(1, steps + 1):
+            t_s = k * PERIOD_S
+            now = sim.step(round(PERIOD_S * 1e6), camera=camera_pose(descent.at(t_s)), truth=True)
+            pieces.append(now.events)
+            ranges.append((t_s, float(now.truth.depth[100, 100])))
+    events = np.concatenate(pieces)
+    out = np.empty(len(events), EVENT)
+    out["x"], out["y"], out["p"] = events["x"], events["y"], events["on"]
+    out["t"] = events["t"]
+    timestamps = np.linspace(0, steps * PERIOD_S, TIMES)
+    return Sequence(out, timestamps, np.stack([descent.at(t) for t in timestamps]), np.array(ranges))
+
+
+def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
+    """Return velocities at the timestamps, (120, 3), from events, attitudes and ranges."""
+    events = np.empty(len(sequence.events), [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
+    for name, field in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
+        events[name] = sequence.events[field]
+    events["t"] -= events["t"] % np.uint64(tick_us)
+    times, ranges = sequence.timestamps, sequence.range_meter
+    attitudes = [(t, body_attitude(row[6:9])) for t, row in zip(times.tolist(), sequence.traj, strict=True)]
+    upright = np.array([1 - 2 * (q[1] ** 2 + q[2] ** 2) for _, q in attitudes])  # cosine of the tilt
+    heights = np.interp(times, *ranges.T) * upright
+    estimator = MotionEstimator(LENS.focal_px, (SIZE[0] / 2 + 20, SIZE[1] / 2 + 20))
+    seen: list[tuple[float, np.ndarray]] = []
+    guess = Motion(0.0, 0.0, 0.06, 1.0, 0.0, 0)
+    for t_s in times.tolist():
+        moves = max(abs(guess.down), math.hypot(guess.east, guess.south), 0.01)
+        half_s = min(TRAVEL_PX / (moves * 100), LONGEST_S) / 2
+        since_s, until_s = max(t_s - half_s, 0.0), min(t_s + half_s, float(times[-1]))
+        first, last = np.searchsorted(events["t"], [int(since_s * 1e6), int(until_s * 1e6)])
+        window = Window(LENS, 1)
+        window.add_events(events[first:last])
+        window.replace_attitudes(attitudes)
+        rays = window.rays(since_s, until_s)
+        if len(rays) < 1000:
+            continue
+        found = estimator.estimate(rays, guess, 0.01 + 0.5 * abs(guess.down))
+        if found.reliable:
+            guess = found
+            height = float(np.interp(found.at_s, times, heights))
+            seen.append((found.at_s, np.array([found.east, -found.south, -found.down]) * height))
+    if not seen:
+        return np.zeros((TIMES, 3))
+    at_s, velocities = np.array([t for t, _ in seen]), np.array([v for _, v in seen])
+    return np.stack([np.interp(times, at_s, column) for column in velocities.T], axis=1)
+
+
+def score(sequence: Sequence, velocities: np.ndarray) -> float:
+    """Return the score of velocities, (120, 3); less is better. Raises ValueError for another shape or no numbers."""
+    if velocities.shape != (len(sequence.timestamps), 3) or not np.isfinite(velocities).all():
+        raise ValueError(f"velocities: {len(sequence.timestamps)} finite numbers of each are needed")
+    errors = np.linalg.norm(velocities - sequence.traj[:, 3:6], axis=1) / sequence.traj[:, 2]
+    return float(errors.mean())
+
+
+def _sequences(folder: Path) -> dict[int, Path]:
+    """Return the files of a folder by their numbers."""
+    files = {int(file.stem): file for file in sorted(folder.glob("*.npz")) if file.stem.isdigit()}
+    if not files:
+        raise SystemExit(f"{folder}: no file 0000.npz or the like: `elope.py make {folder}` makes some")
+    return files
+
+
+def make(folder: Path, count: int, without: str) -> None:
+    """Write descents into a folder; those that are there already stay."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in range(count):
+        file, part = folder / f"{seed:04d}.npz", folder / "part.npz"
+        if not file.exists():
+            sequence = fly(Descent(seed, without))
+            np.savez_compressed(part, **sequence._asdict())
+            part.replace(file)
+            seconds = sequence.timestamps[-1]
+            print(f"{file}: {len(sequence.events)} events in {seconds:.1f} s, {Descent(seed).terrain}", flush=True)
+
+
+def answer(folder: Path, answers: Path, tick_us: int) -> None:
+    """Write the baseline's velocities of all sequences of a folder."""
+    found = {}
+    for number, file in _sequences(folder).items():
+        velocities = solve(Sequence.load(file), tick_us)
+        found[str(number)] = dict(zip(("vx", "vy", "vz"), velocities.T.tolist(), strict=True))
+        print(f"{file}: solved", flush=True)
+    answers.write_text(json.dumps(found))
+
+
+def scores_of(folder: Path, answers: Path) -> dict[int, float]:
+    """Return and print the scores of answers by the sequence's number."""
+    files = _sequences(folder)
+    if not answers.is_file():
+        raise SystemExit(f"{answers}: no such file: `elope.py solve {folder} {answers}` makes one of the baseline")
+    velocities, scores = json.loads(answers.read_text()), {}
+    for number, file in files.items():
+        try:
+            columns = [velocities[str(number)][name] for name in ("vx", "vy", "vz")]
+            scores[number] = score(Sequence.load(file), np.array(columns, np.float64).T)
+        except (KeyError, ValueError) as error:
+            raise SystemExit(f"{answers}: sequence {number}: {error}") from error
+        print(f"sequence {number}: {scores[number]:.4f}")
+    print(f"mean of {len(scores)} sequences: {np.mean(list(scores.values())):.4f}")
+    return scores
+
+
+def table(folders: list[Path]) -> None:
+    """Print the baseline's mean scores by terrain, in per cent, with the times as they are and in milliseconds."""
+    print(f"| descents | times | {' | '.join(TERRAINS)} | all |\n|---|---|{'---|' * (len(TERRAINS) + 1)}")
+    for folder in folders:
+        sequences = {number: Sequence.load(file) for number, file in _sequences(folder).items()}
+        for tick_us, name in ((1, "1 us"), (1000, "1 ms")):
+            scores = {number: 100 * score(one, solve(one, tick_us)) for number, one in sequences.items()}
+            kinds = [
+                [value for number, value in scores.items() if Descent(number).terrain == kind] for kind in TERRAINS
+            ]
+            cells = [f"{np.mean(values):.2f}" if values else "-" for values in [*kinds, list(scores.values())]]
+            print(f"| {folder.name} | {name} | {' | '.join(cells)} |", flush=True)
+
+
+def main(*words: str) -> None:
+    """Run a command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("make", "solve", "score"):
+        command = commands.add_parser(name)
+        command.add_argument("folder", type=Path)
+        if name == "make":
+            command.add_argument("--count", type=int, default=28)
+            command.add_argument("--without", choices=["noise", "relief"], default="")
+        else:
+            command.add_argument("answers", type=Path)
+        if name == "solve":
+            command.add_argument("--tick-us", type=int, default=1, help="of the times of the events")
+    commands.add_parser("table").add_argument("folders", type=Path, nargs="+")
+    arguments = parser.parse_args(words)
+    if arguments.command == "make":
+        make(arguments.folder, arguments.count, arguments.without)
+    elif arguments.command == "solve":
+        answer(arguments.folder, arguments.answers, arguments.tick_us)
+    elif arguments.command == "score":
+        scores_of(arguments.folder, arguments.answers)
+    else:
+        table(arguments.folders)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
