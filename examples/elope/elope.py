@@ -42,7 +42,7 @@ LENS = Lens(100 / math.tan(math.radians(30)), SIZE)
 TIMES, PERIOD_S = 120, 0.1  # of the range finder and of the given poses
 TERRAINS = {"plain": (0.5, 0.01), "craters": (2.0, 0.046), "hills": (8.0, 0.046)}  # slope in degrees, craters
 EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "?"), ("t", "<i8")])
-TRAVEL_PX, LONGEST_S = 8.0, 3.0  # of a window of the baseline
+TRAVEL_PX, LONGEST_S, LEAST_EVENTS = 8.0, 3.0, 1000  # of a window of the baseline
 
 
 class Sequence(NamedTuple):
@@ -174,8 +174,12 @@ def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
     heights = np.interp(times, *ranges.T) * upright
     estimator = MotionEstimator(LENS.focal_px, (SIZE[0] / 2 + 20, SIZE[1] / 2 + 20))
     seen: list[tuple[float, np.ndarray]] = []
-    guess = Motion(0.0, 0.0, 0.06, 1.0, 0.0, 0)
+    aside = np.zeros(2)
     for t_s in times.tolist():
+        # The range finder gives a first divergence; without it a wrong motion would be the guess of the next window.
+        around_s = np.clip([t_s - 1, t_s + 1], times[0], times[-1])
+        down = -np.diff(np.log(np.interp(around_s, times, heights)))[0] / np.diff(around_s)[0]
+        guess = Motion(*aside, down, 1.0, 0.0, 0)
         moves = max(abs(guess.down), math.hypot(guess.east, guess.south), 0.01)
         half_s = min(TRAVEL_PX / (moves * 100), LONGEST_S) / 2
         since_s, until_s = max(t_s - half_s, 0.0), min(t_s + half_s, float(times[-1]))
@@ -184,11 +188,12 @@ def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
         window.add_events(events[first:last])
         window.replace_attitudes(attitudes)
         rays = window.rays(since_s, until_s)
-        if len(rays) < 1000:
+        if len(rays) < LEAST_EVENTS:
             continue
         found = estimator.estimate(rays, guess, 0.01 + 0.5 * abs(guess.down))
-        if found.reliable:
-            guess = found
+        agrees = abs(found.down - guess.down) < 0.5 * abs(guess.down)
+        aside = np.array([found.east, found.south]) if found.reliable and agrees else 0.5 * aside
+        if found.reliable and agrees:
             height = float(np.interp(found.at_s, times, heights))
             seen.append((found.at_s, np.array([found.east, -found.south, -found.down]) * height))
     if not seen:
