@@ -139,7 +139,7 @@ def _index(x: Real) -> np.uint64:
     return np.uint64(np.int64(x))
 
 
-@lane
+@inlined
 def _cell(table: _Float32s, at: Real, row: int, f: Real, g: Real) -> Real:
     """Return a table between four entries: the one at `at`, shares f to the next row and g to the next entry."""
     k, below = np.uint64(at), np.uint64(at) + np.uint64(row)
