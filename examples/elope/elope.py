@@ -2,7 +2,7 @@
 
     python elope.py make FOLDER --count 28       # our own descents, over three kinds of terrain; minutes each
     python elope.py solve FOLDER velocities.json # the baseline; --tick-us 1000: with event times of whole milliseconds
-    python elope.py score FOLDER velocities.json # of the baseline, or of a program of yours; a published folder too
+    python elope.py score FOLDER velocities.json # of the baseline, or of a program of yours
     python elope.py table FOLDER ...             # the baseline's scores by terrain, of one folder or more
 
 ELOPE is ESA's Event-based Lunar OPtical flow Egomotion challenge of 2025. A sequence is a file 0000.npz, 0001.npz, ...:
