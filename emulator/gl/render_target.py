@@ -1,20 +1,17 @@
-"""Render targets of GL: a context, and the textures in which a light frame is drawn.
+"""Render target of GL: a context, and the textures in which a light frame is drawn.
 
     fine target     R32F with depth, n x n samples a pixel
-      -> mean       each pixel the mean of its n x n samples, in linear light; only in the touched region of that frame
-    light frame     R32F, the sensor's size; outside the touched region it is 0, the dark sky
+      -> mean       R32F, the sensor's size: each pixel the mean of its n x n samples, in linear light; only in the
+                    touched region of that frame, 0 outside, the dark sky
       -> out        (height, width) float32, row 0 on top
 
 Camera axes are OpenCV's: x right, y down, z out. GL's rows run upward; the frame is drawn upside down there, so that
 its first row comes first when it is read, and facets that are counter-clockwise here are clockwise in GL.
-
-There are as many slots for light frames as may be pending at a time.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,53 +22,6 @@ from emulator.light import Light, SceneError
 
 if TYPE_CHECKING:
     import moderngl
-
-
-MOST_PENDING = 3
-"""Light frames that can be drawn before the first of them is taken."""
-
-
-class _Slot:
-    """A light frame of R32F pixels."""
-
-    def __init__(self, gl: moderngl.Context, size: tuple[int, int]) -> None:
-        self.target = gl.framebuffer([gl.texture(size, 1, dtype="f4")])
-        self.target.clear()
-
-    def receive(self, out: Light) -> None:
-        if out.flags.c_contiguous:
-            self.target.read_into(out, components=1, dtype="f4")
-        else:
-            contiguous = np.empty(out.shape, np.float32)
-            self.receive(contiguous)
-            out[:] = contiguous
-
-
-class Readback:
-    """Slots for light frames of `size` = (width, height) in the current context, used one after another."""
-
-    def __init__(self, gl: moderngl.Context, size: tuple[int, int]) -> None:
-        self._free = deque(_Slot(gl, size) for _ in range(MOST_PENDING))
-        self._sent: deque[_Slot] = deque()
-
-    @property
-    def target(self) -> moderngl.Framebuffer:
-        """Framebuffer for the next light frame; raises SceneError when all slots hold frames that were not taken."""
-        if not self._free:
-            raise SceneError(f"{MOST_PENDING} light frames are pending: take one before the next is drawn")
-        return self._free[0].target
-
-    def send(self) -> None:
-        """Mark the light frame on `target` as pending."""
-        self._sent.append(self._free.popleft())
-
-    def receive(self, out: Light) -> None:
-        """Write the oldest pending light frame into `out`, (height, width) float32; raises SceneError without one."""
-        if not self._sent:
-            raise SceneError("no light frame is pending: draw one before it is taken")
-        place = self._sent.popleft()
-        place.receive(out)
-        self._free.append(place)
 
 
 _CORNERS = """
@@ -138,7 +88,7 @@ class RenderTarget:
                 _require_fits(gl, size, fine_size)
                 self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
                 self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
-                self._readback = Readback(gl, size)
+                self._light = gl.framebuffer([gl.texture(size, 1, dtype="f4")])
                 self._mean = gl.program(vertex_shader=_CORNERS, fragment_shader=_MEAN % {"samples": samples})
                 self._cover = gl.vertex_array(self._mean, [])
         except SceneError:
@@ -151,70 +101,34 @@ class RenderTarget:
             self._is_open = False
             self.context.release()
 
-    def draw(
-        self,
-        render: Callable[[moderngl.Context], None],
-        out: Light,
-        prepare: Callable[[], None] | None = None,
-        region: Rectangle | None = None,
-    ) -> None:
+    def draw(self, render: Callable[[moderngl.Context], None], out: Light, region: Rectangle | None = None) -> None:
         """Call `render` to draw the samples, and write their means into `out`, (height, width) float32.
 
-        When `render` is called the context is current, the target cleared, and depth test and culling are on. `prepare`
-        is called before that, for targets of its own. Nothing may be drawn outside `region`, where it is given; it
-        saves time.
-        """
-        self.begin(render, prepare, region)
-        self.take(out)
-
-    def draw_all(self, drawings: Sequence[Callable[[], None]], outs: Sequence[Light]) -> None:
-        """Write the light frames that `drawings` begin into `outs`; several are begun before the first is taken."""
-        for first in range(0, len(outs), MOST_PENDING):
-            for begin in drawings[first : first + MOST_PENDING]:
-                begin()
-            for out in outs[first : first + MOST_PENDING]:
-                self.take(out)
-
-    def begin(
-        self,
-        render: Callable[[moderngl.Context], None],
-        prepare: Callable[[], None] | None = None,
-        region: Rectangle | None = None,
-    ) -> None:
-        """Draw the samples as `draw` does, without waiting; `take` waits for the light frame and writes it.
-
-        Up to `MOST_PENDING` frames can be begun before the first one is taken; they are taken in the same order.
+        When `render` is called the context is current, the target cleared, and depth test and culling are on. Nothing
+        may be drawn outside `region`, where it is given; it saves time.
         """
         if not self._is_open:
             raise SceneError("the scene was closed: build it again")
-        target = self._readback.target
+        contiguous = out if out.flags.c_contiguous else np.empty(out.shape, np.float32)
         with self.context as gl:
-            if prepare is not None:
-                prepare()
             self._fine.use()
             self._fine.clear()
             gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
             gl.front_face, gl.cull_face = "cw", "back"
             render(gl)
-            self._average(gl, target, region or Rectangle(0, 0, *self.size))
-            self._readback.send()
-        # Leaving a context flushes it (EGL 1.5, section 3.7.3): the renderer starts now.
+            self._average(gl, region or Rectangle(0, 0, *self.size))
+            self._light.read_into(contiguous, components=1, dtype="f4")
+        if contiguous is not out:
+            out[:] = contiguous
 
-    def take(self, out: Light) -> None:
-        """Write the oldest light frame that was begun and not taken into `out`, (height, width) float32."""
-        if not self._is_open:
-            raise SceneError("the scene was closed: build it again")
-        with self.context:
-            self._readback.receive(out)
-
-    def _average(self, gl: moderngl.Context, target: moderngl.Framebuffer, region: Rectangle) -> None:
-        target.use()
-        target.clear()
-        target.viewport = (region.left, region.top, region.width, region.height)
+    def _average(self, gl: moderngl.Context, region: Rectangle) -> None:
+        self._light.use()
+        self._light.clear()
+        self._light.viewport = (region.left, region.top, region.width, region.height)
         gl.enable_only(gl.NOTHING)
         self._samples_texture.use(0)
         self._cover.render(gl.TRIANGLES, vertices=3)
-        target.viewport = (0, 0, *self.size)
+        self._light.viewport = (0, 0, *self.size)
 
 
 def depth_terms(near_m: float, far_m: float) -> tuple[float, float]:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from emulator.geometry.camera import Pinhole
 from emulator.gl.context import QUICK_LOOK, Painter
-from emulator.gl.render_target import RenderTarget
+from emulator.gl.render_target import Rectangle, RenderTarget
 from emulator.light import Light, Scene
 from emulator.trajectory.pose import Timescale, Trajectory
+
+if TYPE_CHECKING:
+    import moderngl
 
 
 class World(Protocol):
@@ -124,15 +127,15 @@ class GlScene(WorldScene[W]):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
-        self.lights((t_ns,), (out,))
-
-    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
-        """Write the radiance at several times into their light frames, (height, width) float32."""
-        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
+        render, region = self._drawing(t_ns)
+        self._render_target.draw(render, out, region)
 
     @abstractmethod
-    def _drawing(self, t_ns: int) -> Callable[[], None]:
-        """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
+    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], Rectangle | None]:
+        """Return a function that draws the scene at `t_ns`, and the region that it may touch, None for the whole frame.
+
+        All errors are raised here, none while drawing.
+        """
 
     def close(self) -> None:
         """Release the GL context, and close the ports; a second call does nothing."""

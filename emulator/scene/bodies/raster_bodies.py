@@ -41,7 +41,7 @@ from emulator.scene.world import WorldScene
 from emulator.threads import available_threads
 from emulator.trajectory.pose import Pose
 
-_NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
+NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 
 
 class BodiesGeometry(SceneGeometry):
@@ -54,7 +54,7 @@ class BodiesGeometry(SceneGeometry):
         self.names = _names(world.parameters.bodies)
         self._meshes = [world.as_seen(k) for k in range(len(world.meshes))]
         surfaces = [(mesh.faces, len(mesh.vertices), mesh.open_edges > 0) for mesh in self._meshes]
-        self._surfaces = NearestSurface(surfaces, world.pinhole, _NEAREST_SHARE * world.distance_m)
+        self._surfaces = NearestSurface(surfaces, world.pinhole, NEAREST_SHARE * world.distance_m)
         self._inverse_depth = np.zeros_like(self._rays.columns)
 
     def look(self, t_ns: int, out: Seen) -> None:
@@ -140,7 +140,7 @@ def move(  # noqa: PLR0913, PLR0917
 LONGEST_PX = 12.0
 LINEAR_WITHIN = 0.01
 _MOST_DIVIDED = 8000  # facets of one body: a large side near the camera is divided no further
-_LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a shadow is drawn
+LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a shadow is drawn
 
 _NO_FACETS = np.zeros((0, 3), np.int32)
 _THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thread could start
@@ -155,17 +155,14 @@ def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 
     return RasterBodies(parameters, pinhole, threads=threads or (available_threads() if large else 1))
 
 
-class RasterBodies(WorldScene[BodyWorld]):
-    """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by the CPU; raises SceneError.
+class LitBodies:
+    """The surfaces of a world of bodies and their light at any time, for both painters; raises SceneError.
 
-    With any number of `threads` the light frames are the same to the last bit.
+    With any number of `threads` they are the same to the last bit.
     """
 
-    has_rate = True
-
-    def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
-        super().__init__(BodyWorld(parameters, pinhole))
-        world = self._world
+    def __init__(self, world: BodyWorld, pinhole: Pinhole, threads: int) -> None:
+        self._world = world
         parameters = world.parameters
         bodies = range(len(world.meshes))
         pixel_m = min(map(self._nearest_m, bodies)) / pinhole.focal_px
@@ -176,52 +173,40 @@ class RasterBodies(WorldScene[BodyWorld]):
         self._lighting = Lighting(parameters, pinhole, casters, self._surfaces, self._sharp, threads, self._sides)
         self._placed = _in_groups(parameters, self._surfaces)
         self._poses = world.arrangement.poses_of({root for root, *_ in self._placed})
-        width, height = pinhole.size
-        middle = width / 2, height / 2
-        screen = Screen(width, height, pinhole.focal_px, middle, _NEAREST_SHARE * self.distance_m)
-        self._renderer = Renderer(self._lighting.facets.on(_NO_FACETS, _NO_FACETS[:, 0]), screen, threads)
-        self._spare = np.zeros((height, width), np.float32)
-        self._drawn = NOTHING
-        self._changed: Region | None = None
+        self.topology = self._lighting.facets.on(_NO_FACETS, _NO_FACETS[:, 0])
+        """Facets of the last view, the patches with shadows behind all others; the next view writes into it."""
         self._closed = False
-        self._arrays = LastArrays()
-
-    @property
-    def changed(self) -> Region | None:
-        """The part of the last light frame that may differ from the one before it in the same arrays."""
-        return self._changed
-
-    def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
-        """Return depth, flow and labels of the bodies, from shapes and poses alone."""
-        return BodiesGeometry(self._world, rays)
-
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the radiance at `t_ns` into `out`, (height, width) float32."""
-        light = out if out.flags.c_contiguous else np.empty(out.shape, np.float32)  # of the kernels' only layout
-        self.light_and_rate(t_ns, light, self._spare)
-        if light is not out:
-            out[...] = light
-
-    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
-        before = self._drawn if self._arrays.are(light, rate) else None
-        self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
-        self._changed = None if before is None else self._drawn.union(before)
-
-    @property
-    def pixel_light(self) -> PixelLight:
-        """Function that gives the light of single pixels and its rate at any instant."""
-        return self._pixels
 
     def close(self) -> None:
-        """End the threads and close the ports; a second call does nothing."""
+        """End the threads; a second call does nothing."""
         self._closed = True
-        self._renderer.close()
         self._lighting.close()
-        super().close()
 
-    def _pixels(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
-        return self._renderer.query(self._view(t_ns), pixels)
+    def view(self, t_ns: int) -> View:
+        """Return vertices and their light at `t_ns`, and renew `topology`; raises SceneError after `close`."""
+        if self._closed:
+            raise SceneError("the scene is closed: build it again")
+        world = self._world
+        motion = motion_at(t_ns, world.camera, self._poses, world.time)
+        surface_lights, shadows = self._lighting.light_and_polygons(motion)
+        bodies = [(root, vertices, 1.0) for root, vertices, _ in self._placed]
+        middles = [
+            (root, points[marked[-len(points) :] != 0], 1.0)
+            for (root, _, points), marked in zip(self._placed, self._lighting.marked, strict=True)
+            if len(points)
+        ]
+        over = [(polygons.body, polygons.corners, 1.0 - LIFT) for polygons in shadows]
+        places, velocities = _in_camera_axes([*bodies, *middles, *over], motion)
+        firsts = np.cumsum([0, *(len(shadow.corners) for shadow in shadows)], dtype=np.int32)
+        faces = [shadow.faces + first for shadow, first in zip(shadows, firsts, strict=False)]
+        below = np.concatenate([_NO_FACETS[:, 0], *(shadow.over for shadow in shadows)])
+        self.topology = self._lighting.facets.on(np.concatenate([_NO_FACETS, *faces]), below)
+        return View(
+            places,
+            velocities,
+            np.concatenate([*(light.radiance for light in surface_lights), *(shadow.radiance for shadow in shadows)]),
+            np.concatenate([*(light.rate for light in surface_lights), *(shadow.rate for shadow in shadows)]),
+        )
 
     def _surface(self, k: int, casters: list[Mesh]) -> Surface:
         """Return the lit surface of body k: facets that are large in the light frame are divided, within a limit.
@@ -255,30 +240,67 @@ class RasterBodies(WorldScene[BodyWorld]):
         vertices = self._world.meshes[k].vertices
         return self._world.arrangement.nearest_m(k, vertices.min(axis=0), vertices.max(axis=0))
 
+
+class RasterBodies(WorldScene[BodyWorld]):
+    """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by the CPU; raises SceneError.
+
+    With any number of `threads` the light frames are the same to the last bit.
+    """
+
+    has_rate = True
+
+    def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
+        super().__init__(BodyWorld(parameters, pinhole))
+        self._lit = LitBodies(self._world, pinhole, threads)
+        width, height = pinhole.size
+        middle = width / 2, height / 2
+        screen = Screen(width, height, pinhole.focal_px, middle, NEAREST_SHARE * self.distance_m)
+        self._renderer = Renderer(self._lit.topology, screen, threads)
+        self._spare = np.zeros((height, width), np.float32)
+        self._drawn = NOTHING
+        self._changed: Region | None = None
+        self._arrays = LastArrays()
+
+    @property
+    def changed(self) -> Region | None:
+        """The part of the last light frame that may differ from the one before it in the same arrays."""
+        return self._changed
+
+    def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
+        """Return depth, flow and labels of the bodies, from shapes and poses alone."""
+        return BodiesGeometry(self._world, rays)
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the radiance at `t_ns` into `out`, (height, width) float32."""
+        light = out if out.flags.c_contiguous else np.empty(out.shape, np.float32)  # of the kernels' only layout
+        self.light_and_rate(t_ns, light, self._spare)
+        if light is not out:
+            out[...] = light
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
+        before = self._drawn if self._arrays.are(light, rate) else None
+        self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
+        self._changed = None if before is None else self._drawn.union(before)
+
+    @property
+    def pixel_light(self) -> PixelLight:
+        """Function that gives the light of single pixels and its rate at any instant."""
+        return self._pixels
+
+    def close(self) -> None:
+        """End the threads and close the ports; a second call does nothing."""
+        self._renderer.close()
+        self._lit.close()
+        super().close()
+
+    def _pixels(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
+        return self._renderer.query(self._view(t_ns), pixels)
+
     def _view(self, t_ns: int) -> View:
-        if self._closed:
-            raise SceneError("the scene is closed: build it again")
-        world = self._world
-        motion = motion_at(t_ns, world.camera, self._poses, world.time)
-        surface_lights, shadows = self._lighting.light_and_polygons(motion)
-        bodies = [(root, vertices, 1.0) for root, vertices, _ in self._placed]
-        middles = [
-            (root, points[marked[-len(points) :] != 0], 1.0)
-            for (root, _, points), marked in zip(self._placed, self._lighting.marked, strict=True)
-            if len(points)
-        ]
-        over = [(polygons.body, polygons.corners, 1.0 - _LIFT) for polygons in shadows]
-        places, velocities = _in_camera_axes([*bodies, *middles, *over], motion)
-        firsts = np.cumsum([0, *(len(shadow.corners) for shadow in shadows)], dtype=np.int32)
-        faces = [shadow.faces + first for shadow, first in zip(shadows, firsts, strict=False)]
-        below = np.concatenate([_NO_FACETS[:, 0], *(shadow.over for shadow in shadows)])
-        self._renderer.topology = self._lighting.facets.on(np.concatenate([_NO_FACETS, *faces]), below)
-        return View(
-            places,
-            velocities,
-            np.concatenate([*(light.radiance for light in surface_lights), *(shadow.radiance for shadow in shadows)]),
-            np.concatenate([*(light.rate for light in surface_lights), *(shadow.rate for shadow in shadows)]),
-        )
+        view = self._lit.view(t_ns)
+        self._renderer.topology = self._lit.topology
+        return view
 
 
 def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, Floats, Floats]]:

@@ -168,17 +168,6 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     return Mesh(vertices, facets, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, albedo)
 
 
-def flat(mesh: Mesh) -> Mesh:
-    """Return the mesh with corners of its own for each facet, their normals the facet's."""
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
-    vertices = corners.reshape(-1, 3)
-    normals = np.repeat(normals, 3, axis=0)
-    return Mesh(vertices, faces, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, mesh.albedo)
-
-
 def _mean(
     values: npt.NDArray[np.float64], cell: npt.NDArray[np.intp], count: npt.NDArray[np.intp]
 ) -> npt.NDArray[np.float64]:

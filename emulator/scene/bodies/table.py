@@ -138,7 +138,7 @@ class BodiesParameters:
     camera : the camera's path in the world.
     sun : direction and distance of the Sun.
     ambient_w_m2 : light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
-    samples : with run.painter = "gl", light is averaged over samples x samples points of each pixel, 1 to 4.
+    samples : with run.painter = "gl", light is averaged over samples x samples points of each pixel, 1 to 8.
     detail_px : facets smaller than this are merged into larger ones, pixels; 0 keeps every facet.
     shadows : True: bodies cast shadows.
     time_scale : speed of all motion relative to reality.
@@ -149,7 +149,7 @@ class BodiesParameters:
     camera: TrajectoryParameters = field(default_factory=FixedPath)
     sun: Sun = field(default_factory=Sun)
     ambient_w_m2: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
-    samples: Annotated[int, Meta(ge=1, le=4)] = 2
+    samples: Annotated[int, Meta(ge=1, le=8)] = 2
     detail_px: Annotated[float, Meta(ge=0, le=100)] = 0.5
     shadows: bool = True
     time_scale: TimeScale = 1.0

@@ -93,14 +93,6 @@ class Arrangement:
             for k, (range_m, body) in enumerate(zip(self.ranges_m, self._bodies, strict=True))
         )
 
-    def radius_m(self, bodies: Sequence[int]) -> float:
-        """Return the radius of a sphere about the middle of some bodies and around them all, at all looks."""
-        return max(
-            max(float(np.linalg.norm(pose.position_m - centre)) + radius_m for pose, radius_m in spheres)
-            for spheres in ([(poses[k], self._bodies[k].radius_m) for k in bodies] for poses in self._looks)
-            for centre in [middle(spheres)]
-        )
-
     def _in_world(self, relative: Sequence[Pose]) -> list[Pose]:
         """Return poses in the world, of poses each in the frame that the body is fixed to."""
         poses: list[Pose] = []
@@ -122,13 +114,6 @@ class Arrangement:
         while k is not None:
             yield k
             k = self._bodies[k].parent
-
-
-def middle(spheres: Sequence[tuple[Pose, float]]) -> Vector:
-    """Return the middle of the box around spheres, each a pose and a radius in metres."""
-    low = np.min([pose.position_m - radius for pose, radius in spheres], axis=0)
-    high = np.max([pose.position_m + radius for pose, radius in spheres], axis=0)
-    return np.asarray((low + high) / 2)
 
 
 def _places(looks: Sequence[Sequence[Pose]]) -> npt.NDArray[np.float64]:

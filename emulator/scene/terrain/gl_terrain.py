@@ -26,7 +26,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -262,13 +261,13 @@ class GlTerrain(GlScene[TerrainWorld]):
             self._own_facets.close()
         super().close()
 
-    def _drawing(self, t_ns: int) -> Callable[[], None]:
+    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], None]:
         world = self._world
         scene_ns = world.time.scene_ns(t_ns)
         pose = world.camera.pose(scene_ns)
         view = self._view(pose, world.height_m(scene_ns, pose))
         blocks = self._tree.blocks(pose.position_m, world.planes(pose))
-        return partial(self._render_target.begin, lambda _: self._mesh.render(view, world.sun, blocks))
+        return lambda _: self._mesh.render(view, world.sun, blocks), None
 
     def _view(self, pose: Pose, height_m: float) -> GroundView:
         world = self._world

@@ -112,7 +112,7 @@ class TerrainParameters:
         Side of a facet in the light frame, about; slopes and shadows are those of the fine map. 0: a quarter of
         a pixel, whatever `most_facets` is.
     most_facets : facets in a large light frame are larger, so that about this many would cover it face on.
-    samples : light is averaged over samples x samples points of each pixel, 1 to 4.
+    samples : light is averaged over samples x samples points of each pixel, 1 to 8.
     time_scale : speed of the camera's motion relative to reality.
     """
 
@@ -127,7 +127,7 @@ class TerrainParameters:
     body_radius_m: Annotated[float, Meta(ge=0, le=1e9)] = 1_737_400.0
     detail_px: Annotated[float, Meta(ge=0, le=64)] = 2.0
     most_facets: Annotated[int, Meta(ge=1000, le=100_000_000)] = 45_000
-    samples: Annotated[int, Meta(ge=1, le=4)] = 2
+    samples: Annotated[int, Meta(ge=1, le=8)] = 2
     time_scale: TimeScale = 1.0
 
     def __post_init__(self) -> None:

@@ -238,7 +238,7 @@ def test_a_camera_in_the_wrong_place_is_refused(shapes, position, units_m, messa
         (lambda: LommelSeeliger(asymmetry=1.0), "asymmetry must be -0.99 to 0.99"),
         (lambda: BodyTable(), "shape is missing"),
         (lambda: BodiesParameters(bodies=(BodyTable(shape="a", fixed_to="b"),)), "must be the name of an earlier"),
-        (lambda: BodiesParameters(bodies=(BodyTable(shape="a"),), samples=5), "samples must be .*, got 5"),
+        (lambda: BodiesParameters(bodies=(BodyTable(shape="a"),), samples=9), "samples must be .*, got 9"),
         (lambda: BodiesParameters(bodies=(BodyTable(shape="a"),), ambient_w_m2=math.nan), "ambient_w_m2 .*got nan"),
     ],
 )
