@@ -61,7 +61,8 @@ void main() {
     radiance = light[entry[gl_VertexID]];
     beyond = at.z;
     gl_Position = vec4(zoom * at.xy, at.z - near, at.z + near);  // no farthest plane
-    if (dot(cross(b - a, c - a), a + vec3(0.0, 0.0, near)) >= 0.0 && !from_both) gl_Position = vec4(0.0);  // three equal corners: no facet
+    bool from_front = dot(cross(b - a, c - a), a + vec3(0.0, 0.0, near)) < 0.0;
+    if (!from_front && !from_both) gl_Position = vec4(0.0);  // three equal corners: no facet
 }
 """
 
