@@ -138,7 +138,7 @@ SETTINGS = (
     Setting("exact light, line", with_rate=False),
     Setting("exact light, line, steps x 4", with_rate=False, step_share=4.0),
     Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
-    Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
+    Setting("GL, 8 x 8 samples, line", 8, with_rate=False),
 )
 TERRAIN_SETTINGS = (
     Setting("CPU, as shipped"),
@@ -147,7 +147,7 @@ TERRAIN_SETTINGS = (
     Setting("CPU, 1 part", parts=1),
     Setting("CPU, 4 x 4 parts", parts=4),
     Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
-    Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
+    Setting("GL, 8 x 8 samples, line", 8, with_rate=False),
 )
 
 

@@ -95,15 +95,9 @@ class FacetProgram:
         self._buffers = [context.buffer(reserve=64) for _ in range(5)]
 
     def draw(
-        self,
-        topology: Topology,
-        view: View,
-        zoom: tuple[float, float],
-        depths_m: tuple[float, float],
-        gl: moderngl.Context,
+        self, topology: Topology, view: View, pinhole: Pinhole, near_m: float, far_m: float, gl: moderngl.Context
     ) -> None:
-        """Draw all facets between two depths, then all patches; for `zoom` see `Pinhole.zoom`."""
-        near_m, far_m = depths_m
+        """Draw all facets between two depths, then all patches."""
         facets = int(np.count_nonzero(topology.over < 0))
         sides = np.zeros(-(-len(topology.faces) // 4) * 4, np.uint8)
         sides[: len(topology.faces)] = topology.two_sided
@@ -116,7 +110,7 @@ class FacetProgram:
         )
         for binding, array in enumerate(arrays):
             self._write(binding, array)
-        self._program["zoom"], self._program["near"] = zoom, near_m
+        self._program["zoom"], self._program["near"] = pinhole.zoom, near_m
         self._program["octaves"] = math.log1p((far_m - near_m) / near_m) / math.log(2)
         gl.enable_only(gl.DEPTH_TEST)
         for first, last, lift in ((0, facets, 0.0), (facets, len(topology.faces), _LIFT)):
@@ -165,8 +159,7 @@ class GlBodies(GlScene[BodyWorld]):
         near_m, far_m = (float(ahead_m.min()), float(ahead_m.max())) if len(ahead_m) else (0.5, 1.0)
         # Room for patches, which are nearer than their facets, and for rounding.
         room_m = min(_ROOM * (far_m - near_m) + 2 * LIFT * near_m, _ROOM * near_m)
-        depths_m = near_m - room_m, far_m + room_m
-        render = partial(self._facets.draw, topology, view, self._pinhole.zoom, depths_m)
+        render = partial(self._facets.draw, topology, view, self._pinhole, near_m - room_m, far_m + room_m)
         return render, touched_region(places_m, self._pinhole)
 
 

@@ -149,7 +149,7 @@ class BodiesParameters:
     camera: TrajectoryParameters = field(default_factory=FixedPath)
     sun: Sun = field(default_factory=Sun)
     ambient_w_m2: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
-    samples: Annotated[int, Meta(ge=1, le=8)] = 2
+    samples: Annotated[int, Meta(ge=1, le=8)] = 8
     detail_px: Annotated[float, Meta(ge=0, le=100)] = 0.5
     shadows: bool = True
     time_scale: TimeScale = 1.0
