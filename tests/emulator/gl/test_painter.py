@@ -120,3 +120,15 @@ def test_what_is_compiled_ahead_is_noted_for_each_painter_apart(monkeypatch):
     assert keys == {"scene-bodies-by-cpu", "scene-bodies-by-gl"}
     monkeypatch.setenv(WANTED, "cpu")
     assert {parts_of(rig_by(painter))[0].key for painter in ("cpu", "gl")} == {"scene-bodies-by-cpu"}
+
+
+@pytest.mark.system
+@pytest.mark.gl
+@pytest.mark.parametrize("name", ["rendezvous", "itokawa"])
+def test_gl_draws_the_light_of_the_cpu_s_painter(gl, name):
+    """A panel 14 m away, the shadows on it and the Earth 48 000 km behind it; an asteroid with cut facets."""
+    exact, light = (light_of(rig_by(painter, name))[0] for painter in ("cpu", "gl"))
+    off = np.abs(light - exact) / exact.max()
+    assert light.mean() == pytest.approx(exact.mean(), rel=2e-3)
+    assert np.quantile(off, 0.95) < 0.01
+    assert off.max() < 0.2
