@@ -159,6 +159,7 @@ CAMERA_MODELS: Registry[CameraModel] = Registry(
     CameraModel,
     {
         "davis346": "emulator.cameras.davis346:DAVIS346",
+        "davis240c": "emulator.cameras.davis346:DAVIS240C",
         "dvxplorer": "emulator.cameras.dvxplorer:DVXPLORER",
         "dvxplorer_micro": "emulator.cameras.dvxplorer:DVXPLORER_MICRO",
         "dvxplorer_micro_firmware9": "emulator.cameras.dvxplorer:DVXPLORER_MICRO_FIRMWARE9",

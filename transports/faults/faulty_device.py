@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.davis346.device import PRODUCT_ID
+from firmware_protocol.davis346.model import DAVIS240C, DAVIS346
 from firmware_protocol.device.items import Reading
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.fx3.camera import REGISTER, VENDOR_ID
@@ -126,7 +126,8 @@ class WordPath:
     """Path of the words of one camera through the faults; `front`: words inserted before the next transfer."""
 
     def __init__(self, camera: Identity) -> None:
-        self._has_words = (camera.vendor_id, camera.product_id) == (VENDOR_ID, PRODUCT_ID)
+        words = DAVIS346.product_id, DAVIS240C.product_id
+        self._has_words = camera.vendor_id == VENDOR_ID and camera.product_id in words
         self._survivors: Survivors | None = None
         self._epoch_us = self._next_front = 0
         self.front: list[int] = []
