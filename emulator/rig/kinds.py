@@ -44,7 +44,6 @@ LINKS: Registry[LinkKind[Any]] = Registry(
 )
 """Kinds of links by the name that rigs write."""
 
-
 SCENES: Registry[SceneKind] = Registry(
     "evstim.scenes",
     SceneKind,

@@ -110,7 +110,8 @@ class _DavisReadings(ReadingInput):
 
     def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
         super().__init__(settings.size, registers, fates, has_frames=settings.frames, has_imu=settings.imu_unit != 0)
-        self._size, self._layout, self._shift = settings.size, settings.layout, settings.model.sample_shift
+        self._size, self._layout = settings.size, settings.layout
+        self._shift = settings.model.sample_shift
 
     def follow(self, *, words: bool) -> None:
         self._lines_wait = lines_wait(self._registers)
@@ -197,11 +198,10 @@ class FilterSettings:
             return registers.read(Module.DVS, address)
 
         pairs = [(value(12 + 2 * k), value(11 + 2 * k)) for k in range(_HOT_PIXELS)] if value(10) else []
-        whole = (0, 0, size[0] - 1, size[1] - 1)
         return cls(
             flatten=bool(value(61) & 1),
             suppressed=bool(value(63) & 1) if value(62) & 1 else None,
-            region=(value(41), value(42), value(43), value(44)) if value(40) else whole,
+            region=(value(41), value(42), value(43), value(44)) if value(40) else (0, 0, size[0] - 1, size[1] - 1),
             hot=tuple((x, y) for x, y in pairs if x < size[0] and y < size[1]),
             every=value(52) if value(51) & 1 else None,
         )

@@ -1,4 +1,4 @@
-"""What differs between the cameras of the DAVIS family: one record for each.
+"""Records of the cameras of the DAVIS family: the properties in which one differs from another.
 
     DAVIS346    FX3, 346 x 260, converter on the chip, 37 addresses of biases
     DAVIS240C   FX2, 240 x 180, converter on the board, 22 addresses of biases

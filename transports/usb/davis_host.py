@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.davis346.model import DAVIS240C, DAVIS346, DavisModel
+from firmware_protocol.davis346.model import DAVIS240C, DAVIS346
 from firmware_protocol.davis346.registers import Layout, registers
 from firmware_protocol.fx3.registers import Module, SystemInfo
 from transports.usb.fx3_host import SOURCES_OFF, Entry, Fx3Host, WordDecoder
 
-_STOP: tuple[Entry, ...] = ((Module.DVS, 3, 0), (Module.APS, 4, 0), *SOURCES_OFF)
 _FILTERS_OFF: tuple[Entry, ...] = tuple((Module.DVS, address, 0) for address in (31, 33, 51, 61, 62))
 _START: tuple[Entry, ...] = (
-    (Module.MULTIPLEXER, 3, 1),
-    (Module.USB, 0, 1),
-    (Module.MULTIPLEXER, 1, 1),
-    (Module.MULTIPLEXER, 0, 1),
+    (Module.MULTIPLEXER, 3, 1), (Module.USB, 0, 1), (Module.MULTIPLEXER, 1, 1), (Module.MULTIPLEXER, 0, 1),
     (Module.DVS, 3, 1),
-)
+)  # fmt: skip
 
 
 class DavisHost(Fx3Host):
@@ -26,11 +20,11 @@ class DavisHost(Fx3Host):
 
     model = "DAVIS346"
     family = "DAVIS"
-    chip: ClassVar[DavisModel] = DAVIS346
+    chip = DAVIS346
     product = DAVIS346.product_id
     firmware = 6
     patch = 1
-    stop_writes = _STOP
+    stop_writes = (Module.DVS, 3, 0), (Module.APS, 4, 0), *SOURCES_OFF
     start_writes = _START
 
     def _new_decoder(self) -> WordDecoder:

@@ -205,7 +205,7 @@ def test_every_source_runs_with_the_registers_that_drivers_write():
 
 @pytest.mark.parametrize("wrong", [{"layout": Layout.TURNED}, {"activity_filter": True}, {"imu_unit": 2}])
 def test_settings_that_it_cannot_have_are_refused(wrong):
-    with pytest.raises(ValueError, match="layout must be upright|no filters of activity|imu_unit 2"):
+    with pytest.raises(ValueError, match=r"layout must be upright|no filters of activity|imu_unit 2"):
         Davis240cSettings(**wrong)
 
 
