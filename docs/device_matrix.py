@@ -162,6 +162,7 @@ CAMERAS = {
 
 TABLES = (
     ("davis346",),
+    ("davis240c",),
     ("evk4",),
     ("silkyevcam_hd", "silkyevcam_hd_lite", "ueye_xcp_e", "ueye_xls_e", "evk3_hd"),
     ("dvxplorer",),
