@@ -110,6 +110,7 @@ CAMERAS = {
             "see [drivers](cameras.md#changed-while-streaming)",
         },
     ),
+    "davis240c": Camera("DAVIS240C", ("dv2", "dv1", "libcaer")),
     "evk4": Camera("Prophesee EVK4 HD", ("nd", "eventcv", "openeb"), lacks=_IMX636_LACKS),
     "silkyevcam_hd": Camera("CenturyArks SilkyEvCam HD", ("nd", "openeb"), _IMX636_LACKS, remarks=_SILKY_AND_IDS),
     "silkyevcam_hd_lite": Camera(
@@ -161,6 +162,7 @@ CAMERAS = {
 
 TABLES = (
     ("davis346",),
+    ("davis240c",),
     ("evk4",),
     ("silkyevcam_hd", "silkyevcam_hd_lite", "ueye_xcp_e", "ueye_xls_e", "evk3_hd"),
     ("dvxplorer",),

@@ -75,6 +75,7 @@ GALLERY: dict[str, tuple[Shot, ...]] = {
     ),
     "Stars": (
         Shot("stars", 3.0, 400.0, fps=5, white=1.0),
+        Shot("stars-davis240c", 3.0, 400.0, fps=5, white=1.0),
         Shot("stars-evk4", 3.0, 200.0, fps=5, white=1.0),
         Shot("stars-genx320", 3.0, 400.0, fps=5, white=1.0),
         Shot("stars-dvxplorer", 3.0, 400.0, fps=5, white=1.0),

@@ -1,15 +1,18 @@
-"""Records of a DAVIS346, and of an ideal sensor with its USB device."""
+"""Records of a DAVIS346, of an ideal sensor with its USB device, and of a DAVIS240C."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from emulator.optics.lens import Chip
 from emulator.rig.kinds import IMU_UNITS, CameraKernels, CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346 import DAVIS240C as _DAVIS240C
+from firmware_protocol.davis346 import Davis240c, Davis240cSettings, Davis346, Davis346Settings, Layout
 from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
@@ -46,8 +49,40 @@ def _kernels(camera: Camera) -> tuple[CameraKernels, ...]:
 
 
 _USB = UsbModel((346, 260), _device, kernels=_kernels, imu_units=_IMU_UNITS)
+
+
+def _device_240c(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    settings = Davis240cSettings(
+        serial=camera.serial,
+        size=camera.size,
+        layout=Layout[camera.layout.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
+        frames=camera.frames is not None,
+        activity_filter=camera.activity_filter,
+        pulse_us=usb.pulse_us,
+    )
+    system = dataclasses.replace(settings.system, timestamp_master=usb.is_master)
+    return partial(Davis240c, dataclasses.replace(settings, system=system))
+
+
+def _biases_240c(camera: Camera) -> Any:
+    from firmware_protocol.instrument.settings import DavisBiases
+
+    return DavisBiases(_DAVIS240C)
+
+
 _CHIP = Chip(18.5, 0.22, 0.24)
-"""Pitch as in its data sheet; fill factor and efficiency of a front-illuminated chip are estimates."""
+"""Pitch of both chips as in their data sheets; fill factor as published for a DAVIS240; the efficiency of a
+front-illuminated chip is an estimate."""
 
 DAVIS346 = CameraModel("davis346", PRESETS["davis346"], _CHIP, _USB)
 IDEAL = CameraModel("ideal", PRESETS["ideal"], _CHIP, _USB)
+DAVIS240C = CameraModel(
+    "davis240c",
+    PRESETS["davis240c"],
+    _CHIP,
+    UsbModel(_DAVIS240C.size, _device_240c, imu_units=("mpu_6050",)),
+    commanded_biases=_biases_240c,
+)

@@ -44,7 +44,6 @@ LINKS: Registry[LinkKind[Any]] = Registry(
 )
 """Kinds of links by the name that rigs write."""
 
-
 SCENES: Registry[SceneKind] = Registry(
     "evstim.scenes",
     SceneKind,
@@ -159,6 +158,7 @@ CAMERA_MODELS: Registry[CameraModel] = Registry(
     CameraModel,
     {
         "davis346": "emulator.cameras.davis346:DAVIS346",
+        "davis240c": "emulator.cameras.davis346:DAVIS240C",
         "dvxplorer": "emulator.cameras.dvxplorer:DVXPLORER",
         "dvxplorer_micro": "emulator.cameras.dvxplorer:DVXPLORER_MICRO",
         "dvxplorer_micro_firmware9": "emulator.cameras.dvxplorer:DVXPLORER_MICRO_FIRMWARE9",

@@ -32,7 +32,7 @@ class Camera:
     ----------
     model : name of a camera: its sensor's size, pixels and read-out, and its connector.
     serial : serial number that the host reads, up to 8 characters; of Prophesee's cameras on USB, hexadecimal digits.
-    speed : USB speed.
+    speed : USB speed; a DAVIS240C has high speed in any case.
     layout : orientation of a DAVIS346's chip: "turned" as in the hardware, where row words carry x. Drivers turn it
         back.
     fifo_bytes
@@ -43,9 +43,9 @@ class Camera:
     preset : preset of another unit of the same chip, such as "imx636_quiet" for an EVK4; without it, the model's own.
     sensor : sensor parameters that differ from the preset.
     clock : the camera's own clock; without it the camera shows stream time.
-    imu : its inertial unit, of a DAVIS346 or a DVXplorer; without the table it has none.
+    imu : its inertial unit, of a DAVIS or a DVXplorer; without the table it has none.
     lens : for scenes in units of radiance; the others bring their own light.
-    frames : the active pixels of a DAVIS346: with this table the camera takes frames when its host requests them.
+    frames : the active pixels of a DAVIS: with this table the camera takes frames when its host requests them.
     bias_slopes : effect of a step of each bias of an IMX636 (model "evk4", "triton2", "imx636") or a GenX320
         ("genx320"); without it, the defaults; those of a GenX320 are in its page.
     """

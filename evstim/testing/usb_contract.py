@@ -8,7 +8,7 @@ one of them finds the same camera at the others. Subclass and let pytest collect
             bus = FakeUsbBus(device, self.camera.settings.descriptors())
             return Plugged(PyusbHost.find(0x152A, self.camera.product, bus, timeout_s), bus.call)
 
-The camera is a DAVIS346; `camera = DVXPLORER` in the class makes it a DVXplorer, DVXPLORER_MICRO one with a CX3.
+The camera is a DAVIS346; `camera = DVXPLORER` in the class selects another, likewise DVXPLORER_MICRO and DAVIS240C.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from evstim.testing.link_contract import event_stream
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346 import Davis240c, Davis240cSettings, Davis346, Davis346Settings
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.events import Events
 from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings
@@ -30,7 +30,7 @@ from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, UsbStall
-from transports.usb.davis_host import DavisHost
+from transports.usb.davis_host import Davis240cHost, DavisHost
 from transports.usb.dvxplorer_host import DvxplorerHost, MicroHost
 from transports.usb.fx3_host import Fx3Host
 from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
@@ -41,11 +41,11 @@ _PATIENCE_S = 120.0
 _IMPATIENCE_S = 0.3
 _ATTEMPTS = 200
 _EVENTS = 5000
+_SIZE = 240, 180  # of the smallest camera
 _DEVICE_DESCRIPTOR = SetupPacket(0x80, 6, 0x0100, 0, 18)
 _LOGIC_VERSION = SetupPacket(0xC0, 0xBF, 6, 0, 4)
 _UNKNOWN = SetupPacket(0xC0, 0x55, 0, 0, 4)
-_DELAY = 9, 1  # module and address of the early packet delay, in cycles of 80 MHz
-_POWER_ON_DELAY = (80_000).to_bytes(4, "big")
+_DELAY = 9, 1  # module and address of the early packet delay of 1 ms, in cycles of the USB clock
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,7 @@ class ContractCamera:
 
 _SERIAL = "00000042"
 DAVIS346 = ContractCamera(Davis346Settings(serial=_SERIAL, start_delay_us=0), Davis346, DavisHost, 5)
+DAVIS240C = ContractCamera(Davis240cSettings(serial=_SERIAL, start_delay_us=0), Davis240c, Davis240cHost, 2)
 DVXPLORER = ContractCamera(DvxplorerSettings(serial=_SERIAL, start_delay_us=0), Dvxplorer, DvxplorerHost, 20)
 _MICRO = DvxplorerMicroSettings(serial=_SERIAL, start_delay_us=0, bcd_device=0x0409, has_frames=False)
 DVXPLORER_MICRO = ContractCamera(_MICRO, DvxplorerMicro, MicroHost, 20)
@@ -143,18 +144,16 @@ class UsbContract:
         """One at a time, and several with one request."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             host.configure()
-            sent = host.control_out(SetupPacket(0x40, 0xBF, *_DELAY, 4), bytes((0, 0, 1, 2)))
-            assert sent == 4
-            entries = bytes((4, 13, 0, 0, 0, 7, 4, 14, 0, 0, 0, 9))
+            assert host.control_out(SetupPacket(0x40, 0xBF, *_DELAY, 4), bytes((0, 0, 1, 2))) == 4
+            entries = bytes((4, 5, 0, 0, 0, 7, 4, 1, 0, 0, 0, 1))
             assert host.control_out(SetupPacket(0x40, 0xC2, 2, 0, 12), entries) == 12
-            read = [
-                host.control_in(SetupPacket(0xC0, 0xBF, *register, 4))[-2:] for register in (_DELAY, (4, 13), (4, 14))
-            ]
-            assert read == [b"\1\2", b"\0\7", b"\0\x09"]
+            keys = (_DELAY, (4, 5), (4, 1))
+            read = [host.control_in(SetupPacket(0xC0, 0xBF, *register, 4))[-2:] for register in keys]
+            assert read == [b"\1\2", b"\0\7", b"\0\1"]
 
     def test_every_event_arrives_in_order(self, model: Fx3Camera) -> None:
         """None is lost where nothing forces it, and each counts as delivered."""
-        plugged, sent = self.plug(model, _PATIENCE_S), event_stream(_EVENTS)
+        plugged, sent = self.plug(model, _PATIENCE_S), event_stream(_EVENTS, size=_SIZE)
         camera = self.camera.driver(plugged.host)
         camera.start(StreamSettings(transfer_bytes=2048, transfers=4, reset_timestamps=False))
         plugged.call(_show, model, sent)
@@ -181,9 +180,10 @@ class UsbContract:
         first.host.control_out(SetupPacket(0x40, 0xBF, *_DELAY, 4), bytes((0, 0, 0, 99)))
         first.host.close()
         second = self.plug(model, _PATIENCE_S)
-        second.call(_show, model, event_stream(10))
+        second.call(_show, model, event_stream(10, size=_SIZE))
         with closing(second.host) as host:
-            assert host.control_in(SetupPacket(0xC0, 0xBF, *_DELAY, 4)) == _POWER_ON_DELAY
+            cycles = int.from_bytes(host.control_in(SetupPacket(0xC0, 0xBF, *_DELAY, 4)), "big")
+            assert cycles == 1000 * self.camera.settings.system.usb_clock_mhz
         assert model.counters.not_running == 10
 
     def test_a_halt_lasts_until_it_is_cleared(self, faulty: FaultyDevice) -> None:
@@ -225,7 +225,7 @@ class UsbContract:
 
     def test_transfers_of_any_length_carry_the_same_events(self, model: Fx3Camera, faulty: FaultyDevice) -> None:
         """A decoder must not count on full buffers."""
-        plugged, sent = self.plug(faulty, _PATIENCE_S), event_stream(100)
+        plugged, sent = self.plug(faulty, _PATIENCE_S), event_stream(100, size=_SIZE)
         plugged.call(faulty.inject, ShortTransfers(for_s=10.0, most_bytes=6))
         camera = self.camera.driver(plugged.host)
         camera.start(StreamSettings(transfer_bytes=512, transfers=4, reset_timestamps=False))

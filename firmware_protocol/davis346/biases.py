@@ -1,4 +1,4 @@
-"""The DAVIS346's biases and chip parameters: format of the 16-bit words in module 5, defaults, and effect on pixels.
+"""The biases of the DAVIS family: format of the 16-bit words in module 5, defaults, and effect on pixels.
 
     coarse-fine     14..12 coarse 0-7   11..4 fine 0-255   3 current level normal   2 type normal (0 = cascode)
                     1 sex N   0 enabled
@@ -25,7 +25,7 @@ Source: jAER's formulas for DAVIS biases, which cite IEEE 7962235; the currents 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -154,8 +154,10 @@ class BiasDefinition:
         return self.default.parse(word)
 
 
-def _n(address: int, name: str, coarse: int, fine: int, enabled: bool = True) -> BiasDefinition:
-    return BiasDefinition(address, name, CoarseFine(coarse, fine, enabled=enabled))
+def _n(
+    address: int, name: str, coarse: int, fine: int, *, enabled: bool = True, cascode: bool = False
+) -> BiasDefinition:
+    return BiasDefinition(address, name, CoarseFine(coarse, fine, enabled=enabled, cascode=cascode))
 
 
 def _p(address: int, name: str, coarse: int, fine: int) -> BiasDefinition:
@@ -193,31 +195,60 @@ BIASES: tuple[BiasDefinition, ...] = (
     BiasDefinition(36, "SSN", ShiftedSource(ref=1, reg=33)),
 )
 
+DAVIS240_BIASES: tuple[BiasDefinition, ...] = (
+    _n(0, "DiffBn", 4, 39),
+    _n(1, "OnBn", 5, 255),
+    _n(2, "OffBn", 4, 0),
+    _n(3, "ApsCasEpc", 5, 185, cascode=True),
+    _n(4, "DiffCasBnc", 5, 115, cascode=True),
+    _n(5, "ApsROSFBn", 6, 219),
+    _n(6, "LocalBufBn", 5, 164),
+    _n(7, "PixInvBn", 6, 144),
+    _p(8, "PrBp", 2, 58),
+    _p(9, "PrSFBp", 1, 16),
+    _p(10, "RefrBp", 4, 25),
+    _n(11, "AEPdBn", 6, 91),
+    _n(12, "LColTimeoutBn", 5, 49),
+    _p(13, "AEPuXBp", 4, 80),
+    _p(14, "AEPuYBp", 7, 152),
+    _n(15, "IFThrBn", 5, 255),
+    _n(16, "IFRefrBn", 5, 255),
+    _n(17, "PadFollBn", 7, 215),
+    _n(18, "ApsOverflowLevelBn", 6, 253),
+    _n(19, "BiasBuffer", 5, 254),
+    BiasDefinition(20, "SSP", ShiftedSource(ref=1, reg=33)),
+    BiasDefinition(21, "SSN", ShiftedSource(ref=1, reg=33)),
+)
 
-_ADDRESSES = {bias.name: bias.address for bias in BIASES}
-_DEFAULTS = {bias.address: int(bias.default) for bias in BIASES}
 
+def sensor_factors(
+    words: Mapping[int, int], biases: Sequence[BiasDefinition] = BIASES, *, least_fine: float = 0.0
+) -> dict[str, float]:
+    """Return the factors by sensor parameter, for bias words by their number in module 5.
 
-def sensor_factors(words: Mapping[int, int]) -> dict[str, float]:
-    """Return the factors by sensor parameter, for bias words by their number in module 5."""
-    now, then = _figures(words), _figures(_DEFAULTS)
+    `biases`: those of the camera; `least_fine`: fine value that stands for 0.
+    """
+    now = _figures({bias.name: words[bias.address] for bias in biases}, least_fine)
+    then = _figures({bias.name: int(bias.default) for bias in biases}, least_fine)
     return {name: min(max(now[name] / then[name], LEAST_FACTOR), MOST_FACTOR) for name in now}
 
 
-def _figures(words: Mapping[int, int]) -> dict[str, float]:
-    on, off, diff = (_current_a(words, name) for name in ("OnBn", "OffBn", "DiffBn"))
-    refractory = _current_a(words, "RefrBp")
+def _figures(words: Mapping[str, int], least_fine: float) -> dict[str, float]:
+    """Return the parameters, each but for a factor, for bias words by name."""
+
+    def current_a(name: str) -> float:
+        source = CoarseFine.parse(words[name])
+        return source.current_a or source.enabled * _FULL_SCALE_A[source.coarse] * least_fine / 255
+
+    on, off, diff = (current_a(name) for name in ("OnBn", "OffBn", "DiffBn"))
+    refractory = current_a("RefrBp")
     return {
         "threshold_on": _log_ratio(on, diff),
         "threshold_off": _log_ratio(diff, off),
         "refractory_us": math.inf if refractory == 0 else 1 / refractory,
-        "corner_max_hz": _current_a(words, "PrBp"),
-        "source_follower_hz": _current_a(words, "PrSFBp"),
+        "corner_max_hz": current_a("PrBp"),
+        "source_follower_hz": current_a("PrSFBp"),
     }
-
-
-def _current_a(words: Mapping[int, int], name: str) -> float:
-    return CoarseFine.parse(words[_ADDRESSES[name]]).current_a
 
 
 def _log_ratio(above: float, below: float) -> float:

@@ -72,6 +72,7 @@ class FrameReader:
     Parameters
     ----------
     turned : True if a line of the stream is a row of the image; else it is a column.
+    shift : bits by which samples are shifted up, as libcaer does for a DAVIS240.
 
     Attributes
     ----------
@@ -79,8 +80,8 @@ class FrameReader:
     resets : timestamp resets so far.
     """
 
-    def __init__(self, turned: bool = False) -> None:
-        self._turned = turned
+    def __init__(self, turned: bool = False, shift: int = 0) -> None:
+        self._turned, self._shift = turned, shift
         self._open: _Open | None = None
         self.incomplete = self.resets = 0
 
@@ -127,7 +128,7 @@ class FrameReader:
         if self._open is None or not len(words):
             return
         if self._open.line is not None:
-            self._open.line.append(words[words & KIND == APS_SAMPLE] & 0xFFF)
+            self._open.line.append((words[words & KIND == APS_SAMPLE] & 0xFFF) << self._shift)
         elif not self._open.lines[Special.RESET_COLUMN]:
             self._head(words)
 
@@ -183,15 +184,16 @@ class Decoder:
     ----------
     size : (width, height) in user coordinates.
     turned : True if row words carry x and column words y (invert bit of the orientation register).
+    sample_shift : bits by which samples of frames are shifted up.
     """
 
-    def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
+    def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False, sample_shift: int = 0) -> None:
         self._columns, self._rows = (size[1], size[0]) if turned else size
         self._turned = turned
         self._odd = b""
         self.time_us = 0  # of the last timestamp or wrap
         self.row = 0  # of the last row word
-        self._frames = FrameReader(turned)
+        self._frames = FrameReader(turned, sample_shift)
         self._imu = ImuReader()
         self.faults = WordFaults()
 

@@ -1,4 +1,4 @@
-"""USB device model of a DAVIS346; `fx3.camera` describes its requests and its run gate.
+"""USB device model of a DAVIS346 and of a DAVIS240C (see `model`); `fx3.camera` describes requests and run gate.
 
 The DVS module's filters between run gate and encoder, in the order of the published logic, and its statistics.
 
@@ -25,25 +25,27 @@ Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.biases import BIASES, sensor_factors
+from firmware_protocol.davis346.biases import sensor_factors
+from firmware_protocol.davis346.model import DAVIS240C, DAVIS346, DavisModel
 from firmware_protocol.davis346.registers import Layout, Statistic, frame_settings, imu_settings, lines_wait, registers
 from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts, Fates
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Events
 from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings, Parts
 from firmware_protocol.fx3.inputs import ReadingInput
-from firmware_protocol.fx3.registers import Module, Register, RegisterFile, Statistics
+from firmware_protocol.fx3.registers import Module, Register, RegisterFile, Statistics, SystemInfo
 from firmware_protocol.fx3.stream import EventStream, Fifo
-
-PRODUCT_ID = 0x841A
+from firmware_protocol.fx3.words import Block
+from firmware_protocol.usb.descriptors import Speed
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ class Davis346Settings(Fx3Settings):
     activity_filter : True if it has the filters of background activity and refractory period.
     """
 
-    product_id: ClassVar[int] = PRODUCT_ID
+    model: ClassVar[DavisModel] = DAVIS346
+    product_id: ClassVar[int] = DAVIS346.product_id
     imu_units: ClassVar[tuple[int, ...]] = (1, 2)
 
     bcd_device: int = 0x0206
@@ -71,20 +74,60 @@ class Davis346Settings(Fx3Settings):
 
     def registers(self) -> Iterator[Register]:
         """Yield its registers."""
-        return registers(self.size, self.layout, self.system, self.imu_unit, activity_filter=self.activity_filter)
+        return registers(
+            self.size, self.layout, self.system, self.imu_unit, activity_filter=self.activity_filter, model=self.model
+        )
+
+
+@dataclass(frozen=True)
+class Davis240cSettings(Davis346Settings):
+    """Settings of a DAVIS240C; low byte of `bcd_device`: firmware version 4, high byte 0: an FX2."""
+
+    model: ClassVar[DavisModel] = DAVIS240C
+    product_id: ClassVar[int] = DAVIS240C.product_id
+    imu_units: ClassVar[tuple[int, ...]] = (1,)
+    bcd_usb: ClassVar[int] = 0x0200
+    has_debug_endpoint: ClassVar[bool] = False
+
+    bcd_device: int = 0x0004
+    size: tuple[int, int] = DAVIS240C.size
+    speed: Speed = Speed.HIGH
+    system: SystemInfo = field(
+        default_factory=lambda: SystemInfo(chip_id=2, logic_clock_mhz=90, adc_clock_mhz=30, usb_clock_mhz=30)
+    )
+    product: str = "DAViS FX2"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.layout.turned:
+            raise ValueError("the chip of a DAVIS240C is mounted upright: layout must be upright")
+        if self.activity_filter:
+            raise ValueError("a DAVIS240C has no filters of activity: activity_filter must be false")
 
 
 class _DavisReadings(ReadingInput):
-    """Frames and inertial samples of a DAVIS346."""
+    """Frames and inertial samples of a DAVIS."""
 
     def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
         super().__init__(settings.size, registers, fates, has_frames=settings.frames, has_imu=settings.imu_unit != 0)
         self._size, self._layout = settings.size, settings.layout
+        self._shift = settings.model.sample_shift
 
     def follow(self, *, words: bool) -> None:
         self._lines_wait = lines_wait(self._registers)
         self._frames = frame_settings(self._registers, self._size, self._layout, words=words)
         self._imu = imu_settings(self._registers, words=words)
+
+    def _blocks_of(self, kind: ReadingKind, readings: Readings) -> list[Block]:
+        """Return readings as blocks: words of samples without their low bits, readings as hosts restore them."""
+        if kind is not ReadingKind.FRAMES or not self._shift:
+            return super()._blocks_of(kind, readings)
+        sent = readings.copy()
+        sent["samples"] >>= self._shift
+        blocks = super()._blocks_of(kind, sent)
+        for block in blocks:
+            block.reading.record["samples"] <<= self._shift
+        return blocks
 
 
 class Davis346(Fx3Camera):
@@ -103,7 +146,16 @@ class Davis346(Fx3Camera):
         return Parts(stream, filters, readings, DavisStatistics(self, stream, filters))
 
     def _factors_of_biases(self) -> Mapping[str, float]:
-        return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})
+        model = self.settings.model
+        words = {bias.address: self._registers.read(Module.BIAS, bias.address) for bias in model.biases}
+        return sensor_factors(words, model.biases, least_fine=model.least_fine)
+
+
+class Davis240c(Davis346):
+    """The same device with the records of a DAVIS240C."""
+
+    def __init__(self, settings: Davis240cSettings | None = None) -> None:
+        super().__init__(settings or Davis240cSettings())
 
 
 if TYPE_CHECKING:
@@ -117,7 +169,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """Filter settings in the registers.
+    """Filter settings in the registers; a filter that the camera has not lets all events pass.
 
     Attributes
     ----------
@@ -145,11 +197,11 @@ class FilterSettings:
         def value(address: int) -> int:
             return registers.read(Module.DVS, address)
 
-        pairs = [(value(12 + 2 * k), value(11 + 2 * k)) for k in range(_HOT_PIXELS)]
+        pairs = [(value(12 + 2 * k), value(11 + 2 * k)) for k in range(_HOT_PIXELS)] if value(10) else []
         return cls(
             flatten=bool(value(61) & 1),
             suppressed=bool(value(63) & 1) if value(62) & 1 else None,
-            region=(value(41), value(42), value(43), value(44)),
+            region=(value(41), value(42), value(43), value(44)) if value(40) else (0, 0, size[0] - 1, size[1] - 1),
             hot=tuple((x, y) for x, y in pairs if x < size[0] and y < size[1]),
             every=value(52) if value(51) & 1 else None,
         )

@@ -1,4 +1,4 @@
-"""The DAVIS346's registers, as declared data, and the settings that they hold; `fx3.registers` has those of all models.
+"""The registers of the DAVIS family as declared data, and their settings; `fx3.registers` has those of all models.
 
 Source: libcaer 3.3.15 (davis.h), neuromorphic-drivers 0.16.1, register traffic of three drivers. Widths are those of
 the published logic's configuration records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with these
@@ -33,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from enum import Enum
 
-from firmware_protocol.davis346.biases import BIASES
+from firmware_protocol.davis346.model import DAVIS346, DavisModel
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.fx3.registers import (
     Access,
@@ -120,20 +120,6 @@ _IMU: Rows = (
     (10, "GYROSCOPE_FULL_SCALE", 1, 2),
 )
 
-_CHIP: Rows = (
-    *((128 + k, f"DIGITAL_MUX_{k}", 0, 4) for k in range(4)),
-    *((132 + k, f"ANALOG_MUX_{k}", 0, 4) for k in range(3)),
-    (135, "BIAS_MUX_0", 0, 4),
-    (136, "RESET_CALIB_NEURON", 1),
-    (137, "TYPE_N_CALIB_NEURON", 0),
-    (138, "RESET_TEST_PIXEL", 1),
-    (140, "AER_N_AROW", 0),
-    (141, "USE_AOUT", 0),
-    (142, "GLOBAL_SHUTTER", 1),
-    (143, "SELECT_GRAY_COUNTER", 1),
-    (144, "TEST_ADC", 0),
-)
-
 
 def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
     """Sizes in the chip's frame (read only); regions and hot pixels in the user's."""
@@ -160,9 +146,27 @@ def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
 
 
 def registers(
-    size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit: int = 0, *, activity_filter: bool = False
+    size: tuple[int, int],
+    layout: Layout,
+    info: SystemInfo,
+    imu_unit: int = 0,
+    *,
+    activity_filter: bool = False,
+    model: DavisModel = DAVIS346,
 ) -> Iterator[Register]:
     """Yield every register of a camera with a (width, height) array; `imu_unit`: 0 none, 1 MPU-6050, 2 MPU-9250."""
+    for register in _of_the_family(size, layout, info, imu_unit, activity_filter):
+        if model.has(register.module, register.address):
+            yield register
+    for bias in model.biases:
+        yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default), bits=bias.bits)
+    yield from declare(Module.BIAS, model.chip)
+
+
+def _of_the_family(
+    size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit: int, activity_filter: bool
+) -> Iterator[Register]:
+    """Yield the registers other than those of module 5."""
     fixed = Access.READ_ONLY
     adc = info.adc_clock_mhz
     times: Rows = (
@@ -178,9 +182,6 @@ def registers(
     yield from declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
     yield from declare(Module.APS, times, note="ADC clock cycles")
     yield from declare(Module.IMU, _IMU)
-    for bias in BIASES:
-        yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default), bits=bias.bits)
-    yield from declare(Module.BIAS, _CHIP)
 
 
 _RUN = 4

@@ -67,6 +67,7 @@ from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (
     BULK_PACKET,
     OTHER_SPEED,
+    Bos,
     Configuration,
     DescriptorSet,
     DeviceDescriptor,
@@ -105,10 +106,14 @@ class Fx3Settings(UsbCameraSettings):
     pulse_us : length of a pulse on the external input (an EDGE of kind PULSE).
     imu_unit : its inertial unit, by the numbers of `imu_samples`; 0: none.
     frames : True if it takes frames; if not, its host may request them and gets none.
+    bcd_usb : version of USB in its descriptor, where it is not that of its speed; below 2.1 there is no BOS.
+    has_debug_endpoint : whether there is endpoint 0x81.
     """
 
     product_id: ClassVar[int]
     imu_units: ClassVar[tuple[int, ...]]
+    bcd_usb: ClassVar[int | None] = None
+    has_debug_endpoint: ClassVar[bool] = True
 
     size: tuple[int, int] = (0, 0)
     pulse_us: int = 100
@@ -141,19 +146,17 @@ class Fx3Settings(UsbCameraSettings):
         """Return all descriptors at the camera's speed."""
         other = OTHER_SPEED.get(self.speed)
         return DescriptorSet(
-            device=DeviceDescriptor(self.speed, VENDOR_ID, self.product_id, self.bcd_device),
-            configuration=_configuration(self.speed),
+            device=DeviceDescriptor(self.speed, VENDOR_ID, self.product_id, self.bcd_device, bcd_usb=self.bcd_usb),
+            configuration=self._configuration(self.speed),
+            bos=Bos() if self.bcd_usb is None else None,
             strings={1: self.manufacturer, 2: self.product, 3: self.serial},
-            other_speed=_configuration(other) if other else None,
+            other_speed=self._configuration(other) if other else None,
         )
 
-
-def _configuration(speed: Speed) -> Configuration:
-    debug = Endpoint(
-        DEBUG_ENDPOINT, TransferType.INTERRUPT, max_packet=64, interval=_DEBUG_INTERVAL[speed], bytes_per_interval=64
-    )
-    data = Endpoint(DATA_ENDPOINT, TransferType.BULK, max_packet=BULK_PACKET[speed], burst=7)
-    return Configuration(speed, (Interface((debug, data)),))
+    def _configuration(self, speed: Speed) -> Configuration:
+        debug = Endpoint(DEBUG_ENDPOINT, TransferType.INTERRUPT, 64, _DEBUG_INTERVAL[speed], bytes_per_interval=64)
+        data = Endpoint(DATA_ENDPOINT, TransferType.BULK, max_packet=BULK_PACKET[speed], burst=7)
+        return Configuration(speed, (Interface((debug, data) if self.has_debug_endpoint else (data,)),))
 
 
 REGISTER = 0xBF

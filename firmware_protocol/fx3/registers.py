@@ -181,10 +181,11 @@ class RegisterFile:
             self._values[module, address] = register.stored_bits(value)
 
     def count(self, statistic: Enum, value: int) -> None:
-        """Set a 64-bit counter, whose value is its (module, address), as the logic does."""
+        """Set a 64-bit counter, whose value is its (module, address), as the logic does; ignored if there is none."""
         module, upper = statistic.value
-        self._values[module, upper] = value >> 32 & 0xFFFFFFFF
-        self._values[module, upper + 1] = value & 0xFFFFFFFF
+        if (module, upper) in self._declared:
+            self._values[module, upper] = value >> 32 & 0xFFFFFFFF
+            self._values[module, upper + 1] = value & 0xFFFFFFFF
 
 
 @dataclass(frozen=True)

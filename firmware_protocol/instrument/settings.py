@@ -2,7 +2,7 @@
 
 Telecommands set biases by number:
 
-DAVIS346    number of the bias in module 5, value its word
+DAVIS346    number of the bias in module 5, value its word; so with a DAVIS240C, which has numbers of its own
 IMX636      number of its register after 1000, in steps of four octets: 1 fo, 3 hpf, 4 diff_on, 5 diff, 6 diff_off,
 8 refr; value its current, 0 to 255
 """
@@ -16,8 +16,8 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from firmware_protocol.bounds import check_bounds
-from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
 from firmware_protocol.davis346.biases import sensor_factors
+from firmware_protocol.davis346.model import DAVIS346, DavisModel
 from firmware_protocol.imx636.registers import BIASES as IMX_BIASES
 from firmware_protocol.instrument.queue import Policy, QueueBounds, Selection
 from firmware_protocol.prophesee.biases import BiasModel
@@ -82,7 +82,7 @@ _IMX_NUMBERS = {(address - _FIRST) // _STEP: name for name, (address, _) in IMX_
 
 
 class DavisBiases:
-    """Biases of a DAVIS346.
+    """Biases of a DAVIS346, or of another model of its family.
 
     Attributes
     ----------
@@ -90,8 +90,9 @@ class DavisBiases:
     factors, without_effect : factors of the pixels by the biases, and biases without an effect, each with the reason.
     """
 
-    def __init__(self) -> None:
-        self.values = {bias.address: int(bias.default) for bias in DAVIS_BIASES}
+    def __init__(self, model: DavisModel = DAVIS346) -> None:
+        self._model = model
+        self.values = {bias.address: int(bias.default) for bias in model.biases}
         self.factors: Mapping[str, float] = {}
         self.without_effect: Mapping[str, str] = {}
 
@@ -100,7 +101,7 @@ class DavisBiases:
         if number not in self.values:
             raise ValueError(f"there is no bias {number}")
         self.values[number] = value
-        self.factors = sensor_factors(self.values)
+        self.factors = sensor_factors(self.values, self._model.biases, least_fine=self._model.least_fine)
 
 
 class Imx636Biases:

@@ -149,7 +149,10 @@ _MAX_PACKET_0 = {Speed.SUPER: 9, Speed.HIGH: 64, Speed.FULL: 64}
 
 @dataclass(frozen=True)
 class DeviceDescriptor:
-    """Device descriptor. `strings` holds the string indices of manufacturer, product and serial number (0 = none)."""
+    """Device descriptor. `strings` holds the string indices of manufacturer, product and serial number (0 = none).
+
+    `bcd_usb`: version of USB, for a device that does not have the one of its speed.
+    """
 
     speed: Speed
     vendor_id: int
@@ -157,20 +160,22 @@ class DeviceDescriptor:
     bcd_device: int
     device_class: tuple[int, int, int] = (0, 0, 0)
     strings: tuple[int, int, int] = (1, 2, 3)
+    bcd_usb: int | None = None
 
     def __post_init__(self) -> None:
         if self.speed not in _BCD_USB:
             raise ValueError(f"a device at {self.speed.name} speed is not supported; use FULL, HIGH or SUPER")
 
     def __bytes__(self) -> bytes:
-        head = struct.pack("<H4B", _BCD_USB[self.speed], *self.device_class, _MAX_PACKET_0[self.speed])
+        head = struct.pack("<H4B", self.bcd_usb or _BCD_USB[self.speed], *self.device_class, _MAX_PACKET_0[self.speed])
         ids = struct.pack("<HHH", self.vendor_id, self.product_id, self.bcd_device)
         return _sized(DescriptorType.DEVICE, head + ids + bytes((*self.strings, 1)))
 
     @property
     def qualifier(self) -> bytes:
         """Device qualifier of a USB 2 device: its properties at the other of full and high speed."""
-        body = struct.pack("<H6B", _BCD_USB[Speed.HIGH], *self.device_class, _MAX_PACKET_0[Speed.HIGH], 1, 0)
+        version = self.bcd_usb or _BCD_USB[Speed.HIGH]
+        body = struct.pack("<H6B", version, *self.device_class, _MAX_PACKET_0[Speed.HIGH], 1, 0)
         return _sized(DescriptorType.DEVICE_QUALIFIER, body)
 
 

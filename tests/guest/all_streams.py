@@ -10,7 +10,7 @@ from tests.guest.environments import Driver
 from tests.guest.running_rig import Delivered
 from tests.guest.streaming import Seen
 
-__all__ = ["ASKED", "FREE", "STREAMS", "assert_same_frames", "assert_same_streams", "place_of"]
+__all__ = ["ASKED", "FREE", "STREAMS", "STREAMS_240C", "assert_same_frames", "assert_same_streams", "place_of"]
 
 ASKED = ("--imu", "--frames", "--triggers")
 FREE = """
@@ -34,6 +34,7 @@ pulse_us = 300
 latency_us = 37
 jitter_us = 5
 """
+STREAMS_240C = STREAMS.replace("[camera.imu]", '[camera.imu]\nunit = "mpu_6050"')
 COLUMNS = [f"accelerometer_{a}" for a in "xyz"] + ["temperature"] + [f"gyroscope_{a}" for a in "xyz"]
 KNOWN_PLACE = 100  # events that no other part of a stream repeats
 

@@ -10,9 +10,10 @@ from typing import Any
 
 from tests.guest.machine import HOST_ADDRESS, Guest
 
-__all__ = ["DAVIS_FX3", "DVXPLORER", "EVK4", "Attachment", "remote_cameras", "usb_bus"]
+__all__ = ["DAVIS_FX2", "DAVIS_FX3", "DVXPLORER", "EVK4", "Attachment", "remote_cameras", "usb_bus"]
 
 BUS_PROGRAM = str(Path(__file__).parent / "clients" / "bus.py")
+DAVIS_FX2 = ("152a", "841b")
 DAVIS_FX3 = ("152a", "841a")
 DVXPLORER = ("152a", "8419")
 EVK4 = ("04b4", "00f5")

@@ -19,7 +19,7 @@ from firmware_protocol.events import Edges, Events
 from tests.npz_records import load_edges, load_frames, load_imu
 from transports.recording.record import load_record
 
-__all__ = ["Delivered", "RunningRig"]
+__all__ = ["CHECKERBOARD", "CHECKERBOARD_240C", "Delivered", "RunningRig"]
 
 START_TIMEOUT_S = 240.0
 STOP_TIMEOUT_S = 120.0
@@ -39,6 +39,7 @@ start_delay_ms = 1000.0   # neuromorphic_drivers must have started all its trans
 kind = "usbip"
 port = {port}
 """
+CHECKERBOARD_240C = CHECKERBOARD.replace("[camera]", '[camera]\nmodel = "davis240c"')
 
 
 @dataclass(frozen=True)

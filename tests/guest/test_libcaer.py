@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT, EdgeKind, Edges, empty_edges
-from tests.guest.all_streams import COLUMNS, STREAMS
-from tests.guest.attachment import DAVIS_FX3, DVXPLORER, Attachment
+from tests.guest.all_streams import COLUMNS, STREAMS, STREAMS_240C
+from tests.guest.attachment import DAVIS_FX2, DAVIS_FX3, DVXPLORER, Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.machine import Finished, Guest, Job
-from tests.guest.running_rig import CHECKERBOARD, Delivered, RunningRig
+from tests.guest.running_rig import CHECKERBOARD, CHECKERBOARD_240C, Delivered, RunningRig
 from tests.guest.streaming import wait_for_bytes
 from tests.guest.test_dvxplorer import MICRO, RIG
 
@@ -73,6 +73,7 @@ class Opened:
 
 
 DAVIS = Opened("davis346", "davis", CHECKERBOARD + STREAMS, DAVIS_FX3, 6)
+DAVIS_240C = Opened("davis240c", "davis", CHECKERBOARD_240C + STREAMS_240C, DAVIS_FX2, 4)
 FX3 = Opened("dvxplorer", "dvxplorer", RIG, DVXPLORER, 9)
 CX3 = Opened(
     "dvxplorer_micro_firmware9",
@@ -106,6 +107,17 @@ def assert_same_samples(seen: np.ndarray, delivered: Delivered) -> None:
     assert seen["t"].tolist() == imu["t"].tolist()
     values = np.column_stack([imu[name] for name in COLUMNS]).astype(np.float64)
     np.testing.assert_allclose(seen["values"], values, rtol=4e-7, atol=1e-9)
+
+
+def assert_same_frames(path: Path, delivered: Delivered) -> None:
+    frames = delivered.frames[delivered.frame_resets[-1] :]
+    pixels = frames["pixels"].astype(np.uint16) << 6
+    seen = np.fromfile(path, np.dtype([("t", "<u8"), ("pixels", "<u2", pixels.shape[1:])]))
+    assert len(seen) >= 3
+    first = int(np.searchsorted(frames["t"], seen["t"][0]))
+    assert seen["t"].tolist() == frames["t"][first : first + len(seen)].tolist()
+    np.testing.assert_array_equal(seen["pixels"], pixels[first : first + len(seen)])
+    assert len(np.unique(seen["pixels"])) > 50
 
 
 def started(guest: Guest, one: Opened, count: int, out: str) -> Job:
@@ -144,6 +156,17 @@ def delivered_and_seen(guest: Guest, folder: Path, one: Opened) -> tuple[Deliver
     assert_same(seen, delivered.events[delivered.resets[-1] :], offset_us=0)
     assert rig.summary["balanced"], rig.summary
     return delivered, guest.results / out
+
+
+@pytest.mark.shows(
+    "{one.model}", "libcaer", "opens", "events", "frames", "imu", "triggers", "unplugged", "plugged again"
+)
+@pytest.mark.parametrize("one", [DAVIS_240C], ids=str)
+def test_libcaer_sees_every_stream_and_frame_as_it_was_delivered(guest: Guest, tmp_path: Path, one: Opened) -> None:
+    delivered, out = delivered_and_seen(guest, tmp_path, one)
+    assert_same_edges(seen_edges(out.with_suffix(".triggers")), delivered)
+    assert_same_samples(np.fromfile(out.with_suffix(".imu"), SAMPLE), delivered)
+    assert_same_frames(out.with_suffix(".frames"), delivered)
 
 
 @pytest.mark.shows("{one.model}", "libcaer", "opens", "events", "imu", "triggers", "unplugged", "plugged again")

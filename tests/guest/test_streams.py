@@ -1,8 +1,8 @@
 """Three unmodified drivers take all that a DAVIS346 has to tell at once: events, frames, inertial samples and triggers.
 
-Each driver reads one layout of the chip; both are read. Every event, pixel, sample and edge, at its time; and the
-AEDAT4 file that dv-processing's own writer makes of them is as that of a real camera. Ten million
-events of each driver, with what comes beside them in half a minute:
+Those of iniVation read a DAVIS240C too. Each driver reads one layout of a DAVIS346's chip; both are read. Every event,
+pixel, sample and edge, at its time; and the AEDAT4 file that dv-processing's own writer makes of those of a DAVIS346 is
+as that of a real camera. Ten million events of each driver, with what comes beside them in half a minute:
 
     EVSTIM_GUEST_EVENTS=10000000 python -m pytest tests/guest/test_streams.py
 """
@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.guest.all_streams import ASKED, FREE, STREAMS, assert_same_frames, assert_same_streams
-from tests.guest.attachment import Attachment
+from tests.guest.all_streams import ASKED, FREE, STREAMS, STREAMS_240C, assert_same_frames, assert_same_streams
+from tests.guest.attachment import DAVIS_FX2, DAVIS_FX3, Attachment
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
-from tests.guest.running_rig import RunningRig
+from tests.guest.running_rig import CHECKERBOARD, CHECKERBOARD_240C, RunningRig
 from tests.guest.streaming import Streaming
 from tests.guest.written_file import assert_same_file
 
@@ -34,23 +34,33 @@ pytestmark = [
 # libcaer asks for this interval; dv-processing 2 for none: 20 ms of exposure and two reads of 260 lines of 35.25 us
 FRAME_US = {"dv1": 40_000, "dv2": 20_000 + round(2 * 260 * 35.25)}
 LAYOUTS = {"dv2": "upright", "dv1": "turned", "nd": "upright"}
+MODELS = {"davis346": (CHECKERBOARD, STREAMS, DAVIS_FX3), "davis240c": (CHECKERBOARD_240C, STREAMS_240C, DAVIS_FX2)}
+CASES = [pytest.param("davis346", driver, id=driver.name) for driver in DRIVERS] + [
+    pytest.param("davis240c", driver, id=f"davis240c-{driver.name}") for driver in DRIVERS if driver.adds_host_time
+]
 
 
-@pytest.mark.shows("davis346", "{driver.name}", "opens", "events", "frames", "imu", "triggers")
-@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
+@pytest.mark.shows("{model}", "{driver.name}", "opens", "events", "frames", "imu", "triggers")
+@pytest.mark.parametrize(("model", "driver"), CASES)
 def test_every_stream_is_seen_as_it_was_delivered(
-    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
+    guest: Guest, model: str, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:
-    asked = (*ASKED, "--aedat4", guest.path_in_guest("written.aedat4")) if driver.adds_host_time else ASKED
+    text, streams, usb_id = MODELS[model]
+    writes_a_file = driver.adds_host_time and model == "davis346"
+    asked = (*ASKED, "--aedat4", guest.path_in_guest("written.aedat4")) if writes_a_file else ASKED
+    layout = LAYOUTS[driver.name] if model == "davis346" else "upright"
     # neuromorphic_drivers did not open beside a run at free pace: its requests timed out.
-    more = STREAMS + (FREE if driver.adds_host_time else "")
-    with RunningRig(tmp_path, layout=LAYOUTS[driver.name], more=more) as rig, Attachment(guest, rig.port):
+    more = streams + (FREE if driver.adds_host_time else "")
+    with (
+        RunningRig(tmp_path, layout=layout, more=more, text=text) as rig,
+        Attachment(guest, rig.port, model=usb_id),
+    ):
         seen = Streaming(guest, driver, driver_pythons[driver.name], EVENTS, *asked, timeout_s=TIMEOUT_S).wait()
     assert len(seen.events) >= EVENTS
     delivered = rig.delivered
     offset_us = assert_same_streams(driver, seen, delivered)
     assert_same_frames(driver, seen, delivered, offset_us)
-    if driver.adds_host_time:
+    if writes_a_file:
         assert_same_file(guest.results / "written.aedat4", seen, FRAME_US[driver.name])
     assert rig.summary["balanced"], rig.summary
     assert rig.summary["links"]["usbip"]["edges"]["balanced"], rig.summary

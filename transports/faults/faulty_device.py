@@ -29,13 +29,13 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.davis346.device import PRODUCT_ID
+from firmware_protocol.davis346.model import DAVIS240C, DAVIS346
 from firmware_protocol.device.items import Reading
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.fx3.camera import REGISTER, VENDOR_ID
 from firmware_protocol.fx3.decoded import Decoded
 from firmware_protocol.fx3.registers import Module
-from firmware_protocol.fx3.words import MAX_ADDRESS, Special, Words, is_column
+from firmware_protocol.fx3.words import MAX_ADDRESS, is_column, is_mark
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.faults.kinds import USB_LINK, Fault, Stage
@@ -44,14 +44,6 @@ from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplu
 from transports.faults.words import INSERTED, SentWords, WordStage, inserted
 
 _ANY_SIZE = (MAX_ADDRESS + 1, MAX_ADDRESS + 1)  # faults change no address
-
-_MARKS = [
-    int(code)
-    for code in (
-        Special.INPUT_FALLING, Special.INPUT_RISING, Special.INPUT_PULSE, Special.GENERATOR_FALLING,
-        Special.GENERATOR_RISING,
-    )
-]  # fmt: skip
 
 Mask = npt.NDArray[np.bool_]
 
@@ -80,7 +72,7 @@ class Survivors:
             transfer,
             data=arriving.data,
             events=transfer.events[events[is_column(original.words)]],
-            edges=transfer.edges[edges[_is_mark(original.words)]],
+            edges=transfer.edges[edges[is_mark(original.words)]],
         )
 
 
@@ -102,8 +94,8 @@ def _event_words(words: SentWords, decoded: Decoded) -> _DecodedWords:
 
 
 def _edge_words(words: SentWords, decoded: Decoded) -> _DecodedWords:
-    marks = decoded.specials[_is_mark(decoded.specials["code"])]
-    return _DecodedWords(words.origin[_is_mark(words.words)], marks[["t", "code"]])
+    marks = decoded.specials[is_mark(decoded.specials["code"])]
+    return _DecodedWords(words.origin[is_mark(words.words)], marks[["t", "code"]])
 
 
 def _is_unchanged(sent: _DecodedWords, arrived: _DecodedWords, count: int) -> Mask:
@@ -118,15 +110,12 @@ def _is_unchanged(sent: _DecodedWords, arrived: _DecodedWords, count: int) -> Ma
     return is_unchanged
 
 
-def _is_mark(words: Words) -> Mask:
-    return np.isin(words, _MARKS)
-
-
 class WordPath:
     """Path of the words of one camera through the faults; `front`: words inserted before the next transfer."""
 
     def __init__(self, camera: Identity) -> None:
-        self._has_words = (camera.vendor_id, camera.product_id) == (VENDOR_ID, PRODUCT_ID)
+        usb_id = camera.vendor_id, camera.product_id
+        self._has_words = usb_id in [(VENDOR_ID, model.product_id) for model in (DAVIS346, DAVIS240C)]
         self._survivors: Survivors | None = None
         self._epoch_us = self._next_front = 0
         self.front: list[int] = []

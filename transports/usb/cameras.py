@@ -27,6 +27,7 @@ from transports.usb.pyusb_host import PyusbHost
 _GROUP = "evstim.usb_drivers"
 DRIVERS: Mapping[tuple[int, int], str] = {
     (0x152A, 0x841A): "transports.usb.davis_host:DavisHost",
+    (0x152A, 0x841B): "transports.usb.davis_host:Davis240cHost",
     (0x152A, 0x8419): "transports.usb.dvxplorer_host:driver_of_model",
     (0x04B4, 0x00F5): "transports.usb.treuzell_host:TreuzellHost",
     (0x1409, 0x8E00): "transports.usb.treuzell_host:TreuzellHost",

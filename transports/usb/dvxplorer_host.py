@@ -24,14 +24,10 @@ from transports.usb.fx3_host import ENABLE_IMU, SOURCES_OFF, Entry, Fx3Host, Fx3
 from transports.usb.host import BulkReader, StreamSettings, UnsuitableDevice, UsbHost
 
 _OFF, _STREAM = 0, 2
-_STOP: tuple[Entry, ...] = ((Module.DVS, 3, 0), (Module.BIAS, Chip.MODE, _OFF), *SOURCES_OFF)
 _START: tuple[Entry, ...] = (
-    (Module.USB, 0, 1),
-    (Module.MULTIPLEXER, 1, 1),
-    (Module.MULTIPLEXER, 0, 1),
-    (Module.DVS, 3, 1),
+    (Module.USB, 0, 1), (Module.MULTIPLEXER, 1, 1), (Module.MULTIPLEXER, 0, 1), (Module.DVS, 3, 1),
     (Module.BIAS, Chip.MODE, _STREAM),
-)
+)  # fmt: skip
 
 
 class DvxplorerHost(Fx3Host):
@@ -42,7 +38,7 @@ class DvxplorerHost(Fx3Host):
     product = PRODUCT_ID
     firmware = 9
     patch = 4
-    stop_writes = _STOP
+    stop_writes = (Module.DVS, 3, 0), (Module.BIAS, Chip.MODE, _OFF), *SOURCES_OFF
     start_writes = _START
 
     def _new_decoder(self) -> WordDecoder:

@@ -16,7 +16,6 @@ registers, wValue their number, each u8 module, u8 address, u32 big-endian.
 from __future__ import annotations
 
 import contextlib
-import struct
 import time
 from abc import abstractmethod
 from collections.abc import Iterable
@@ -26,7 +25,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from firmware_protocol.events import Events, empty_events
-from firmware_protocol.fx3.camera import VENDOR_ID
+from firmware_protocol.fx3.camera import ENTRY, VENDOR_ID
 from firmware_protocol.fx3.decoded import Decoded, FrameRead, WordFaults
 from firmware_protocol.fx3.registers import Module
 from firmware_protocol.imu_samples import ImuSamples, no_samples
@@ -46,7 +45,6 @@ _REGISTER = 0xBF
 _REGISTERS = 0xC2
 _LOG_LEVEL = 0xB1
 _FLUSH = 0xC6
-_ENTRY = struct.Struct(">BBI")
 _LOGIC_VERSION = 18
 _RESET_TIMEOUT_S = 5.0
 
@@ -57,10 +55,8 @@ _ENABLE_EDGES: tuple[Entry, ...] = tuple((Module.EXTERNAL_INPUT, address, 1) for
 ENABLE_IMU: tuple[Entry, ...] = ((Module.IMU, 2, 1), (Module.IMU, 3, 1), (Module.IMU, 4, 1))
 SOURCES_OFF: tuple[Entry, ...] = (
     *((Module.IMU, address, 0) for address in (2, 3, 4)),
-    (Module.EXTERNAL_INPUT, 0, 0),
-    (Module.EXTERNAL_INPUT, 11, 0),
-    (Module.MULTIPLEXER, 0, 0),
-    (Module.MULTIPLEXER, 1, 0),
+    *((Module.EXTERNAL_INPUT, address, 0) for address in (0, 11)),
+    *((Module.MULTIPLEXER, address, 0) for address in (0, 1)),
     (Module.USB, 0, 0),
     (Module.MULTIPLEXER, 3, 0),
 )
@@ -219,8 +215,8 @@ class Fx3Host(CameraHost[Fx3Info]):
 
     def write_registers(self, entries: Iterable[Entry]) -> None:
         """Set several registers with one request."""
-        data = b"".join(_ENTRY.pack(*entry) for entry in entries)
-        self._host.control_out(SetupPacket(0x40, _REGISTERS, len(data) // _ENTRY.size, 0, len(data)), data)
+        data = b"".join(ENTRY.pack(*entry) for entry in entries)
+        self._host.control_out(SetupPacket(0x40, _REGISTERS, len(data) // ENTRY.size, 0, len(data)), data)
 
     def _write_each(self, entries: Iterable[Entry]) -> None:
         for entry in entries:

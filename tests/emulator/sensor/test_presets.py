@@ -27,9 +27,9 @@ def test_presets_are_there_and_plausible(name):
 def test_the_sizes_and_rates_of_the_presets():
     sizes = {name: (p.width, p.height) for name, p in PRESETS.items()}
     assert sizes == {
-        "davis346": (346, 260), "davis346_noisy": (346, 260), "dvxplorer_micro": (640, 480), "ideal": (346, 260),
-        "imx636": (1280, 720), "imx636_quiet": (1280, 720), "imx636_noisy": (1280, 720), "gen31": (640, 480),
-        "genx320": (320, 320),
+        "davis346": (346, 260), "davis346_noisy": (346, 260), "davis240c": (240, 180), "dvxplorer_micro": (640, 480),
+        "ideal": (346, 260), "imx636": (1280, 720), "imx636_quiet": (1280, 720), "imx636_noisy": (1280, 720),
+        "gen31": (640, 480), "genx320": (320, 320),
     }  # fmt: skip
     assert 1e3 / PRESETS["davis346"].readout.event_ns == pytest.approx(12, rel=0.05)  # Mev/s
     assert (PRESETS["imx636"].readout.row_ns, PRESETS["imx636"].readout.event_ns) == (127, 0.33)

@@ -1,4 +1,4 @@
-/* libcaer, used directly: events, edges of the external input and inertial samples of a camera, as it gives them.
+/* libcaer, used directly: events, edges of the external input, inertial samples and frames of a camera, as it gives them.
 
        client davis|dvxplorer COUNT TIMEOUT_S OUT
 
@@ -8,6 +8,7 @@
        OUT.triggers  t (uint64, us), kind (uint8: 2 rising edge, 3 falling edge, 4 pulse)
        OUT.imu       t (uint64, us), acceleration x, y, z in g, temperature in degrees Celsius, rate x, y, z in deg/s
                      (float32)
+       OUT.frames    t (uint64, us) of the start of the exposure, pixels (uint16) row by row
 
    The last line printed is a JSON object. The exit status is 1 when no camera is there, 3 when time runs out. */
 #include <libcaer/devices/davis.h>
@@ -19,7 +20,7 @@
 #include <string.h>
 #include <time.h>
 
-enum { EVENTS, TRIGGERS, IMU, FILES };
+enum { EVENTS, TRIGGERS, IMU, FRAMES, FILES };
 
 static FILE *out[FILES];
 static long long counts[FILES];
@@ -68,6 +69,15 @@ static void put_samples(caerIMU6EventPacketConst packet) {
     CAER_IMU6_ITERATOR_VALID_END
 }
 
+static void put_frames(caerFrameEventPacketConst packet) {
+    CAER_FRAME_CONST_ITERATOR_VALID_START(packet)
+    caerFrameEventConst one = caerFrameIteratorElement;
+    const size_t pixels     = (size_t) caerFrameEventGetLengthX(one) * (size_t) caerFrameEventGetLengthY(one);
+    put(FRAMES, caerFrameEventGetTSStartOfExposure64(one, packet), caerFrameEventGetPixelArrayUnsafeConst(one),
+        pixels * sizeof(uint16_t));
+    CAER_FRAME_ITERATOR_VALID_END
+}
+
 static void take(caerEventPacketContainerConst container) {
     for (int32_t i = 0; i < caerEventPacketContainerGetEventPacketsNumber(container); i++) {
         caerEventPacketHeaderConst packet = caerEventPacketContainerGetEventPacketConst(container, i);
@@ -78,6 +88,7 @@ static void take(caerEventPacketContainerConst container) {
             case POLARITY_EVENT: put_events((caerPolarityEventPacketConst) packet); break;
             case SPECIAL_EVENT: put_triggers((caerSpecialEventPacketConst) packet); break;
             case IMU6_EVENT: put_samples((caerIMU6EventPacketConst) packet); break;
+            case FRAME_EVENT: put_frames((caerFrameEventPacketConst) packet); break;
         }
     }
 }
@@ -91,7 +102,7 @@ static void detect_edges(caerDeviceHandle camera, bool is_davis) {
 }
 
 static bool open_files(const char *name) {
-    const char *ends[FILES] = {"events", "triggers", "imu"};
+    const char *ends[FILES] = {"events", "triggers", "imu", "frames"};
     char path[1024];
     for (int i = 0; i < FILES; i++) {
         snprintf(path, sizeof path, "%s.%s", name, ends[i]);

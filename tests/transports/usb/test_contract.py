@@ -3,7 +3,7 @@
 import pytest
 
 from evstim.testing.fake_usb import FakeUsbBus
-from evstim.testing.usb_contract import DVXPLORER, DVXPLORER_MICRO, Plugged, UsbContract
+from evstim.testing.usb_contract import DAVIS240C, DVXPLORER, DVXPLORER_MICRO, Plugged, UsbContract
 from tests.transports.usb.gadget_port import GadgetBench, PortHost
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
@@ -60,6 +60,22 @@ class TestFakeBus(UsbContract):
 class TestLoopback(UsbContract):
     def plug(self, device, timeout_s):
         return Plugged(DirectHost(device), lambda function, *args: function(*args))
+
+
+class TestDavis240cOnUsbip(TestUsbip):
+    camera = DAVIS240C
+
+
+class TestDavis240cOnGadget(TestGadget):
+    camera = DAVIS240C
+
+
+class TestDavis240cOnFakeBus(TestFakeBus):
+    camera = DAVIS240C
+
+
+class TestDavis240cOnLoopback(TestLoopback):
+    camera = DAVIS240C
 
 
 class TestDvxplorerOnUsbip(TestUsbip):

@@ -30,7 +30,7 @@ def events_from(t_us, seed):
     rng = np.random.default_rng(seed)
     events = np.zeros(EVENTS, EVENT)
     events["t"] = t_us + 100 + 1000 * np.arange(EVENTS)
-    events["x"], events["y"], events["on"] = (rng.integers(0, most, EVENTS) for most in (320, 240, 2))
+    events["x"], events["y"], events["on"] = (rng.integers(0, most, EVENTS) for most in (240, 180, 2))
     return events
 
 
