@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from fly import ground_of
-from pilot import NAVIGATIONS, PilotSettings
+from pilot import NAVIGATIONS
 from report import Bounds, judgement
 from scipy.stats import binomtest
 from spacecraft import fly_without_camera
@@ -95,7 +95,7 @@ def row_of(navigation: str, height_m: float, seed: int, folder: Path) -> Row:
         judged = flown(out, [*start, "--navigation", navigation])
     else:
         ground = ground_of(rig)
-        end = fly_without_camera(height_m, seed, PilotSettings(navigation), ground)
+        end = fly_without_camera(height_m, seed, navigation, ground)
         judged = {"touched": end.touched, "t_s": end.t_s, "why": list(end.why)} | judgement(end, ground)
     wall_s = round(time.monotonic() - began_s, 1)
     return judged | {"navigation": navigation, "seed": seed, "height_m": height_m, "wall_s": wall_s}

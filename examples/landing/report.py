@@ -1,7 +1,4 @@
-"""Verdict of a flight, and its pages: verdict.json, `page.html`, and on request a GIF of the events beside the descent.
-
-    python fly.py --height 300 --out flight --record flight/events.npz
-    python report.py flight        # flight/landing.gif, and its last picture, flight/landing.png; needs pillow
+"""Verdict of a flight, verdict.json, and its page, page.html.
 
 The page contains the verdict and its reasons, the track, velocities and divergence beside the truth, and the last
 events that the flight computer received. It needs no network and no script; charts are drawn by matplotlib.
@@ -11,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,10 +39,9 @@ _POSES = {
 }
 _FEET_M, _PLACES = 1.5, 9
 _LEAST_M = 3.0  # nearer, the ground in view is no longer that below
-_PALETTE = np.array([(30, 30, 30), ON_RGB, OFF_RGB], np.uint8)
+COLOURS = np.array([(30, 30, 30), ON_RGB, OFF_RGB], np.uint8)
 _SHAPE = 260, 346
 _SHOWN_US = 30_000
-_GIF_FRAMES, _GIF_MS = 40, 150
 _BEFORE_S = (2.0, 1.0, 0.0)  # pictures of the page, before the newest event
 _MOST_1_S = 0.3  # of a divergence that is drawn: at touchdown that of the truth grows beyond bounds
 
@@ -97,7 +92,7 @@ def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
 
 
 class Flight:
-    """Files of a flight in its folder; `events` are those of a record, or the last ones of the flight computer."""
+    """Files of a flight in its folder; `events` are the last ones of the flight computer."""
 
     def __init__(self, folder: Path) -> None:
         names, *lines = [line.split(",") for line in (folder / "truth.csv").read_text().splitlines()]
@@ -106,8 +101,7 @@ class Flight:
         log = folder / "computer.jsonl"
         text = log.read_text() if log.exists() else ""
         self.rows: list[dict[str, Any]] = [json.loads(line) for line in text.splitlines()]
-        record, last = folder / "events-events.npz", folder / "last_events.npz"  # the record of the link "events"
-        file = record if record.exists() else last
+        file = folder / "last_events.npz"
         self.events = np.load(file)["events"] if file.exists() else np.zeros(0, [("t", "u8"), ("on", "?")])
         self.height_m = self.truth["z_m"] - self.truth["ground_m"]
         self.end_s = float(self.truth["t_s"].max(initial=0.0))
@@ -118,7 +112,7 @@ class Flight:
         return np.array(list(pairs)), np.array(list(pairs.values()))
 
     def picture(self, t_s: float) -> np.ndarray:
-        """Return the pixels with events in the 30 ms before a time as numbers of colours, (260, 346)."""
+        """Return the pixels with events in the 30 ms before a time as numbers of COLOURS, (260, 346)."""
         out = np.zeros(_SHAPE, np.uint8)
         if len(self.events):
             first, last = np.searchsorted(self.events["t"], [t_s * 1e6 - _SHOWN_US, t_s * 1e6])
@@ -230,7 +224,7 @@ def write_page(folder: Path) -> Path:
         at_s = end_s - before_s
         up_m = float(np.interp(at_s, flight.truth["t_s"], flight.height_m))
         text = f"events of 30 ms at {at_s:.2f} s, {up_m:.1f} m above the ground; ON orange, OFF blue"
-        element = image_element(palette_png(flight.picture(at_s), _PALETTE), text, _SHAPE[1])
+        element = image_element(palette_png(flight.picture(at_s), COLOURS), text, _SHAPE[1])
         pictures.append(f"<figure>{element}<figcaption>{text}</figcaption></figure>")
     events.element(f'<div class="maps">{"".join(pictures)}</div>')
     return page.add(events.text("" if shown else "No events came.")).write(folder / "page.html")
@@ -263,45 +257,3 @@ def _charts(flight: Flight) -> tuple[str, str]:
     for (axis,) in axes:
         axis.grid(alpha=0.3)
     return image(figure, "track, height, divergence and velocities"), "Blue: truth; red: navigation, or from events."
-
-
-def picture_at(flight: Flight, t_s: float) -> Any:
-    """Return a figure of the events of one instant, and of height, speed and divergence up to it."""
-    made = pyplot().figure(figsize=(9.2, 3.9), dpi=80, layout="constrained")
-    left, *right = made.subplot_mosaic([["e", "h"], ["e", "v"], ["e", "d"]], width_ratios=[1.35, 1]).values()
-    left.imshow(_PALETTE[flight.picture(t_s)], interpolation="nearest")
-    k = int(np.searchsorted(flight.truth["t_s"], t_s).clip(0, len(flight.height_m) - 1))
-    speed = -flight.truth["vz_m_s"]
-    left.set_title(f"{t_s:5.1f} s   {flight.height_m[k]:6.1f} m   {speed[k]:5.2f} m/s down", family="monospace")
-    left.set_axis_off()
-    times = flight.truth["t_s"][: k + 1]
-    shown = (flight.height_m, "height, m"), (speed, "speed, m/s"), (speed / flight.height_m, "divergence, 1/s")
-    for axes, (values, name) in zip(right, shown, strict=True):
-        axes.plot(times, values[: k + 1], color="k", lw=1.2, label="truth")
-        axes.set(xlim=(0, flight.end_s), ylabel=name)
-        axes.grid(alpha=0.3)
-    right[0].set(yscale="log", ylim=(1.5, flight.height_m.max() * 1.1))
-    right[1].set(ylim=(0, speed.max() * 1.1))
-    at_s, down = flight.seen()
-    right[2].plot(at_s[at_s <= t_s], down[at_s <= t_s], ".", ms=2.5, color="tab:orange", label="from events")
-    right[2].set(ylim=(0, _MOST_1_S), xlabel="time, s")
-    right[2].legend(loc="upper left", fontsize=7)
-    return made
-
-
-def main(folder: Path) -> None:
-    """Write the GIF and its last picture."""
-    from PIL import Image
-
-    flight, frames = Flight(folder), []
-    for t_s in np.linspace(0.4, flight.end_s, _GIF_FRAMES):
-        made = picture_at(flight, float(t_s))
-        made.savefig(folder / "landing.png")
-        pyplot().close(made)
-        with Image.open(folder / "landing.png") as image_file:
-            frames.append(image_file.convert("P", palette=Image.Palette.ADAPTIVE, colors=32))
-    frames[0].save(folder / "landing.gif", save_all=True, append_images=frames[1:], duration=_GIF_MS, loop=0)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

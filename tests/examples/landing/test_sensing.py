@@ -10,7 +10,7 @@ import pytest
 from compare import table
 from divergence import Motion
 from navigation import Filter, Known, of_events, of_range, of_star
-from pilot import Pilot, PilotSettings
+from pilot import Pilot
 from report import judgement
 from scipy.stats import chi2
 from sensors import (
@@ -29,7 +29,7 @@ from sensors import (
     unpack_vector,
     vector_of,
 )
-from spacecraft import Mission, SensingSpacecraft, TouchDown, WithoutCamera
+from spacecraft import Mission, Spacecraft, TouchDown, WithoutCamera
 from vehicle import GRAVITY_M_S2, Lander, State, advance, product
 
 ROLLING = State(np.array([3.0, 4.0, 100.0]), np.array([0.5, 0.0, -8.0]), thrust_n=1620.0)
@@ -190,7 +190,7 @@ def landed(navigation: str, seed: int) -> TouchDown:
     mission = dataclasses.replace(mission, known=dataclasses.replace(mission.known, height_sigma_m=2.0))
     known = np.array(mission.known.position_m) + (0.0, 0.0, 2.0)
     mission = dataclasses.replace(mission, known=dataclasses.replace(mission.known, position_m=tuple(known)))
-    pilot, spacecraft = Pilot(mission.known, PilotSettings(navigation)), []
+    pilot, spacecraft = Pilot(mission.known, navigation), []
 
     def motion(t_s: float) -> tuple[Motion, float]:
         state = spacecraft[0].state
@@ -198,7 +198,8 @@ def landed(navigation: str, seed: int) -> TouchDown:
         return Motion(east, -north, -up, 2.0, t_s - PERIOD_S, 9), 0.2
 
     unit = Sensors(SensorErrors(), mission.lander, seed, lambda x, y: 0.0)
-    spacecraft.append(SensingSpacecraft(mission, WithoutCamera(pilot, motion), unit))
+    links = WithoutCamera(pilot, motion)
+    spacecraft.append(Spacecraft(mission.lander, mission.state, links, sensors=unit))
     return spacecraft[0].land(lambda x, y: 0.0, lambda t_s, state: None)
 
 
