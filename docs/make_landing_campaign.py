@@ -160,7 +160,6 @@ def write_sensors(folder: Path) -> None:
 def write_movie(folder: Path) -> None:
     """Write the GIF of a flight: its events beside height, speed and divergence."""
     from PIL import Image
-
     from report import Flight
 
     flight, pictures = Flight(folder), []

@@ -9,7 +9,7 @@ from pathlib import Path
 import compare
 import numpy as np
 import pytest
-from compare import FAULTS, fault_line, fly_fault
+from compare import FAULTS, fault_line
 from links import Fault, Faults
 from report import verdict
 from spacecraft import Limits, Spacecraft, TouchDown
@@ -135,14 +135,15 @@ def test_each_flight_has_arguments_that_can_be_read() -> None:
 def test_a_flight_becomes_a_line_of_the_table(tmp_path: Path) -> None:
     """Landed or not, with or without a divergence; a flight that has its verdict is not flown again."""
     found = verdict(LANDED, tmp_path, frames_lost=3) | {"error_median": 0.008, "error_p90": 0.025}
-    (tmp_path / "crash").mkdir()
-    (tmp_path / "crash" / "verdict.json").write_text(json.dumps(found))
-    assert fault_line("crash", fly_fault("crash", tmp_path)) == (
+    up = {"touched": False, "height_m": 4.31, "why": []}
+    for name, judged in (("crash", found), ("none", up)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "verdict.json").write_text(json.dumps(judged))
+    assert fault_line("crash", tmp_path) == (
         "| crash: `--fault crash@5` | 0.50 m/s | 0.8 % / 2.5 % | "
         "the flight computer answered no SYNC; 3 attitudes and commands were lost on the bus |"
     )
-    up = {"touched": False, "height_m": 4.31, "why": []}
-    assert fault_line("none", up) == "| none | not landed, 4.3 m up | | |"
+    assert fault_line("none", tmp_path) == "| none | not landed, 4.3 m up | | |"
 
 
 @pytest.mark.parametrize(("down_m_s", "touched"), [(1.2, True), (0.5, False)])

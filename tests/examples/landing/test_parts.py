@@ -163,7 +163,7 @@ def test_falling_too_fast_asks_for_more_thrust() -> None:
 def test_without_motion_dead_reckoning_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a motion for ten seconds, a vehicle that follows its commands is at the reckoned place, upright.
 
-    Its divergence D nears that wanted, W, by D' = (D - W) (D + W - k), the gain k being 0.8 / (t + 0.2 s) and at most 1.
+    Its divergence D nears that wanted, W, by D' = (D - W) (D + W - k), k being 0.8 / (t + 0.2 s), at most 1.
     """
     monkeypatch.setattr(guidance_module, "_HOLD_S", 0.0)
     guidance, step_s = Guidance(100.0, np.array([1.0, 0.0, -5.0])), 0.05
