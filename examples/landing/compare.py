@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from fly import ground_of
 from pilot import NAVIGATIONS
-from report import Bounds, judgement
+from report import BOUNDS, SITE_BOUNDS, judgement
 from scipy.stats import binomtest
 from spacecraft import fly_without_camera
 
@@ -162,7 +162,7 @@ def main() -> None:
                     print(json.dumps(row), file=more)
                 print(f"{navigation} {seed}: {'good' if row['soft'] else row['beyond']}", file=sys.stderr, flush=True)
     rows = [json.loads(line) for line in file.read_text().splitlines()]
-    print(f"From {options.height:g} m; median / 90 % / most of each figure; bounds: {Bounds()}")
+    print(f"From {options.height:g} m; median / 90 % / most of each figure; bounds: {BOUNDS | SITE_BOUNDS}")
     print(table([row for row in rows if row["height_m"] == options.height]))
 
 

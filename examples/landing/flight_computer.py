@@ -24,12 +24,14 @@ from pathlib import Path
 from typing import TextIO
 
 import can
+import msgspec
 import numpy as np
 from divergence import Lens, Motion, MotionEstimator, Rays, Window
 from guidance import Guidance
 from links import Edge, Links, opened_bus
 from navigation import Known
 from pilot import DELAY_S, LAW_FAILED, TURN_S, GivenLaw, LawFailed, Pilot
+from sensors import COMMAND, EDGE, pack_command, pack_edge
 
 _MARGIN_PX = 60.0  # for a tilt of 10 degrees
 _LEAST_EVENTS = 500
@@ -41,39 +43,20 @@ _SAMPLES_S = 1.0  # wall time after a SYNC: samples that have not come are lost
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a flight computer.
+    """Settings of a flight computer."""
 
-    Attributes
-    ----------
-    can_port, serial : TCP port of the bus, path of the serial line.
-    folder : takes the log, the last events, and the sentence about a law that failed.
-    seed : of the choice among very many events.
-    known : state from navigation at the start.
-    navigation : a name of pilot.NAVIGATIONS, or "given".
-    guidance : FILE.py:NAME of a law in the place of the pilot's, or "".
-    delay_s : of a command, with the vehicle's own sensors in lockstep.
-    attitude_s : time between two numbers of attitudes that are given.
-    crash_at_s, hang_at_s : stream times at which this program fails, for tests.
-    """
-
-    can_port: int
-    serial: str
-    folder: str
-    seed: int
-    known: Known
-    navigation: str
-    guidance: str = ""
-    delay_s: float = DELAY_S
+    can_port: int  # TCP port of the bus
+    serial: str  # path of the serial line
+    folder: str  # takes the log, the last events, and the sentence about a law that failed
+    seed: int  # of the choice among very many events
+    known: Known  # state from navigation at the start
+    navigation: str  # a name of pilot.NAVIGATIONS, or "given"
+    guidance: str = ""  # FILE.py:NAME of a law in the place of the pilot's
+    delay_s: float = DELAY_S  # of a command, with the vehicle's own sensors
     real_time: bool = False
-    attitude_s: float = 0.04
-    crash_at_s: float = math.inf
-    hang_at_s: float = math.inf
-
-    @classmethod
-    def read(cls, file: Path) -> Settings:
-        """Return the settings of a JSON file."""
-        table = json.loads(file.read_text())
-        return cls(**table | {"known": Known(**table["known"])})
+    attitude_s: float = 0.04  # between two numbers of attitudes that are given
+    crash_at_s: float | None = None  # stream times at which this program fails, for tests
+    hang_at_s: float | None = None
 
     def pilot(self) -> Pilot | Guidance:
         """Return the pilot of a flight; raises LawFailed where the given law cannot be loaded."""
@@ -85,18 +68,12 @@ class Settings:
 
 
 class FlightComputer:
-    """One descent.
-
-    Parameters
-    ----------
-    settings : of the flight.
-    log : takes a line of JSON for each turn.
-    """
+    """One descent; the log takes a line of JSON for each turn."""
 
     def __init__(self, settings: Settings, log: TextIO) -> None:
         lens = Lens()
-        self.settings, self.pilot, self.window = settings, settings.pilot(), Window(lens, settings.seed)
-        self._log = log
+        self.settings, self._log = settings, log
+        self.pilot, self.window = settings.pilot(), Window(lens, settings.seed)
         self._estimator = MotionEstimator(lens.focal_px, (lens.size[0] / 2 + _MARGIN_PX, lens.size[1] / 2 + _MARGIN_PX))
         t = np.linspace(0, 1, 100)
         still = Rays(t, 0 * t, 0 * t, 0 * t + 1, (-1.0, 1.0, -1.0, 1.0))
@@ -126,9 +103,10 @@ class FlightComputer:
 
     def fail(self, now_s: float) -> None:
         """End or stop this program at the stream time that its settings name."""
-        if now_s >= self.settings.crash_at_s:
-            raise RuntimeError(f"the flight computer crashes at {self.settings.crash_at_s:g} s, as requested")
-        while now_s >= self.settings.hang_at_s:
+        crash_at_s, hang_at_s = self.settings.crash_at_s, self.settings.hang_at_s
+        if crash_at_s is not None and now_s >= crash_at_s:
+            raise RuntimeError(f"the flight computer crashes at {crash_at_s:g} s, as requested")
+        while hang_at_s is not None and now_s >= hang_at_s:
             time.sleep(1.0)
 
 
@@ -158,7 +136,7 @@ def fly_lockstep(links: Links, computer: FlightComputer) -> None:
         command = computer.turn(now_s, {"events_lost": links.lost, "edge": edge is not None})
         for frame in computer.pilot.frames():
             links.send(*frame)
-        links.send_command(command, turn)
+        links.send(COMMAND, pack_command(command, turn))
 
 
 def _edge_of(links: Links, turn: int) -> Edge | None:
@@ -168,17 +146,17 @@ def _edge_of(links: Links, turn: int) -> Edge | None:
     return first if first and round(first.t_us * 1e-6 / TURN_S) == turn else None
 
 
-def fly_real_time(links: Links, computer: FlightComputer, guidance: Guidance) -> None:
+def fly_real_time(links: Links, computer: FlightComputer) -> None:
     """Answer the newest SYNC, without end; those that came meanwhile are left out.
 
     When no edge has come for a second the line is dead, and dead reckoning answers.
     """
-    last_s, last_wall_s = math.nan, math.inf
+    guidance, last_s, last_wall_s = computer.pilot, math.nan, math.inf
     while True:
         links.receive(0.002)
         for edge in links.edges:
             if computer.window.newest_s > edge.t_us * 1e-6 - _LATE_S:
-                links.send_edge(edge)
+                links.send(EDGE, pack_edge(edge.counter, edge.t_us))
         silent_s = time.monotonic() - last_wall_s
         if not links.edges and silent_s < _SILENT_S:
             continue
@@ -194,7 +172,8 @@ def fly_real_time(links: Links, computer: FlightComputer, guidance: Guidance) ->
             guidance.begin(now_s)
             last_s = now_s - TURN_S
         if now_s > last_s:  # not an edge that dead reckoning has overtaken
-            links.send_command(computer.turn(now_s, more, now_s - last_s), counter)
+            command = computer.turn(now_s, more, now_s - last_s)
+            links.send(COMMAND, pack_command(command, counter))
             guidance.took(time.monotonic() - received_s)
             last_s, last_wall_s = now_s, received_s
 
@@ -202,16 +181,14 @@ def fly_real_time(links: Links, computer: FlightComputer, guidance: Guidance) ->
 def main(file: Path) -> int:
     """Fly until the program is ended, or its given law fails; the log is complete at each turn."""
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))  # the end of a flight
-    settings = Settings.read(file)
+    settings = msgspec.json.decode(file.read_bytes(), type=Settings)
     folder = Path(settings.folder)
     with (folder / "computer.jsonl").open("w") as log, opened_bus(settings.can_port) as bus:
         computer = FlightComputer(settings, log)
         links = Links(settings.serial, bus, computer.window, computer.pilot.take_frame)
         file.with_name("computer.ready").touch()
         try:
-            if settings.real_time and isinstance(computer.pilot, Guidance):
-                fly_real_time(links, computer, computer.pilot)
-            fly_lockstep(links, computer)
+            (fly_real_time if settings.real_time else fly_lockstep)(links, computer)
         except (KeyboardInterrupt, can.CanError) as end:
             print(f"flight computer: {end}", file=sys.stderr)
         except LawFailed as failure:

@@ -2,13 +2,10 @@
 
     python fly.py [--height 300] [--seed 1] [--terrain 8] [--rig landing.toml] [--out DIR] [--real-time]
 
-By default the vehicle flies with its own sensors and the camera's events (`--navigation events`; also blind, altimeter,
-both, or given: the exact attitude from the simulation, as in real time). The seed draws the start, the errors of
-navigation, sensors, mass, gravity and engine, and the camera's noise. In DIR: truth.csv (the vehicle), computer.jsonl
-(the computer's turns), summary.json (the camera's run), verdict.json, page.html; in real time latency.json too.
-`--guidance my.py:Law` flies your law: docs/landing.md. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already:
-so `evstim campaign` uses it. `--fault crash@12` and others: see links.py; `--table faults.toml` adds tables to the rig,
-such as [[faults]].
+By default the vehicle flies with its own sensors and the camera's events (`--navigation events`). The seed draws the
+start, the errors of navigation, sensors, mass, gravity and engine, and the camera's noise. In DIR: truth.csv (the
+vehicle), computer.jsonl (the computer's turns), summary.json (the camera's run), verdict.json, page.html; in real time
+latency.json too. `evstim campaign` attaches this program to a camera that runs already.
 
 Exit codes: 0 landed within the bounds (given: below 1 m/s); 1 not; 2 wrong use or wrong rig; 3 something did not start.
 """
@@ -29,6 +26,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
+import msgspec
 from flight_computer import Settings
 from links import Connection, Fault, Faults, opened_bus
 from pilot import DELAY_S, LAW_FAILED, NAVIGATIONS, GivenLaw, LawFailed
@@ -114,10 +112,10 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
         navigation=options.navigation, guidance=options.guidance, delay_s=options.delay_s, real_time=options.real_time,
         attitude_s=STEP_S if options.real_time else PICTURE_S, **faults.of_computer(),
     )  # fmt: skip
-    (out / "computer.json").write_text(json.dumps(asdict(settings)))
+    (out / "computer.json").write_bytes(msgspec.json.encode(settings))
     failed = out / LAW_FAILED
-    for file in (failed, out / "last_events.npz"):
-        file.unlink(missing_ok=True)
+    failed.unlink(missing_ok=True)
+    (out / "last_events.npz").unlink(missing_ok=True)
     limits = Limits(options.answer_s, options.longest_s)
     with ExitStack() as stack:
         processes = []
@@ -142,9 +140,8 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
             (out / "spacecraft.json").write_text(json.dumps(asdict(spacecraft.times)))
             return end
         sensors = None if given else Sensors(SensorErrors(), mission.lander, seed, ground)
-        return Spacecraft(mission.lander, mission.state, connection, limits, sensors, options.delay_s).land(
-            ground, record
-        )
+        spacecraft = Spacecraft(mission.lander, mission.state, connection, limits, sensors, options.delay_s)
+        return spacecraft.land(ground, record)
 
 
 @contextmanager
@@ -261,18 +258,18 @@ def _options() -> argparse.Namespace:
     add("--seed", type=int, default=1)
     add("--terrain", type=int, default=8, help="seed of the ground")
     add("--rig", type=Path, help="landing.toml, or landing-realtime.toml in real time")
-    add("--table", type=Path, action="append", default=[], help="more tables for the rig; repeat")
+    add("--table", type=Path, action="append", default=[], help="more tables for the rig, such as [[faults]]; repeat")
     add("--out", type=Path)
     add("--real-time", action="store_true")
-    add("--navigation", choices=[*NAVIGATIONS, "given"], help="given: exact attitude, no IMU")
+    add("--navigation", choices=[*NAVIGATIONS, "given"], help="given: exact attitude, no IMU; so in real time")
     add("--guidance", default="", metavar="FILE.py:NAME", help="your law in the place of the pilot's: docs/landing.md")
     add("--delay-s", type=float, default=DELAY_S, help="of a command, s; not in real time")
     add("--compare", action="store_true", help="fly the start blind and with an altimeter too")
     add("--lead-us", type=int, default=0, help="instead of the rig's")
-    add("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"))
+    add("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"), help="of a camera that runs already")
     add("--record", type=Path, help="write the events to this .npz")
     add("--result", type=Path, help="a copy of verdict.json")
-    add("--fault", type=Fault.parse, action="append", default=[], help="see links.py; repeat")
+    add("--fault", type=Fault.parse, action="append", default=[], help="crash@12 and others, see links.py; repeat")
     add("--answer-s", type=float, default=120.0, help="time limit for an answer of the flight computer, in lockstep")
     add("--longest-s", type=float, default=600.0, help="longest flight")
     return parser.parse_args()

@@ -39,7 +39,7 @@ from typing import NamedTuple
 import can
 import numpy as np
 from divergence import Window
-from sensors import COMMAND, EDGE, ESTIMATE, SYNC, pack_command, pack_edge, unpack_command
+from sensors import COMMAND, ESTIMATE, SYNC, unpack_command
 from vehicle import State, Vector, product
 
 from evstim import SerialReceiver
@@ -252,14 +252,6 @@ class Links:
     def send(self, identifier: int, data: bytes) -> None:
         """Send a frame."""
         _send(self._bus, identifier, data)
-
-    def send_command(self, command: Vector, turn: int) -> None:
-        """Send a command."""
-        self.send(COMMAND, pack_command(command, turn))
-
-    def send_edge(self, edge: Edge) -> None:
-        """Send the time of a SYNC's edge."""
-        self.send(EDGE, pack_edge(edge.counter, edge.t_us))
 
     def _report(self, until_us: int, end_s: float) -> Housekeeping | None:
         """Return the next report of the camera in which no event waits; None when none comes."""

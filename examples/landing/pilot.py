@@ -43,25 +43,15 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class LawInput:
-    """State from navigation, predicted for the time at which the command of this turn acts.
+    """State from navigation, predicted for the time at which the command of this turn acts."""
 
-    Attributes
-    ----------
-    t_s : that time, s since the start.
-    position_m : place beside the site and height above it, (east, north, up), (3,).
-    velocity_m_s : (3,), in the same axes.
-    attitude : newest, unit quaternion world from body, scalar first, (4,).
-    position_sigma_m, velocity_sigma_m_s : 1 sigma of each axis by the filter, (3,).
-    turn_s : time from one command to the next, s.
-    """
-
-    t_s: float
-    position_m: Vector
-    velocity_m_s: Vector
-    attitude: Vector
-    position_sigma_m: Vector
+    t_s: float  # that time, since the start
+    position_m: Vector  # place beside the site and height above it, (east, north, up), (3,)
+    velocity_m_s: Vector  # (3,), in the same axes
+    attitude: Vector  # newest, unit quaternion world from body, scalar first, (4,)
+    position_sigma_m: Vector  # 1 sigma of each axis by the filter, (3,)
     velocity_sigma_m_s: Vector
-    turn_s: float
+    turn_s: float  # from one command to the next
 
 
 class LawFailed(Exception):
@@ -69,15 +59,12 @@ class LawFailed(Exception):
 
 
 class GivenLaw:
-    """A law of a file, called in a thread of its own, so that one that hangs does not stop the flight computer.
+    """A law, FILE.py:NAME, called in a thread of its own, so that one that hangs does not stop the flight computer.
 
-    Parameters
-    ----------
-    text : FILE.py:NAME. Raises LawFailed, with the remedy, where it cannot be loaded.
+    Raises LawFailed, with the remedy, where it cannot be loaded.
     """
 
     def __init__(self, text: str) -> None:
-        self.text = text
         file, _, self._name = text.rpartition(":")
         self._path = Path(file).resolve()
         if not self._name.isidentifier() or self._path.suffix != ".py":
@@ -122,8 +109,6 @@ class GivenLaw:
 
     def _loaded(self) -> Callable[[LawInput], object]:
         spec = importlib.util.spec_from_file_location(_MODULE, self._path)
-        assert spec is not None
-        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[_MODULE] = module  # dataclasses of the file look for their module there
         sys.path.append(str(self._path.parent))  # for what the file imports from beside it
@@ -137,8 +122,7 @@ class GivenLaw:
             law = law()
         if not callable(law):
             raise LawFailed("cannot be called: give a function, or a class with a method __call__(self, state)")
-        callable_law: Callable[[LawInput], object] = law
-        return callable_law
+        return law
 
 
 def _acceleration(value: object) -> Vector:
@@ -154,6 +138,8 @@ def _acceleration(value: object) -> Vector:
         raise LawFailed(f"returned {shown}, beyond {_MOST_M_S2:g} m/s2")
     return command
 
+
+LawCall = Callable[[LawInput], Vector]
 
 NAVIGATIONS = {
     "blind": frozenset[str](),
@@ -178,25 +164,14 @@ _HOLD_S = 1.0
 
 
 class Pilot:
-    """One descent.
+    """One descent, from the state known at its start, with the sensors of a name of NAVIGATIONS.
 
-    Parameters
-    ----------
-    known : state from navigation at the start.
-    navigation : a name of NAVIGATIONS.
-    law : gives the wanted acceleration, (3,), in the place of `wanted_m_s2`.
-    delay_s : as DELAY_S.
+    `law` gives the wanted acceleration, (3,), in the place of `wanted_m_s2`; `delay_s` is as DELAY_S.
     """
 
     begins_s = 0.5  # before it, events show the camera's start and not the ground
 
-    def __init__(
-        self,
-        known: Known,
-        navigation: str,
-        law: Callable[[LawInput], Vector] | None = None,
-        delay_s: float = DELAY_S,
-    ) -> None:
+    def __init__(self, known: Known, navigation: str, law: LawCall | None = None, delay_s: float = DELAY_S) -> None:
         self._used, self._law, self._delay_s = NAVIGATIONS[navigation], law or wanted_m_s2, delay_s
         self.uses_events = "events" in self._used
         self.filter = Filter(known, SensorErrors())
@@ -243,13 +218,12 @@ class Pilot:
 
     def take_motion(self, motion: Motion, now_s: float, length_s: float) -> None:
         """Take the motion of a window of events."""
-        if not self.uses_events or not motion.reliable:
-            return
-        self._motion, self._seen_s = motion, now_s
-        sigma = _RELATIVE * abs(motion.down) + np.array([_LEAST_ASIDE_1_S, _LEAST_ASIDE_1_S, _LEAST_DOWN_1_S])
-        variance = sigma**2 * max(1.0, length_s / TURN_S)
-        velocity_1_s = np.array([motion.east, motion.south, motion.down])
-        self.filter.measure(round(motion.at_s / PERIOD_S), of_events(velocity_1_s, variance))
+        if self.uses_events and motion.reliable:
+            self._motion, self._seen_s = motion, now_s
+            sigma = _RELATIVE * abs(motion.down) + np.array([_LEAST_ASIDE_1_S, _LEAST_ASIDE_1_S, _LEAST_DOWN_1_S])
+            variance = sigma**2 * max(1.0, length_s / TURN_S)
+            velocity_1_s = np.array([motion.east, motion.south, motion.down])
+            self.filter.measure(round(motion.at_s / PERIOD_S), of_events(velocity_1_s, variance))
 
     def command_m_s2(self, now_s: float, period_s: float) -> Vector:
         """Return the acceleration wanted when the command acts, (east, north, up), gravity's not included.

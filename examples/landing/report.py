@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,9 @@ FIGURES = {
 }
 """Figures that are judged, and their names with the unit."""
 
-_SOFT_M_S = 1.0
+BOUNDS = {"vertical_m_s": 1.0, "horizontal_m_s": 0.5, "tilt_deg": 5.0, "place_m": 25.0}
+SITE_BOUNDS = {"slope_deg": 12.0, "rock_m": 0.4}
+
 _STORM_1_S = 300_000  # the ground alone gives 60 000 to 100 000 events a second
 _POSES = {
     "poses refused": "poses were refused: no numbers, or damaged",
@@ -46,19 +47,7 @@ _BEFORE_S = (2.0, 1.0, 0.0)  # pictures of the page, before the newest event
 _MOST_1_S = 0.3  # of a divergence that is drawn: at touchdown that of the truth grows beyond bounds
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """Bounds of a landing: speeds, m/s; tilt at contact, degrees; place, m. Of the site: slope, degrees; rock, m."""
-
-    vertical_m_s: float = 1.0
-    horizontal_m_s: float = 0.5
-    tilt_deg: float = 5.0
-    place_m: float = 25.0
-    slope_deg: float = 12.0
-    rock_m: float = 0.4
-
-
-def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) -> dict[str, object]:
+def judgement(end: TouchDown, ground_m: Height) -> dict[str, object]:
     """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and touched).
 
     `site_good`: slope of the ground under the feet and the highest rock between them are within theirs. Nothing on
@@ -66,17 +55,16 @@ def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) ->
     """
     x, y, _ = end.state.position_m.tolist()
     slope_deg, rock_m = map(float, _site(ground_m, x, y))
-    bounds = bounds or Bounds()
     figures = {
         "vertical_m_s": end.vertical_m_s,
         "horizontal_m_s": end.horizontal_m_s,
         "tilt_deg": math.degrees(math.acos(min(1.0, float(matrix(end.state.attitude)[2, 2])))),
         "place_m": math.hypot(x, y),
     }
-    beyond = [name for name, value in figures.items() if not value < getattr(bounds, name)]
+    beyond = [name for name, value in figures.items() if not value < BOUNDS[name]]
     site = {"slope_deg": slope_deg, "rock_m": rock_m}
-    site_good = slope_deg < bounds.slope_deg and rock_m < bounds.rock_m
-    return figures | site | {"site_good": bool(site_good), "beyond": beyond, "soft": bool(end.touched and not beyond)}
+    site_good = all(value < SITE_BOUNDS[name] for name, value in site.items())
+    return figures | site | {"site_good": site_good, "beyond": beyond, "soft": bool(end.touched and not beyond)}
 
 
 def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
@@ -91,6 +79,12 @@ def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
     return math.degrees(math.atan(math.hypot(east, north))), over
 
 
+def _rows(folder: Path) -> list[dict[str, Any]]:
+    """Return the turns of the flight computer."""
+    log = folder / "computer.jsonl"
+    return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+
+
 class Flight:
     """Files of a flight in its folder; `events` are the last ones of the flight computer."""
 
@@ -98,9 +92,7 @@ class Flight:
         names, *lines = [line.split(",") for line in (folder / "truth.csv").read_text().splitlines()]
         columns = np.array(lines, np.float64).reshape(-1, len(names)).T
         self.truth = dict(zip(names, columns, strict=True))
-        log = folder / "computer.jsonl"
-        text = log.read_text() if log.exists() else ""
-        self.rows: list[dict[str, Any]] = [json.loads(line) for line in text.splitlines()]
+        self.rows = _rows(folder)
         file = folder / "last_events.npz"
         self.events = np.load(file)["events"] if file.exists() else np.zeros(0, [("t", "u8"), ("on", "?")])
         self.height_m = self.truth["z_m"] - self.truth["ground_m"]
@@ -144,14 +136,14 @@ def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object
     `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each fault and error, also after a
     good landing.
     """
-    soft = end.touched and end.vertical_m_s < _SOFT_M_S
+    soft = end.touched and end.vertical_m_s < BOUNDS["vertical_m_s"]
     found: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
     found |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
     found["height_m"] = float(end.state.position_m[2])
-    why = [*end.why, *_of_computer(out), *_of_camera(out)]
+    rows = _rows(out)
+    why = [*end.why, *_of_computer(rows), *_of_camera(out / "summary.json")]
     why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
-    flown = (out / "computer.jsonl").exists() and (out / "computer.jsonl").read_text().strip()
-    return found | {"why": why} | (divergence_errors(Flight(out)) if flown else {})
+    return found | {"why": why} | (divergence_errors(Flight(out)) if rows else {})
 
 
 def reasons(judged: dict[str, Any]) -> Iterator[str]:
@@ -160,12 +152,11 @@ def reasons(judged: dict[str, Any]) -> Iterator[str]:
         yield f"no touchdown: {judged['height_m']:.1f} m up after {judged['t_s']:.1f} s"
         return
     for name in judged.get("beyond", [] if judged["soft"] else ["vertical_m_s"]):
-        yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {getattr(Bounds(), name):g}"
+        yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {BOUNDS[name]:g}"
 
 
-def _of_computer(out: Path) -> Iterator[str]:
-    log = out / "computer.jsonl"
-    rows = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+def _of_computer(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield sentences from the turns of the flight computer."""
     if not rows:
         yield "the flight computer answered no SYNC"
         return
@@ -177,9 +168,8 @@ def _of_computer(out: Path) -> Iterator[str]:
         yield f"no edge of the SYNC came from the camera in {without} of {len(rows)} turns"
 
 
-def _of_camera(out: Path) -> Iterator[str]:
+def _of_camera(file: Path) -> Iterator[str]:
     """Yield sentences from the camera's summary, where this flight started the camera."""
-    file = out / "summary.json"
     text = file.read_text().strip() if file.exists() else ""
     if not text:
         return
@@ -208,11 +198,8 @@ def write_page(folder: Path) -> Path:
     page = Document("A landing guided by events", f"{law}; navigation: {judged['navigation']}; {folder}", kind, words)
     page.add(Section("Reasons").listed([*reasons(judged), *judged["why"]] or ["Nothing went wrong."]))
     columns = [Column("name", "figure"), Column("value", "at the end", "number"), Column("bound", "bound", "number")]
-    figures = [{"name": words, "value": judged.get(name)} for name, words in FIGURES.items()]
-    for row, name in zip(figures, FIGURES, strict=True):
-        row["bound"] = getattr(Bounds(), name)
-    rest = {"time, s": "t_s", "height of the camera, m": "height_m", "propellant, kg": "fuel_kg"}
-    figures += [{"name": words, "value": judged[name]} for words, name in rest.items()]
+    names = FIGURES | {"t_s": "time, s", "height_m": "height of the camera, m", "fuel_kg": "propellant, kg"}
+    figures = [{"name": names[name], "value": judged.get(name), "bound": BOUNDS.get(name)} for name in names]
     page.add(Section("Figures").table("Touchdown, or the end of the flight", columns, figures))
     if len(flight.height_m):
         page.add(Section("Track, velocities and divergence").chart(*_charts(flight)))
@@ -239,7 +226,7 @@ def _charts(flight: Flight) -> tuple[str, str]:
     places = np.array([row["position_m"] for row in known]).reshape(-1, 3)
     plan.plot(truth["x_m"], truth["y_m"], color=BLUE)
     plan.plot(places[:, 0], places[:, 1], color=RED, lw=0.8)
-    plan.add_patch(pyplot().Circle((0, 0), Bounds().place_m, fill=False, ls=":"))
+    plan.add_patch(pyplot().Circle((0, 0), BOUNDS["place_m"], fill=False, ls=":"))
     plan.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="track; dots: bound of the place")
     plan.margins(0.1)
     height.plot(truth["t_s"], truth["z_m"], color=BLUE, label="truth")
