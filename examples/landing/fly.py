@@ -22,7 +22,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -31,9 +31,9 @@ from flight_computer import Settings
 from links import Connection, Fault, Faults, opened_bus
 from pilot import DELAY_S, LAW_FAILED, NAVIGATIONS, GivenLaw, LawFailed
 from real_time import STEP_S, RealTimeSpacecraft, latencies
-from report import judgement, reasons, verdict, write_page
+from report import judgement, reasons, rows_of, verdict, write_page
 from sensors import SensorErrors, Sensors
-from spacecraft import PICTURE_S, Limits, Mission, Spacecraft, TouchDown, fly_without_camera
+from spacecraft import ANSWER_S, LONGEST_S, PICTURE_S, Mission, Spacecraft, TouchDown, fly_without_camera
 from vehicle import Height, Record, State
 
 from emulator.report.page import ChartsLacking
@@ -116,7 +116,6 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
     failed = out / LAW_FAILED
     failed.unlink(missing_ok=True)
     (out / "last_events.npz").unlink(missing_ok=True)
-    limits = Limits(options.answer_s, options.longest_s)
     with ExitStack() as stack:
         processes = []
         if not options.attach:
@@ -135,13 +134,15 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
 
         connection = Connection(bus, ends.pose_port, trouble, faults)
         if options.real_time:
-            spacecraft = RealTimeSpacecraft(mission.lander, mission.state, connection, limits)
-            end = spacecraft.land(ground, record)
-            (out / "spacecraft.json").write_text(json.dumps(asdict(spacecraft.times)))
-            return end
-        sensors = None if given else Sensors(SensorErrors(), mission.lander, seed, ground)
-        spacecraft = Spacecraft(mission.lander, mission.state, connection, limits, sensors, options.delay_s)
-        return spacecraft.land(ground, record)
+            vehicle = RealTimeSpacecraft(mission.lander, mission.state, connection, options.longest_s)
+        else:
+            sensors = None if given else Sensors(SensorErrors(), mission.lander, seed, ground)
+            waits_s = options.answer_s, options.longest_s
+            vehicle = Spacecraft(mission.lander, mission.state, connection, sensors, options.delay_s, *waits_s)
+        end = vehicle.land(ground, record)
+    if isinstance(vehicle, RealTimeSpacecraft) and (rows := rows_of(out)):
+        (out / "latency.json").write_text(json.dumps(latencies(vehicle.origin_ns, vehicle.commands, rows)))
+    return end
 
 
 @contextmanager
@@ -242,8 +243,6 @@ def _report(end: TouchDown, judged: dict[str, Any], options: argparse.Namespace,
     print(f"\n{text}; files in {out}", *reasons(judged), *judged["why"], sep="\n  ")
     for file in (out / "verdict.json", *([options.result] if options.result else [])):
         file.write_text(json.dumps(judged))
-    if options.real_time and (out / "computer.jsonl").stat().st_size:
-        (out / "latency.json").write_text(json.dumps(latencies(out), indent=1))
     try:
         print(f"page: {write_page(out)}")
     except ChartsLacking as error:
@@ -270,8 +269,8 @@ def _options() -> argparse.Namespace:
     add("--record", type=Path, help="write the events to this .npz")
     add("--result", type=Path, help="a copy of verdict.json")
     add("--fault", type=Fault.parse, action="append", default=[], help="crash@12 and others, see links.py; repeat")
-    add("--answer-s", type=float, default=120.0, help="time limit for an answer of the flight computer, in lockstep")
-    add("--longest-s", type=float, default=600.0, help="longest flight")
+    add("--answer-s", type=float, default=ANSWER_S, help="time limit for an answer of the flight computer, in lockstep")
+    add("--longest-s", type=float, default=LONGEST_S, help="longest flight")
     return parser.parse_args()
 
 

@@ -19,18 +19,15 @@ Apart: the estimator's window, half of which delays the estimate.
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from links import Connection
 from sensors import ATTITUDE, COMMAND, EDGE, pack_attitude, unpack_command, unpack_edge
-from spacecraft import USUAL, Limits, Spacecraft
+from spacecraft import LONGEST_S, Spacecraft
 from vehicle import Lander, State
 
 STEP_S = 0.01
@@ -43,32 +40,18 @@ _LATE_NS = 1_000_000_000  # for an edge: a camera that is later does not keep up
 _NO_CAMERA = "the descent did not begin: the camera is silent, or more than half a second late"
 
 
-@dataclass(frozen=True)
-class CommandTimes:
-    """Instants of one command, ns of CLOCK_MONOTONIC: when it came, when a pose showed it; the SYNC it answers."""
+class CommandTimes(NamedTuple):
+    """Times of one command, ns of CLOCK_MONOTONIC: when it came, when a pose showed it; the SYNC that it answers."""
 
     counter: int
     received_ns: int
     shown_ns: int
 
 
-@dataclass
-class Times:
-    """Times of the spacecraft for `latencies`: the instant at which the stream began, commands."""
-
-    origin_ns: int = 0
-    commands: list[CommandTimes] = field(default_factory=list)
-
-
 class RealTimeSpacecraft(Spacecraft):
-    """One vehicle in real time, its attitude given.
+    """One vehicle in real time, its attitude given; `now_ns` is its clock, CLOCK_MONOTONIC.
 
-    Parameters
-    ----------
-    lander, state : parameters and start.
-    connection : to camera and flight computer.
-    limits : the longest flight.
-    now_ns : the clock, CLOCK_MONOTONIC.
+    `origin_ns` is the instant at which the stream began, `commands` has the times of all commands.
     """
 
     def __init__(
@@ -76,16 +59,17 @@ class RealTimeSpacecraft(Spacecraft):
         lander: Lander,
         state: State,
         connection: Connection,
-        limits: Limits = USUAL,
+        longest_s: float = LONGEST_S,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        super().__init__(lander, state, connection, limits)
+        super().__init__(lander, state, connection, longest_s=longest_s)
         self._connection, self._now_ns = connection, now_ns
         self._period_s, self._periods = STEP_S, _STEPS_A_TURN
         self._counter = 0
         self._received: list[tuple[int, int]] = []  # counter and time of commands that no pose has shown yet
         self._received_ns = 0
-        self.times = Times()
+        self.origin_ns = 0
+        self.commands: list[CommandTimes] = []
 
     def _begins(self) -> bool:
         """Find when the stream began, and show the start to the camera; return whether it is in time."""
@@ -97,7 +81,7 @@ class RealTimeSpacecraft(Spacecraft):
             self._number += 1
             self._connection.pose(self.t_s, self.state)
         self._start_s, self._received_ns = self.t_s, self._now_ns()
-        self._end_s = self.t_s + self._limits.longest_s
+        self._end_s = self.t_s + self._longest_s
         return True
 
     def _synchronise(self) -> bool:
@@ -117,14 +101,14 @@ class RealTimeSpacecraft(Spacecraft):
                         origins.append(sent[counter] - t_us * 1000)
         if len(origins) < _SYNCS:
             return False
-        self.times.origin_ns = max(origins)  # an edge comes after its SYNC: the least delay is the best
-        turns = round((self._now_ns() - self.times.origin_ns) * 1e-9 / STEP_S / _STEPS_A_TURN)
+        self.origin_ns = max(origins)  # an edge comes after its SYNC: the least delay is the best
+        turns = round((self._now_ns() - self.origin_ns) * 1e-9 / STEP_S / _STEPS_A_TURN)
         self._number = turns * _STEPS_A_TURN
         return True
 
     def _due_ns(self, number: int) -> int:
         """Return the instant of a step."""
-        return self.times.origin_ns + round(number * STEP_S * 1e9)
+        return self.origin_ns + round(number * STEP_S * 1e9)
 
     def _advanced(self) -> State:
         """Read commands until the next step is due; return the state at it."""
@@ -152,7 +136,7 @@ class RealTimeSpacecraft(Spacecraft):
         self._connection.pose(self.t_s, self.state)
         self._connection.frame(self.t_s, ATTITUDE, pack_attitude(self.state.attitude, self._number))
         now_ns = self._now_ns()
-        self.times.commands += [CommandTimes(counter, received_ns, now_ns) for counter, received_ns in self._received]
+        self.commands += [CommandTimes(counter, received_ns, now_ns) for counter, received_ns in self._received]
         self._received = []
 
     def _sync(self) -> None:
@@ -171,35 +155,32 @@ Floats = npt.NDArray[np.float64]
 Row = dict[str, Any]
 
 
-def latencies(out: Path) -> dict[str, object]:
-    """Return the delays for latency.json, from spacecraft.json and computer.jsonl of a real-time flight."""
-    times = json.loads((out / "spacecraft.json").read_text())
-    rows = [json.loads(line) for line in (out / "computer.jsonl").read_text().splitlines()]
-    parts = _parts(times, rows)
-    events = _event_delays_s(rows, times["origin_ns"])
+def latencies(origin_ns: int, commands: Sequence[CommandTimes], rows: Sequence[Row]) -> dict[str, object]:
+    """Return the delays for latency.json, from the times of a flight's spacecraft and the log of its computer."""
+    parts, events = _parts(origin_ns, commands, rows), _event_delays_s(rows, origin_ns)
     parts_ms = {name: _statistics(values_s * 1e3) for name, values_s in (parts | {"event on the link": events}).items()}
     return {"parts_ms": parts_ms, "window_s": _statistics(np.array([row["window_s"] for row in rows]))}
 
 
-def _parts(times: Row, rows: list[Row]) -> dict[str, Floats]:
+def _parts(origin_ns: int, commands: Sequence[CommandTimes], rows: Sequence[Row]) -> dict[str, Floats]:
     """Return the parts of each command that a pose showed, s."""
     ends = {row["ended_ns"]: row for row in rows if row["counter"]}
     ended_ns = np.array(sorted(ends))
     names = ("turn begins", "estimate", "command on bus", "shown by a pose")
     out = []
-    for command in times["commands"]:
-        k = int(np.searchsorted(ended_ns, command["received_ns"])) - 1
-        while k >= 0 and ends[ended_ns[k]]["counter"] != command["counter"]:
+    for command in commands:
+        k = int(np.searchsorted(ended_ns, command.received_ns)) - 1
+        while k >= 0 and ends[ended_ns[k]]["counter"] != command.counter:
             k -= 1  # counters restart after 240: the newest row before
         if k >= 0:
             row = ends[ended_ns[k]]
-            edge_ns = times["origin_ns"] + row["t_s"] * 1e9
-            instants = (edge_ns, row["began_ns"], row["ended_ns"], command["received_ns"], command["shown_ns"])
+            edge_ns = origin_ns + row["t_s"] * 1e9
+            instants = (edge_ns, row["began_ns"], row["ended_ns"], command.received_ns, command.shown_ns)
             out.append(np.diff(instants) * 1e-9)
     return dict(zip(names, np.array(out).reshape(-1, len(names)).T, strict=True))
 
 
-def _event_delays_s(rows: list[Row], origin_ns: int) -> Floats:
+def _event_delays_s(rows: Sequence[Row], origin_ns: int) -> Floats:
     """Return the delay of each event, s: that of the oldest and newest of a read, for half of it each."""
     arrivals = np.array([arrival for row in rows for arrival in row["arrivals"]], np.int64).reshape(-1, 4)
     at_ns, oldest_us, newest_us, events = arrivals.T

@@ -79,7 +79,7 @@ def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
     return math.degrees(math.atan(math.hypot(east, north))), over
 
 
-def _rows(folder: Path) -> list[dict[str, Any]]:
+def rows_of(folder: Path) -> list[dict[str, Any]]:
     """Return the turns of the flight computer."""
     log = folder / "computer.jsonl"
     return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
@@ -92,7 +92,7 @@ class Flight:
         names, *lines = [line.split(",") for line in (folder / "truth.csv").read_text().splitlines()]
         columns = np.array(lines, np.float64).reshape(-1, len(names)).T
         self.truth = dict(zip(names, columns, strict=True))
-        self.rows = _rows(folder)
+        self.rows = rows_of(folder)
         file = folder / "last_events.npz"
         self.events = np.load(file)["events"] if file.exists() else np.zeros(0, [("t", "u8"), ("on", "?")])
         self.height_m = self.truth["z_m"] - self.truth["ground_m"]
@@ -140,7 +140,7 @@ def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object
     found: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
     found |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
     found["height_m"] = float(end.state.position_m[2])
-    rows = _rows(out)
+    rows = rows_of(out)
     why = [*end.why, *_of_computer(rows), *_of_camera(out / "summary.json")]
     why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
     return found | {"why": why} | (divergence_errors(Flight(out)) if rows else {})

@@ -8,11 +8,9 @@ that has died, and the flight goes on to the ground.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from divergence import Motion
 from guidance import wanted_1_s
 from links import Connection
 from navigation import Known
@@ -31,6 +29,7 @@ from sensors import (
 from vehicle import GRAVITY_M_S2, NO_TURN, Height, Lander, Record, State, Vector, advance, product
 
 PICTURE_S = 0.04
+ANSWER_S, LONGEST_S = 120.0, 600.0
 _FOOT_M = 2.0  # height of the camera when the feet stand
 _LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
 
@@ -38,17 +37,6 @@ _LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
 _HEIGHT_ERROR, _PLACE_ERROR_M, _VELOCITY_ERROR_M_S = 0.05, 5.0, 0.7  # of what navigation knows
 _OFFSET_M, _SIDEWAYS_M_S = 10.0, 0.5  # of the true place and speed
 _MASS_ERROR, _THRUST_ERROR, _GRAVITY_ERROR_M_S2 = 0.02, 0.015, 0.002
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Wall time within which the flight computer answers, in lockstep; longest flight; s."""
-
-    answer_s: float = 120.0
-    longest_s: float = 600.0
-
-
-USUAL = Limits()
 
 
 @dataclass(frozen=True)
@@ -125,9 +113,9 @@ class Spacecraft:
     ----------
     lander, state : parameters and start.
     links : to camera and flight computer.
-    limits : longest waiting times.
     sensors : of the vehicle.
     delay_s : from the end of a turn until its command acts.
+    answer_s, longest_s : wall time within which the flight computer answers, in lockstep; longest flight.
     """
 
     def __init__(
@@ -135,11 +123,13 @@ class Spacecraft:
         lander: Lander,
         state: State,
         links: Connection | WithoutCamera,
-        limits: Limits = USUAL,
         sensors: Sensors | None = None,
         delay_s: float = DELAY_S,
+        answer_s: float = ANSWER_S,
+        longest_s: float = LONGEST_S,
     ) -> None:
-        self._lander, self.state, self._links, self._limits = lander, state, links, limits
+        self._lander, self.state, self._links = lander, state, links
+        self._answer_s, self._longest_s = answer_s, longest_s
         self._sensors, self._delay_s = sensors, delay_s if sensors else 0.0
         self._period_s, self._periods = (PERIOD_S, 10) if sensors else (PICTURE_S, 5)  # so many in a turn
         self._full_kg = state.mass_kg
@@ -148,7 +138,7 @@ class Spacecraft:
         self._attitude = NO_TURN  # of the attitude control with sensors; navigation's at the start
         self._turns: list[Vector] = [NO_TURN]
         self._why: list[str] = []
-        self._start_s, self._end_s = 0.0, limits.longest_s
+        self._start_s, self._end_s = 0.0, longest_s
 
     @property
     def t_s(self) -> float:
@@ -217,14 +207,14 @@ class Spacecraft:
         if self._why:
             return
         try:
-            while (answer := self._links.answer(self.t_s, self._limits.answer_s)) is not None:
+            while (answer := self._links.answer(self.t_s, self._answer_s)) is not None:
                 command, turn, estimate = answer
                 if turn == self._turn % (1 << 16):
                     self._commands = [*self._commands[-3:], (self.t_s + self._delay_s, command)]
                     self._correct(estimate)
                     return
         except TimeoutError:
-            text = f"the flight computer did not answer within {self._limits.answer_s:g} s"
+            text = f"the flight computer did not answer within {self._answer_s:g} s"
             self._goes_alone(self._links.trouble() or text)
 
     def _correct(self, estimate: bytes) -> None:
@@ -244,16 +234,10 @@ class Spacecraft:
 
 
 class WithoutCamera:
-    """Links of a spacecraft whose pilot is in the same program.
+    """Links of a spacecraft whose pilot is in the same program."""
 
-    Parameters
-    ----------
-    pilot : the pilot.
-    motion : returns the motion that a camera would have measured with the window of a turn, and its length; for tests.
-    """
-
-    def __init__(self, pilot: Pilot, motion: Callable[[float], tuple[Motion, float] | None] = lambda t_s: None) -> None:
-        self._pilot, self._motion, self._turn = pilot, motion, 0
+    def __init__(self, pilot: Pilot) -> None:
+        self._pilot, self._turn = pilot, 0
 
     def pose(self, t_s: float, state: State) -> None:
         """Send nothing: no camera."""
@@ -272,9 +256,6 @@ class WithoutCamera:
 
     def answer(self, t_s: float, limit_s: float) -> tuple[Vector, int, bytes]:
         """Return the pilot's answer, as it would come over the bus."""
-        if (seen := self._motion(t_s)) is not None:
-            motion, length_s = seen
-            self._pilot.take_motion(motion, t_s, length_s)
         command, turn = unpack_command(pack_command(self._pilot.command_m_s2(t_s, 0.0), self._turn))
         ((_, estimate),) = self._pilot.frames()
         return command, turn, estimate

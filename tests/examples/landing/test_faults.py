@@ -12,7 +12,7 @@ import pytest
 from compare import FAULTS, fault_line
 from links import Fault, Faults
 from report import verdict
-from spacecraft import Limits, Spacecraft, TouchDown
+from spacecraft import Spacecraft, TouchDown
 from vehicle import Lander, State
 
 from firmware_protocol.pose_message import PoseMessage, PoseMessageError
@@ -82,7 +82,7 @@ def test_without_commands_the_last_one_holds_to_the_ground(answer: object, reque
     """The vehicle waits once for a silent computer; in each turn for one whose frames are lost."""
     state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -0.8]), thrust_n=1620.0)
     connection = Silent(answer)
-    end = Spacecraft(Lander(), state, connection, Limits(3.0)).land(lambda x, y: 0.0, lambda t_s, state: None)
+    end = Spacecraft(Lander(), state, connection, answer_s=3.0).land(lambda x, y: 0.0, lambda t_s, state: None)
     assert end.touched
     assert end.vertical_m_s == pytest.approx(0.8, abs=0.02)
     assert len(end.why) == sentences

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import deque
-from pathlib import Path
 
 import can
 import numpy as np
@@ -13,7 +11,7 @@ import pytest
 from divergence import Motion
 from guidance import GAIN_1_S, Guidance, wanted_1_s
 from links import Faults
-from real_time import STEP_S, RealTimeSpacecraft, latencies
+from real_time import STEP_S, CommandTimes, RealTimeSpacecraft, latencies
 from sensors import ATTITUDE, COMMAND, EDGE, pack_command, pack_edge, unpack_attitude, unpack_edge
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 
@@ -151,12 +149,12 @@ def test_dynamics_follow_the_wall_and_poses_bear_the_streams_time() -> None:
     assert end.why == ()
     assert end.vertical_m_s == pytest.approx(0.8, abs=0.02)
     assert end.t_s == pytest.approx(12.5, abs=0.2)
-    assert spacecraft.times.origin_ns - wall.ORIGIN_NS == pytest.approx(-1_000_000, abs=2000)
+    assert spacecraft.origin_ns - wall.ORIGIN_NS == pytest.approx(-1_000_000, abs=2000)
     late_s = np.array([sent_s - t_s for t_s, sent_s, _ in ends.poses])
     assert np.abs(late_s).max() < 0.002  # sent at its own time
     assert np.diff([t_s for t_s, _, _ in ends.poses]) == pytest.approx(STEP_S, rel=1e-6)
-    assert len(spacecraft.times.commands) > 50
-    assert all(0 < times.shown_ns - times.received_ns <= 10_000_000 for times in spacecraft.times.commands)
+    assert len(spacecraft.commands) > 50
+    assert all(0 < times.shown_ns - times.received_ns <= 10_000_000 for times in spacecraft.commands)
 
 
 def test_a_machine_that_stands_still_loses_poses_not_time() -> None:
@@ -210,7 +208,7 @@ def test_the_time_of_an_edge_is_carried() -> None:
     assert EDGE not in (ATTITUDE, COMMAND)
 
 
-def test_the_parts_of_the_loop_add_up(tmp_path: Path) -> None:
+def test_the_parts_of_the_loop_add_up() -> None:
     """A flight whose times are known, with counters that begin anew."""
     origin_ns, rows, commands = 10**12, [], []
     for k in range(300):
@@ -218,10 +216,8 @@ def test_the_parts_of_the_loop_add_up(tmp_path: Path) -> None:
         times = np.cumsum([edge_ns, 7_000_000, 21_000_000, 300_000, 5_000_000]).tolist()
         row = {"t_s": 0.2 * k, "counter": k % 240 + 1, "window_s": 0.5, "began_ns": times[1], "ended_ns": times[2]}
         rows.append(row | {"arrivals": [[edge_ns, 200_000 * k - 3000, 200_000 * k - 1000, 10]]})
-        commands.append({"counter": k % 240 + 1, "received_ns": times[3], "shown_ns": times[4]})
-    (tmp_path / "computer.jsonl").write_text("\n".join(map(json.dumps, rows)))
-    (tmp_path / "spacecraft.json").write_text(json.dumps({"origin_ns": origin_ns, "commands": commands}))
-    found = latencies(tmp_path)
+        commands.append(CommandTimes(k % 240 + 1, times[3], times[4]))
+    found = latencies(origin_ns, commands, rows)
     assert {name: part["median"] for name, part in found["parts_ms"].items()} == {
         "turn begins": 7.0, "estimate": 21.0, "command on bus": 0.3, "shown by a pose": 5.0, "event on the link": 2.0,
     }  # fmt: skip

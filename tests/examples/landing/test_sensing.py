@@ -192,13 +192,17 @@ def landed(navigation: str, seed: int) -> TouchDown:
     mission = dataclasses.replace(mission, known=dataclasses.replace(mission.known, position_m=tuple(known)))
     pilot, spacecraft = Pilot(mission.known, navigation), []
 
-    def motion(t_s: float) -> tuple[Motion, float]:
-        state = spacecraft[0].state
-        east, north, up = state.velocity_m_s / state.position_m[2] * (1 + 0.01 * draw.normal(size=3))
-        return Motion(east, -north, -up, 2.0, t_s - PERIOD_S, 9), 0.2
+    class Seeing(WithoutCamera):
+        """Links whose pilot gets the motion that a camera would have measured."""
+
+        def answer(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int, bytes]:
+            state = spacecraft[0].state
+            east, north, up = state.velocity_m_s / state.position_m[2] * (1 + 0.01 * draw.normal(size=3))
+            pilot.take_motion(Motion(east, -north, -up, 2.0, t_s - PERIOD_S, 9), t_s, 0.2)
+            return super().answer(t_s, limit_s)
 
     unit = Sensors(SensorErrors(), mission.lander, seed, lambda x, y: 0.0)
-    links = WithoutCamera(pilot, motion)
+    links = Seeing(pilot)
     spacecraft.append(Spacecraft(mission.lander, mission.state, links, sensors=unit))
     return spacecraft[0].land(lambda x, y: 0.0, lambda t_s, state: None)
 
