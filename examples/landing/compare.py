@@ -5,8 +5,8 @@
 
 A flight's number is its seed: start, errors of vehicle and sensors, ground, the Sun's elevation, the camera's
 thresholds. Flights that have a row in FOLDER/rows.jsonl, or a verdict in FOLDER/NAME, are not flown again; `--flights
-0` only prints. Two programs with different `--first` can share a folder. Blind flights and those with the altimeter
-alone need no camera; the others are those of fly.py, over the real serial line, bus and poses, one at a time.
+0` only prints. Blind flights and those with the altimeter alone need no camera; the others are those of fly.py, over
+the real serial line, bus and poses, one at a time.
 """
 
 from __future__ import annotations
@@ -139,7 +139,6 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--height", type=float, default=1500.0)
     parser.add_argument("--flights", type=int, default=100)
-    parser.add_argument("--first", type=int, default=1, help="first seed: two programs can share the work")
     parser.add_argument("--navigation", nargs="+", choices=NAVIGATIONS, default=["blind", "altimeter", "events"])
     parser.add_argument("--faults", nargs="*", choices=list(FAULTS), metavar="NAME", help="all, or these")
     options = parser.parse_args()
@@ -154,7 +153,7 @@ def main() -> None:
     file.touch()
     rows = [json.loads(line) for line in file.read_text().splitlines()]
     flights = {(row["navigation"], row["seed"], row["height_m"]) for row in rows}
-    for seed in range(options.first, options.first + options.flights):
+    for seed in range(1, options.flights + 1):
         for navigation in options.navigation:
             if (navigation, seed, options.height) not in flights:
                 row = row_of(navigation, options.height, seed, folder)

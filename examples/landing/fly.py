@@ -83,9 +83,9 @@ def running(
     with subprocess.Popen([sys.executable, *map(str, arguments)], stdout=output) as process:
 
         def ended() -> str:
-            code = process.poll()
-            how = f"code {code}" if code is not None and code >= 0 else f"signal {-(code or 0)}"
-            return "" if code is None else f"{name} has ended with {how}"
+            if (code := process.poll()) is None:
+                return ""
+            return f"{name} has ended with {f'code {code}' if code >= 0 else f'signal {-code}'}"
 
         try:
             end_s = time.monotonic() + _READY_S
@@ -117,7 +117,7 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
     failed.unlink(missing_ok=True)
     (out / "last_events.npz").unlink(missing_ok=True)
     with ExitStack() as stack:
-        processes = []
+        processes: list[Callable[[], str]] = []
         if not options.attach:
             run = ["-m", "evstim", "run", out / "landing.toml", "--json", "--seconds", 0, "--seed", seed]
             run += ["--ready-file", out / "ready", *(["--record", options.record] if options.record else [])]
@@ -129,8 +129,8 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
         record = stack.enter_context(_recorded(out / "truth.csv", ground))
 
         def trouble() -> str:
-            ends = [text for ended in processes if (text := ended())]
-            return failed.read_text() if ends and failed.exists() else "; ".join(ends)
+            sentences = [sentence for ended in processes if (sentence := ended())]
+            return failed.read_text() if sentences and failed.exists() else "; ".join(sentences)
 
         connection = Connection(bus, ends.pose_port, trouble, faults)
         if options.real_time:

@@ -265,17 +265,13 @@ class Links:
                 if report.t_us > newest_us:
                     newest_us, stands_s = report.t_us, time.monotonic() + _STANDS_S
             if time.monotonic() > requested_s + _REQUEST_S or report is not before:
-                self._request()
+                try:
+                    os.write(self._port, self._receiver.wrap(RequestHousekeeping()))
+                except OSError:
+                    self._unplug()
                 before, requested_s = report, time.monotonic()
             self.receive(0.01)
         return None
-
-    def _request(self) -> None:
-        if self._port is not None:
-            try:
-                os.write(self._port, self._receiver.wrap(RequestHousekeeping()))
-            except OSError:
-                self._unplug()
 
     def _open(self) -> bool:
         """Open the serial line; return whether it is there."""

@@ -34,7 +34,7 @@ _FOOT_M = 2.0  # height of the camera when the feet stand
 _LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
 
 # Errors at the start and of the vehicle, 1 sigma, each axis: docs/landing.md.
-_HEIGHT_ERROR, _PLACE_ERROR_M, _VELOCITY_ERROR_M_S = 0.05, 5.0, 0.7  # of what navigation knows
+_HEIGHT_ERROR, _PLACE_ERROR_M, _VELOCITY_ERROR_M_S = 0.05, 5.0, 0.7  # of the state from navigation
 _OFFSET_M, _SIDEWAYS_M_S = 10.0, 0.5  # of the true place and speed
 _MASS_ERROR, _THRUST_ERROR, _GRAVITY_ERROR_M_S2 = 0.02, 0.015, 0.002
 
