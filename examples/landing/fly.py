@@ -37,7 +37,7 @@ from spacecraft import ANSWER_S, LONGEST_S, PICTURE_S, Mission, Spacecraft, Touc
 from vehicle import Height, Record, State
 
 from emulator.report.page import ChartsLacking
-from emulator.rig.loading import load_rig
+from emulator.rig.loading import RigError, load_rig
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import build_ground
 
@@ -183,12 +183,12 @@ def main() -> int:
         ends = Ends(int(can_port), int(pose_port), serial)
     (out / "landing.toml").write_text(_rig_text(options, ends))
     faults = Faults(options.fault, options.seed)
-    ground = ground_of(out / "landing.toml")
     try:
+        ground = ground_of(out / "landing.toml")
         end = fly(options, out, ends, ground, faults)
-    except NotStarted as error:
-        print(f"\n{error}", file=sys.stderr)
-        return error.code
+    except (RigError, NotStarted) as error:
+        print(f"\nfly.py: {error}", file=sys.stderr)
+        return error.code if isinstance(error, NotStarted) else _WRONG_USE
     judged = verdict(end, out, faults.frames_lost)
     if options.navigation != "given":
         judged |= judgement(end, ground)
