@@ -5,7 +5,10 @@ the vehicle's own sensors is replaced by
 
     python docs/make_landing_campaign.py --sensors FOLDER
 
-with the folder of `python examples/landing/compare.py FOLDER`.
+with the folder of `python examples/landing/compare.py FOLDER`, and pictures/landing.gif by
+
+    python examples/landing/fly.py --height 300 --out FLIGHT --record FLIGHT/events.npz
+    python docs/make_landing_campaign.py --movie FLIGHT
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +51,8 @@ Of ground, Sun, threshold and height, the [influence](campaigns.md#parameters) (
 
 A run took {wall_s[0]:.0f} s (median; {wall_s[1]:.0f} to {wall_s[2]:.0f}), two at a time on two busy cores.
 """
+
+MOVIE_PICTURES, MOVIE_MS, MOST_1_S = 40, 150, 0.3
 
 SENSORS_MARKS = "<!-- sensors -->\n", "<!-- end of sensors -->\n"
 SENSORS = """### A hundred flights with sensors
@@ -141,7 +147,6 @@ def main(folder: Path) -> None:
 
 def write_sensors(folder: Path) -> None:
     """Replace the part on flights with the vehicle's own sensors."""
-    sys.path.insert(0, str(FILE.parent))
     from compare import table
 
     lines = (folder / "rows.jsonl").read_text()
@@ -152,5 +157,50 @@ def write_sensors(folder: Path) -> None:
     replace_part(SENSORS_MARKS, made)
 
 
+def write_movie(folder: Path) -> None:
+    """Write the GIF of a flight: its events beside height, speed and divergence."""
+    from PIL import Image
+    from report import Flight
+
+    flight, pictures = Flight(folder), []
+    flight.events = np.load(folder / "events-events.npz")["events"]  # the record of the link "events"
+    for t_s in np.linspace(0.4, flight.end_s, MOVIE_PICTURES):
+        figure = figure_at(flight, float(t_s))
+        figure.canvas.draw()
+        picture = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3])
+        pictures.append(picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=32))
+        pyplot().close(figure)
+    file = PAGE / "pictures" / "landing.gif"
+    pictures[0].save(file, save_all=True, append_images=pictures[1:], duration=MOVIE_MS, loop=0)
+
+
+def figure_at(flight: Any, t_s: float) -> Any:
+    """Return a figure of the events of one instant, and of height, speed and divergence up to it."""
+    from report import COLOURS
+
+    figure = pyplot().figure(figsize=(9.2, 3.9), dpi=80, layout="constrained")
+    left, *right = figure.subplot_mosaic([["e", "h"], ["e", "v"], ["e", "d"]], width_ratios=[1.35, 1]).values()
+    left.imshow(COLOURS[flight.picture(t_s)], interpolation="nearest")
+    k = int(np.searchsorted(flight.truth["t_s"], t_s).clip(0, len(flight.height_m) - 1))
+    speed = -flight.truth["vz_m_s"]
+    left.set_title(f"{t_s:5.1f} s   {flight.height_m[k]:6.1f} m   {speed[k]:5.2f} m/s down", family="monospace")
+    left.set_axis_off()
+    times = flight.truth["t_s"][: k + 1]
+    shown = (flight.height_m, "height, m"), (speed, "speed, m/s"), (speed / flight.height_m, "divergence, 1/s")
+    for axes, (values, name) in zip(right, shown, strict=True):
+        axes.plot(times, values[: k + 1], color="k", lw=1.2, label="truth")
+        axes.set(xlim=(0, flight.end_s), ylabel=name)
+        axes.grid(alpha=0.3)
+    right[0].set(yscale="log", ylim=(1.5, flight.height_m.max() * 1.1))
+    right[1].set(ylim=(0, speed.max() * 1.1))
+    at_s, down = flight.seen()
+    right[2].plot(at_s[at_s <= t_s], down[at_s <= t_s], ".", ms=2.5, color="tab:orange", label="from events")
+    right[2].set(ylim=(0, MOST_1_S), xlabel="time, s")
+    right[2].legend(loc="upper left", fontsize=7)
+    return figure
+
+
 if __name__ == "__main__":
-    (write_sensors if sys.argv[1] == "--sensors" else main)(Path(sys.argv[-1]))
+    sys.path.insert(0, str(FILE.parent))
+    make = {"--sensors": write_sensors, "--movie": write_movie}.get(sys.argv[1], main)
+    make(Path(sys.argv[-1]))

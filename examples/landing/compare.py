@@ -3,11 +3,10 @@
     python compare.py FOLDER --height 1500 --flights 100 --navigation blind altimeter events
     python compare.py FOLDER --faults [NAME ...]
 
-A flight's number is its seed: start, errors of vehicle and sensors, ground (one of four, 3 degrees of slope,
-boulders on 3 % of it), the Sun's elevation, the camera's thresholds. Flights that have a row in FOLDER/rows.jsonl, or a
-verdict in FOLDER/NAME, are not flown again; `--flights 0` only prints. Two programs with different `--first` can share
-a folder. Blind flights and those with the altimeter alone need no camera (spacecraft.py); the others are those of
-fly.py, over the real serial line, bus and poses, one at a time.
+A flight's number is its seed: start, errors of vehicle and sensors, ground, the Sun's elevation, the camera's
+thresholds. Flights that have a row in FOLDER/rows.jsonl, or a verdict in FOLDER/NAME, are not flown again; `--flights
+0` only prints. Blind flights and those with the altimeter alone need no camera; the others are those of fly.py, over
+the real serial line, bus and poses, one at a time.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from fly import ground_of
-from pilot import NAVIGATIONS, PilotSettings
-from report import Bounds, judgement
+from pilot import NAVIGATIONS
+from report import BOUNDS, SITE_BOUNDS, judgement
 from scipy.stats import binomtest
 from spacecraft import fly_without_camera
 
@@ -59,9 +58,9 @@ FAULTS = {
 Row = dict[str, Any]
 
 
-def flown(out: Path, arguments: Sequence[str]) -> Row:
+def flown(out: Path, arguments: Sequence[object]) -> Row:
     """Return the verdict of a flight of fly.py into a folder; raises RuntimeError for one without a verdict."""
-    command = [sys.executable, "fly.py", *arguments, "--out", str(out)]
+    command = [sys.executable, "fly.py", *map(str, arguments), "--out", str(out)]
     ended = subprocess.run(command, cwd=_HERE, capture_output=True, text=True, check=False, timeout=_MOST_WALL_S)
     file = out / "verdict.json"
     if not file.exists():
@@ -71,7 +70,7 @@ def flown(out: Path, arguments: Sequence[str]) -> Row:
 
 
 def rig_of(seed: int) -> str:
-    """Return the rig of a flight."""
+    """Return the rig of a flight: one of four grounds with slopes of 3 degrees and boulders on 3 % of it."""
     draw = np.random.default_rng([seed, 29])
     text = (_HERE / "landing.toml").read_text()
     for name, value in (
@@ -91,11 +90,11 @@ def row_of(navigation: str, height_m: float, seed: int, folder: Path) -> Row:
     rig, began_s = out / "rig.toml", time.monotonic()
     rig.write_text(rig_of(seed))
     if "events" in NAVIGATIONS[navigation]:
-        start = ["--height", str(height_m), "--seed", str(seed), "--rig", str(rig), "--longest-s", "300"]
-        judged = flown(out, [*start, "--navigation", navigation])
+        options = ["--height", height_m, "--seed", seed, "--rig", rig, "--longest-s", 300, "--navigation", navigation]
+        judged = flown(out, options)
     else:
         ground = ground_of(rig)
-        end = fly_without_camera(height_m, seed, PilotSettings(navigation), ground)
+        end = fly_without_camera(height_m, seed, navigation, ground)
         judged = {"touched": end.touched, "t_s": end.t_s, "why": list(end.why)} | judgement(end, ground)
     wall_s = round(time.monotonic() - began_s, 1)
     return judged | {"navigation": navigation, "seed": seed, "height_m": height_m, "wall_s": wall_s}
@@ -103,80 +102,67 @@ def row_of(navigation: str, height_m: float, seed: int, folder: Path) -> Row:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the table of all navigations in the rows; quantiles are of the flights that touched down."""
-    head = ["navigation", "good", "95 % interval", *_FIGURES.values(), "beyond a bound", "bad site"]
-    lines = [head, ["---"] * len(head)]
+    lines = [["navigation", "good", "95 % interval", *_FIGURES.values(), "beyond a bound", "bad site"]]
+    lines.append(["---"] * len(lines[0]))
     for navigation in NAVIGATIONS:
-        chosen = [row for row in rows if row["navigation"] == navigation]
-        lines += [_line(navigation, chosen)] if chosen else []
+        flights = [row for row in rows if row["navigation"] == navigation]
+        if not flights:
+            continue
+        good = sum(bool(row["soft"]) for row in flights)
+        interval = binomtest(good, len(flights)).proportion_ci(0.95, "exact")
+        landed = [row for row in flights if row["touched"]]
+        cells = [f"{good} of {len(flights)}", f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"]
+        for name in _FIGURES:
+            quantiles = np.quantile([row[name] for row in landed], [0.5, 0.9, 1.0]) if landed else []
+            cells.append(" / ".join(f"{quantile:.2f}" for quantile in quantiles))
+        beyond = {name.partition("_")[0]: sum(name in row["beyond"] for row in landed) for name in _FIGURES}
+        beyond["not landed"] = len(flights) - len(landed)
+        bad_sites = sum(not row["site_good"] for row in landed)
+        words = ", ".join(f"{name} {count}" for name, count in beyond.items() if count)
+        lines.append([navigation, *cells, words, str(bad_sites)])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _line(navigation: str, rows: Sequence[Row]) -> list[str]:
-    good = sum(bool(row["soft"]) for row in rows)
-    interval = binomtest(good, len(rows)).proportion_ci(0.95, "exact")
-    landed = [row for row in rows if row["touched"]]
-    cells = [_quantiles([row[name] for row in landed]) for name in _FIGURES]
-    beyond = {name: sum(name in row["beyond"] for row in landed) for name in _FIGURES}
-    words = [f"{name.rsplit('_', 1)[0].removesuffix('_m')} {count}" for name, count in beyond.items() if count]
-    words += [f"not landed {len(rows) - len(landed)}"] if len(landed) < len(rows) else []
-    share = f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"
-    bad_sites = sum(not row["site_good"] for row in landed)
-    return [navigation, f"{good} of {len(rows)}", share, *cells, ", ".join(words), str(bad_sites)]
-
-
-def _quantiles(values: Sequence[float]) -> str:
-    if not values:
-        return ""
-    middle, high, most = np.quantile(values, [0.5, 0.9, 1.0])
-    return f"{middle:.2f} / {high:.2f} / {most:.2f}"
-
-
-def fly_fault(name: str, folder: Path) -> Row:
-    """Return the verdict of the flight with a fault, flown now unless its folder has one."""
+def fault_line(name: str, folder: Path) -> str:
+    """Return a line of the table of faults, of a flight that is flown now unless its folder has a verdict."""
     file = folder / name / "verdict.json"
-    known: Row | None = json.loads(file.read_text()) if file.exists() else None
-    return known or flown(file.parent, [*_ALL.split(), *FAULTS[name].split()])
-
-
-def fault_line(name: str, judged: Row) -> str:
-    """Return a line of the table of faults."""
+    judged = json.loads(file.read_text()) if file.exists() else flown(file.parent, f"{_ALL} {FAULTS[name]}".split())
     title = f"{name}: `{FAULTS[name]}`" if FAULTS[name] else name
     ended = f"{judged['vertical_m_s']:.2f} m/s" if judged["touched"] else f"not landed, {judged['height_m']:.1f} m up"
     errors = [f"{judged[key] * 100:.1f} %" for key in ("error_median", "error_p90") if key in judged]
     return " ".join(f"| {title} | {ended} | {' / '.join(errors)} | {'; '.join(judged['why'])} |".split())
 
 
-def main(print_line: Callable[[str], None] = print) -> None:
+def main() -> None:
     """Fly what is missing, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--height", type=float, default=1500.0)
     parser.add_argument("--flights", type=int, default=100)
-    parser.add_argument("--first", type=int, default=1, help="first seed: two programs can share the work")
     parser.add_argument("--navigation", nargs="+", choices=NAVIGATIONS, default=["blind", "altimeter", "events"])
     parser.add_argument("--faults", nargs="*", choices=list(FAULTS), metavar="NAME", help="all, or these")
-    arguments = parser.parse_args()
-    folder = arguments.folder.resolve()
+    options = parser.parse_args()
+    folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    if arguments.faults is not None:
-        print_line("| flight | ended | error of the divergence, median / 90 % | verdict |\n|---|---|---|---|")
-        for name in arguments.faults or FAULTS:
-            print_line(fault_line(name, fly_fault(name, folder)))
+    if options.faults is not None:
+        print("| flight | ended | error of the divergence, median / 90 % | verdict |\n|---|---|---|---|")
+        for name in options.faults or FAULTS:
+            print(fault_line(name, folder))
         return
     file = folder / "rows.jsonl"
-    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-    known = {(row["navigation"], row["seed"], row["height_m"]) for row in rows}
-    for seed in range(arguments.first, arguments.first + arguments.flights):
-        for navigation in arguments.navigation:
-            if (navigation, seed, arguments.height) in known:
-                continue
-            row = row_of(navigation, arguments.height, seed, folder)
-            with file.open("a") as more:
-                print(json.dumps(row), file=more)
-            print(f"{navigation} {seed}: {'good' if row['soft'] else row['beyond']}", file=sys.stderr, flush=True)
-    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-    print_line(f"From {arguments.height:g} m; median / 90 % / most of each figure; bounds: {Bounds()}")
-    print_line(table([row for row in rows if row["height_m"] == arguments.height]))
+    file.touch()
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    flights = {(row["navigation"], row["seed"], row["height_m"]) for row in rows}
+    for seed in range(1, options.flights + 1):
+        for navigation in options.navigation:
+            if (navigation, seed, options.height) not in flights:
+                row = row_of(navigation, options.height, seed, folder)
+                with file.open("a") as more:
+                    print(json.dumps(row), file=more)
+                print(f"{navigation} {seed}: {'good' if row['soft'] else row['beyond']}", file=sys.stderr, flush=True)
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    print(f"From {options.height:g} m; median / 90 % / most of each figure; bounds: {BOUNDS | SITE_BOUNDS}")
+    print(table([row for row in rows if row["height_m"] == options.height]))
 
 
 if __name__ == "__main__":

@@ -10,13 +10,10 @@ then largest (Gallego et al., CVPR 2018). Addresses are spread evenly over their
 
 Three choices keep F from preferring a motion that is too small (docs/landing.md has the first two with known answers):
 
-- ON events count +1 and OFF events -1. Without signs the picture has a mean, which does not depend on the motion, but
-  adds most to F where early and late events overlap most: without motion.
-- Only the part of the ground that is in view for the whole window counts, for every motion that is tried. Else the same
-  happens with ground that is smooth over many pixels, signs or not: most events are near the border.
+- ON events count +1 and OFF events -1. Without signs the picture has a mean, which adds most to F where early and late
+  events overlap most: without motion.
+- Only the part of the ground that is in view for the whole window counts, for every motion that is tried.
 - An event counts (1 - w t)^2: a picture made smaller by moving its events is not a sharper one.
-
-`Window` holds the newest events of a camera that looks down, and gives them as level rays.
 """
 
 from __future__ import annotations
@@ -42,46 +39,35 @@ _ROUNDS = 6
 
 @dataclass(frozen=True)
 class Motion:
-    """Velocity over height, 1/s, and how reliable it is.
-
-    Attributes
-    ----------
-    east, south, down : 1/s; `down` is the divergence, 1 / time to contact.
-    gain : contrast over that without motion; what moves too little or is mostly noise has about 1.
-    at_s : time for which it holds, the middle of the window.
-    events : used.
-    """
+    """Velocity over height, 1/s, and how reliable it is."""
 
     east: float
     south: float
-    down: float
-    gain: float
-    at_s: float
-    events: int
+    down: float  # the divergence, 1 / time to contact
+    gain: float  # contrast over that without motion; what moves too little or is mostly noise has about 1
+    at_s: float  # time for which it holds, the middle of the window
+    events: int  # used
 
     @property
     def reliable(self) -> bool:
         """True when a motion was measured."""
         return self.gain >= _LEAST_GAIN
 
+    def row(self) -> dict[str, object]:
+        """Return what belongs into a flight's log."""
+        row: dict[str, object] = {"at_s": self.at_s, "down_1_s": self.down, "east_1_s": self.east}
+        return row | {"south_1_s": self.south, "gain": self.gain, "events": self.events}
+
 
 @dataclass(frozen=True)
 class Rays:
-    """Events as level rays.
+    """Events as level rays, (n,) each; their addresses are spread over their pixels."""
 
-    Attributes
-    ----------
-    t_s : times, rising, (n,).
-    x, y : east and south over down, (n,); addresses spread over their pixel.
-    sign : +1 for ON, -1 for OFF, (n,).
-    seen : part that was in view all the time: least and most x, least and most y.
-    """
-
-    t_s: Floats
-    x: Floats
-    y: Floats
-    sign: Floats
-    seen: tuple[float, float, float, float]
+    t_s: Floats  # rising
+    x: Floats  # east over down
+    y: Floats  # south over down
+    sign: Floats  # +1 for ON, -1 for OFF
+    seen: tuple[float, float, float, float]  # part in view all the time: least and most x, least and most y
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -122,18 +108,14 @@ class MotionEstimator:
         part = rays.common(theta, spread) * self._focal_px / _CELL_PX
         scene = (rays.t_s - middle_s, rays.x, rays.y, rays.sign, part)
         still = self._contrast(scene, np.zeros(3))
-        theta = self._along_grid(scene, theta, spread)
+        trials = [np.array([*theta[:2], down]) for down in theta[2] + np.linspace(-spread, spread, _GRID)]
+        theta = max(trials, key=lambda trial: self._contrast(scene, trial))
         size = 2 * _CELL_PX / (max(last_s - first_s, 1e-3) * self._focal_px)  # a cell at the edge
         theta, best = self._climb(scene, theta, np.array([size, size, 2 * size]))
         return Motion(*theta.tolist(), gain=best / max(still, 1e-9), at_s=middle_s, events=len(rays))
 
     def _contrast(self, scene: Scene, theta: Floats) -> float:
         return float(_contrast(scene, theta, self._focal_px / _CELL_PX, self._pictures, _TAPS))
-
-    def _along_grid(self, scene: Scene, theta: Floats, spread: float) -> Floats:
-        """Return the best of a grid of divergences."""
-        trials = [np.array([theta[0], theta[1], w]) for w in theta[2] + np.linspace(-spread, spread, _GRID)]
-        return max(trials, key=lambda trial: self._contrast(scene, trial))
 
     def _climb(self, scene: Scene, theta: Floats, size: Floats) -> tuple[Floats, float]:
         """Return the top and its contrast: parabolas along each unknown, with smaller steps each round."""
@@ -228,11 +210,6 @@ class Window:
         self._attitudes: list[tuple[float, Floats]] = [(-1.0, np.eye(3))]  # upright, before the first one comes
 
     @property
-    def attitude_s(self) -> float:
-        """Time of the newest attitude."""
-        return self._attitudes[-1][0]
-
-    @property
     def newest_s(self) -> float:
         """Time of the newest event; below 0 before the first."""
         return float(self._events[-1]["t"][-1]) * 1e-6 if self._events else -1.0
@@ -251,21 +228,9 @@ class Window:
         while self._events and self._events[0]["t"][-1] + _KEPT_US < self._events[-1]["t"][-1]:
             del self._events[0]
 
-    def add_attitude(self, t_s: float, q_world_from_body: Floats) -> None:
-        """Take the next attitude."""
-        self._attitudes.append((t_s, matrix(q_world_from_body)))
-        del self._attitudes[:-200]
-
     def replace_attitudes(self, attitudes: Iterable[tuple[float, Floats]]) -> None:
         """Take times, s, and attitudes, world from body, in the place of all earlier ones."""
         self._attitudes = [(t_s, matrix(q)) for t_s, q in attitudes]
-
-    def counts(self, bin_us: int) -> tuple[int, npt.NDArray[np.int64]]:
-        """Return the time of the oldest event, us, and the number of each bin of `bin_us` since then, (n,)."""
-        if not self._events:
-            return 0, np.zeros(0, np.int64)
-        t_us = self.events["t"].astype(np.int64)
-        return int(t_us[0]), np.bincount((t_us - t_us[0]) // bin_us)
 
     def rays(self, since_s: float, until_s: float) -> Rays:
         """Return the events from one time to another."""

@@ -20,6 +20,7 @@ Faults of the camera's links are evstim's own: tables of the rig, docs/faults.md
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
 import os
 import re
@@ -30,26 +31,16 @@ import termios
 import time
 import tty
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import can
 import numpy as np
 from divergence import Window
-from sensors import (
-    ATTITUDE,
-    COMMAND,
-    EDGE,
-    ESTIMATE,
-    SYNC,
-    pack_attitude,
-    pack_command,
-    pack_edge,
-    unpack_attitude,
-    unpack_command,
-)
-from vehicle import State, product
+from sensors import COMMAND, ESTIMATE, SYNC, unpack_command
+from vehicle import State, Vector, product
 
 from evstim import SerialReceiver
 from firmware_protocol.packets.housekeeping import Housekeeping
@@ -84,13 +75,7 @@ class Fault:
 
 
 class Faults:
-    """The faults of one flight.
-
-    Parameters
-    ----------
-    faults : in any order.
-    seed : of the frames that are lost.
-    """
+    """The faults of one flight, in any order; `seed` is that of the frames that are lost."""
 
     def __init__(self, faults: Sequence[Fault] = (), seed: int = 0) -> None:
         self._faults = tuple(faults)
@@ -105,26 +90,34 @@ class Faults:
         if "backwards" in kinds:
             t_ns = max(round((2 * kinds["backwards"].at_s - t_s) * 1e9), 0)
             message = dataclasses.replace(message, t_ns=t_ns)
-        return datagram_with_nan(message) if "nan" in kinds else bytes(message)
+        data = bytearray(bytes(message))
+        if "nan" in kinds:
+            struct.pack_into("<d", data, _PLACE, math.nan)
+            struct.pack_into("<I", data, len(data) - 4, zlib.crc32(data[:-4]))
+        return bytes(data)
 
     def loses_frame(self, t_s: float) -> bool:
-        """Return whether the bus loses the next attitude or command."""
+        """Return whether the bus loses the next attitude, sample or command."""
         lost = any(one.kind == "lose" and one.on(t_s) and self._draw.random() < one.share for one in self._faults)
         self.frames_lost += lost
         return lost
 
-    @property
-    def of_computer(self) -> list[str]:
-        """Arguments of the flight computer that make it fail."""
-        return [f"--{one.kind}-at={one.at_s}" for one in self._faults if one.kind in ("crash", "hang")]
+    def of_computer(self) -> dict[str, float]:
+        """Return the settings of the flight computer that make it fail."""
+        return {f"{fault.kind}_at_s": fault.at_s for fault in self._faults if fault.kind in ("crash", "hang")}
 
 
-def datagram_with_nan(message: PoseMessage) -> bytes:
-    """Return a pose's datagram with a place that is not a number and a checksum that fits."""
-    data = bytearray(bytes(message))
-    struct.pack_into("<d", data, _PLACE, math.nan)
-    struct.pack_into("<I", data, len(data) - 4, zlib.crc32(data[:-4]))
-    return bytes(data)
+@contextmanager
+def opened_bus(port: int) -> Iterator[can.BusABC]:
+    """Give the served bus of a TCP port of this machine."""
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
+    with can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=port) as bus:
+        time.sleep(0.5)  # the served bus sends no frames to a new client for a quarter of a second
+        yield bus
+
+
+def _send(bus: can.BusABC, identifier: int, data: bytes) -> None:
+    bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
 
 
 _LOOKING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])  # body from camera
@@ -137,16 +130,13 @@ class Connection:
     Parameters
     ----------
     bus : the CAN bus.
-    poses : address at which the camera receives poses, (host, port).
+    pose_port : UDP port at which the camera receives poses.
     trouble : returns a text that names the process that has ended; "" while all run.
     faults : injected faults.
     """
 
-    def __init__(
-        self, bus: can.BusABC, poses: tuple[str, int], trouble: Callable[[], str], faults: Faults | None = None
-    ) -> None:
-        self._bus, self._poses, self.trouble = bus, poses, trouble
-        self._faults = faults or Faults()
+    def __init__(self, bus: can.BusABC, pose_port: int, trouble: Callable[[], str], faults: Faults) -> None:
+        self._bus, self._poses, self.trouble, self.faults = bus, ("127.0.0.1", pose_port), trouble, faults
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._counter = 0
         self._estimate = b""
@@ -156,25 +146,20 @@ class Connection:
         q = product(state.attitude, _LOOKING_DOWN)
         message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._counter)
         self._counter += 1
-        if (data := self._faults.datagram(message, t_s)) is not None:
+        if (data := self.faults.datagram(message, t_s)) is not None:
             self._socket.sendto(data, self._poses)
 
-    def attitude(self, t_s: float, state: State, number: int) -> None:
-        """Send the attitude of a time, which has a number."""
-        if not self._faults.loses_frame(t_s):
-            self._send(ATTITUDE, pack_attitude(state.attitude, number))
-
     def frame(self, t_s: float, identifier: int, data: bytes) -> None:
-        """Send a frame of a sensor."""
-        if not self._faults.loses_frame(t_s):
-            self._send(identifier, data)
+        """Send an attitude or a sample."""
+        if not self.faults.loses_frame(t_s):
+            _send(self._bus, identifier, data)
 
     def sync(self, counter: bytes = b"") -> None:
         """Send a SYNC."""
-        self._send(SYNC, counter)
+        _send(self._bus, SYNC, counter)
 
-    def command(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int] | None:
-        """Return the next command and the turn that it answers; None when the bus lost it.
+    def answer(self, t_s: float, limit_s: float) -> tuple[Vector, int, bytes] | None:
+        """Return the next command, the turn that it answers and the newest estimate; None when the bus lost it.
 
         Raises TimeoutError when none comes within `limit_s` of wall time, or when there is trouble.
         """
@@ -184,24 +169,13 @@ class Connection:
             if message is not None and message.arbitration_id == ESTIMATE:
                 self._estimate = bytes(message.data)
             if message is not None and message.arbitration_id == COMMAND:
-                return None if self._faults.loses_frame(t_s) else unpack_command(bytes(message.data))
+                command, turn = unpack_command(bytes(message.data))
+                return None if self.faults.loses_frame(t_s) else (command, turn, self._estimate)
         raise TimeoutError
-
-    def answer(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int, bytes] | None:
-        """Return the next command, its turn, and the data of the newest estimate; see `command`."""
-        answer = self.command(t_s, limit_s)
-        return None if answer is None else (*answer, self._estimate)
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame of the bus, if one comes in time."""
         return self._bus.recv(timeout_s)
-
-    def loses(self, t_s: float) -> bool:
-        """Return whether the bus loses the command that came."""
-        return self._faults.loses_frame(t_s)
-
-    def _send(self, identifier: int, data: bytes) -> None:
-        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
 
 
 _REQUEST_S = 0.5
@@ -209,8 +183,7 @@ _PATIENCE_S = 10.0  # longest wait for missing events, wall time: the line is st
 _STANDS_S = 5.0  # longest wait for a camera whose time stands still, wall time: it receives no SYNC
 
 
-@dataclass(frozen=True)
-class Edge:
+class Edge(NamedTuple):
     """A SYNC among the events: its time and its counter on the bus."""
 
     t_us: int
@@ -227,122 +200,94 @@ class Arrival(NamedTuple):
 
 
 class Links:
-    """The two links, read in one thread without waiting for either.
+    """The flight computer's side of its two links, read in one thread without waiting for either.
 
     Parameters
     ----------
     port : path of the serial line.
     bus : the CAN bus.
-    attitude_s : time of an attitude by its number.
-    sensors : receives identifier and data of each frame, those of the vehicle's own sensors among them.
+    window : receives events.
+    take_frame : receives identifier and data of each frame of the bus.
     """
 
-    def __init__(
-        self,
-        port: str,
-        bus: can.BusABC,
-        attitude_s: Callable[[int], float],
-        sensors: Callable[[int, bytes], None] = lambda identifier, data: None,
-    ) -> None:
-        self._path, self._bus, self._attitude_s, self._sensors = port, bus, attitude_s, sensors
+    def __init__(self, port: str, bus: can.BusABC, window: Window, take_frame: Callable[[int, bytes], None]) -> None:
+        self._path, self._bus, self._window, self._take_frame = port, bus, window, take_frame
         self._port: int | None = None
         self._receiver = SerialReceiver("ccsds-cobs")
         self._received = 0
         self.edges: list[Edge] = []
         self.arrivals: list[Arrival] = []
-        self.syncs = self.lost = self.unplugged = 0
+        self.syncs = self.lost = 0
         self._open()
 
-    @property
-    def plugged(self) -> bool:
-        """True while the serial line is open."""
-        return self._port is not None
-
-    def complete(self, window: Window, until_us: int = 0) -> None:
+    def complete(self, until_us: int = 0) -> None:
         """Read until every event that the camera had at the call, or had at `until_us`, has come or is lost.
 
         Returns at once without a serial line, after ten seconds where it is stalled, and after five where the camera
         answers but its time stands still.
         """
         end_s = time.monotonic() + _PATIENCE_S
-        first = self._report(window, until_us, end_s)
-        if first is None or self._received + self.lost >= first.events.sent:
+        first = self._report(until_us, end_s)
+        if first is None:
             return
         requested_s = time.monotonic()
-        while self.plugged and self._received + self.lost < first.events.sent and time.monotonic() < end_s:
-            self.receive(window, 0.01)
+        while self._port is not None and self._received + self.lost < first.events.sent and time.monotonic() < end_s:
+            self.receive(0.01)
             if time.monotonic() > requested_s + _REQUEST_S:
-                if self._report(window, 0, end_s) is not None:
+                if self._report(0, end_s) is not None:
                     self.lost = max(self.lost, first.events.sent - self._received)
                 requested_s = time.monotonic()
 
-    def receive(self, window: Window, timeout_s: float) -> None:
-        """Read the received data into the window."""
+    def receive(self, timeout_s: float) -> None:
+        """Take what has come; wait for the serial line, or for a line that is not there."""
         if self._port is None and not self._open():
             time.sleep(timeout_s)
         elif self._port is not None:
             select.select([self._port], [], [], timeout_s)
-            self._read_serial(window)
+            self._read_serial()
         while (message := self._bus.recv(0)) is not None:
             self.syncs += message.arbitration_id == SYNC
-            self._sensors(message.arbitration_id, bytes(message.data))
-            if message.arbitration_id == ATTITUDE:
-                q, number = unpack_attitude(bytes(message.data))
-                window.add_attitude(self._attitude_s(number), q)
+            self._take_frame(message.arbitration_id, bytes(message.data))
 
-    def send(self, command: np.ndarray, turn: int) -> None:
-        """Send a command."""
-        self._send(COMMAND, pack_command(command, turn))
-
-    def send_frame(self, identifier: int, data: bytes) -> None:
+    def send(self, identifier: int, data: bytes) -> None:
         """Send a frame."""
-        self._send(identifier, data)
+        _send(self._bus, identifier, data)
 
-    def send_edge(self, edge: Edge) -> None:
-        """Send the time of a SYNC's edge."""
-        self._send(EDGE, pack_edge(edge.counter, edge.t_us))
-
-    def _send(self, identifier: int, data: bytes) -> None:
-        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
-
-    def _report(self, window: Window, until_us: int, end_s: float) -> Housekeeping | None:
+    def _report(self, until_us: int, end_s: float) -> Housekeeping | None:
         """Return the next report of the camera in which no event waits; None when none comes."""
         before, requested_s = self._receiver.housekeeping, 0.0
         newest_us, stands_s = -1, math.inf
-        while self.plugged and time.monotonic() < min(end_s, stands_s):
+        while self._port is not None and time.monotonic() < min(end_s, stands_s):
             report = self._receiver.housekeeping
-            if report is not None and report is not before and report.t_us > newest_us:
-                newest_us, stands_s = report.t_us, time.monotonic() + _STANDS_S
-            if report is not None and report is not before and not report.events.waiting and report.t_us >= until_us:
-                return report
+            if report is not None and report is not before:
+                if not report.events.waiting and report.t_us >= until_us:
+                    return report
+                if report.t_us > newest_us:
+                    newest_us, stands_s = report.t_us, time.monotonic() + _STANDS_S
             if time.monotonic() > requested_s + _REQUEST_S or report is not before:
-                self._request()
+                try:
+                    os.write(self._port, self._receiver.wrap(RequestHousekeeping()))
+                except OSError:
+                    self._unplug()
                 before, requested_s = report, time.monotonic()
-            self.receive(window, 0.01)
+            self.receive(0.01)
         return None
 
-    def _request(self) -> None:
-        if self._port is not None:
-            try:
-                os.write(self._port, self._receiver.wrap(RequestHousekeeping()))
-            except OSError:
-                self._unplug()
-
     def _open(self) -> bool:
+        """Open the serial line; return whether it is there."""
         try:
             self._port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             tty.setraw(self._port, termios.TCSANOW)
         except (OSError, termios.error):
             self._unplug()
-        return self.plugged
+        return self._port is not None
 
     def _unplug(self) -> None:
         if self._port is not None:
             os.close(self._port)
             self._port = None
-            self.unplugged += 1
 
-    def _read_serial(self, window: Window) -> None:
+    def _read_serial(self) -> None:
         assert self._port is not None
         try:
             while data := os.read(self._port, 1 << 16):
@@ -352,14 +297,10 @@ class Links:
             pass
         except OSError:
             self._unplug()
-        self._take(window)
-
-    def _take(self, window: Window) -> None:
-        events = self._receiver.take_events()
+        events, edges = self._receiver.take_events(), self._receiver.take_edges()
         if len(events):
             self._received += len(events)
             oldest_us, newest_us = int(events["t"][0]), int(events["t"][-1])
             self.arrivals.append(Arrival(time.monotonic_ns(), oldest_us, newest_us, len(events)))
-            window.add_events(events)
-        edges = self._receiver.take_edges()
-        self.edges += [Edge(*one) for one in zip(edges["t"].tolist(), edges["seq"].tolist(), strict=True)]
+            self._window.add_events(events)
+        self.edges += [Edge(*pair) for pair in zip(edges["t"].tolist(), edges["seq"].tolist(), strict=True)]

@@ -12,34 +12,29 @@ accelerometer, bias of the gyroscope; 15 errors in that order, the attitude's in
 Events give a speed over a height, and the accelerometer gives changes of that speed in m/s: while the vehicle brakes,
 both follow, the scale too. For an upright vehicle the unknown part of gravity is a bias of the accelerometer.
 
-Measurements are older than the newest sample of the IMU: 0.2 s from the star tracker, half a window from events. The
-filter keeps its state before each period of the last seconds, takes a measurement at its own time, and steps through
-the samples since again. So the order of arrival has no influence.
-
-Windows of events overlap: the variance is multiplied by the number of turns in a window. Of a measurement
-whose residual is beyond two standard deviations, r of them, the variance is multiplied by (r / 2)^4: it counts less the
-worse it fits, but a filter that has gone wrong is not cut off from what would correct it.
+Measurements are older than the newest sample of the IMU. The filter keeps its state before each period of the last
+seconds, takes a measurement at its own time, and steps through the samples since again: the order of arrival has no
+influence. Windows of events overlap: the variance is multiplied by the number of turns in a window. Of a measurement
+whose residual is beyond two standard deviations, r of them, the variance is multiplied by (r / 2)^4: a filter that has
+gone wrong is not cut off from what would correct it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from sensors import PERIOD_S, SensorErrors, turn_of, vector_of
-from vehicle import GRAVITY_M_S2, product
+from vehicle import GRAVITY_M_S2, NO_TURN, Vector, product
 from vehicle import matrix as matrix_of
-
-Vector = npt.NDArray[np.float64]
 
 _KEPT = 350  # periods: 7 s, longer than the longest window
 _GATE = 4.0  # square of standard deviations, for each number of a measurement
 _P, _V, _Q, _A, _G = (slice(k, k + 3) for k in range(0, 15, 3))
 _DOWN = np.array([0.0, 0.0, -GRAVITY_M_S2])
-_GRAVITY_ERROR_M_S2 = 0.003
+_ATTITUDE_RAD, _GRAVITY_ERROR_M_S2 = 0.002, 0.003  # 1 sigma at the start
 _LEAST_M = 0.5
 _EYE = np.eye(15)
 
@@ -50,10 +45,9 @@ class Known:
 
     position_m: tuple[float, float, float]
     velocity_m_s: tuple[float, float, float]
-    place_sigma_m: float
-    height_sigma_m: float
-    velocity_sigma_m_s: float
-    attitude_sigma_rad: float = 0.002
+    place_sigma_m: float = 0.0
+    height_sigma_m: float = 0.0
+    velocity_sigma_m_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,9 +57,9 @@ class Estimate:
     position_m: Vector
     velocity_m_s: Vector
     attitude: Vector
-    accelerometer_bias: Vector = field(default_factory=lambda: np.zeros(3))
-    gyroscope_bias: Vector = field(default_factory=lambda: np.zeros(3))
-    covariance: Vector = field(default_factory=lambda: np.zeros((15, 15)))
+    accelerometer_bias: Vector
+    gyroscope_bias: Vector
+    covariance: Vector
 
     def moved(self, error: Vector) -> Estimate:
         """Return the estimate with an error, (15,), added."""
@@ -129,23 +123,17 @@ def of_events(motion: Vector, variance: Vector) -> Measurement:
 
 
 class Filter:
-    """The filter of one flight.
-
-    Parameters
-    ----------
-    known : state from navigation at the start, time 0; the vehicle stands upright.
-    errors : of the sensors, as the designer of the filter knows them.
-    """
+    """The filter of one flight, from the state known at time 0, upright, and the errors of its sensors on."""
 
     def __init__(self, known: Known, errors: SensorErrors) -> None:
-        self._errors = errors
+        self.errors = errors
         self.newest = 0  # period
-        self._before = {0: self._first(known)}
+        self._before = {0: _first(known, errors)}
         self._after: dict[int, Estimate] = {}
         self._samples: dict[int, tuple[Vector, Vector]] = {}
         self._measured: dict[int, list[Measurement]] = {}
         self._from = 0
-        self._growth = self._growing()
+        self._growth = _growth(errors)
 
     @property
     def now(self) -> Estimate:
@@ -171,7 +159,8 @@ class Filter:
             self._samples[self.newest] = turn_rad, push_m_s
             self._before[self.newest] = self._stepped(self._after[self.newest - 1], turn_rad, push_m_s)
             self._from = self.newest
-            self._forget(self.newest - _KEPT)
+            for table in (self._before, self._after, self._samples, self._measured):
+                table.pop(self.newest - _KEPT, None)
 
     def measure(self, number: int, measurement: Measurement) -> bool:
         """Take a measurement of a period; False when it is older than those stored, or newer."""
@@ -180,26 +169,6 @@ class Filter:
         self._measured.setdefault(number, []).append(measurement)
         self._from = min(self._from, number)
         return True
-
-    def _first(self, known: Known) -> Estimate:
-        errors = self._errors
-        bias = math.sqrt(errors.accelerometer.bias**2 + errors.accelerometer.drift**2 + _GRAVITY_ERROR_M_S2**2)
-        sigma = [known.place_sigma_m] * 2 + [known.height_sigma_m] + [known.velocity_sigma_m_s] * 3
-        sigma += [known.attitude_sigma_rad] * 3 + [bias] * 3
-        sigma += [math.hypot(errors.gyroscope.bias, errors.gyroscope.drift)] * 3
-        upright = np.array([1.0, 0.0, 0.0, 0.0])
-        start = Estimate(np.array(known.position_m), np.array(known.velocity_m_s), upright)
-        return replace(start, covariance=np.diag(np.square(sigma)))
-
-    def _growing(self) -> Vector:
-        """Return the covariance that a period adds."""
-        errors, q = self._errors, np.zeros(15)
-        rounding = np.array([1e-5, 1e-6]) ** 2 / 12  # of push and turn on the bus
-        q[_V] = errors.accelerometer.white**2 * PERIOD_S + rounding[0]
-        q[_Q] = errors.gyroscope.white**2 * PERIOD_S + rounding[1]
-        for part, triad in ((_A, errors.accelerometer), (_G, errors.gyroscope)):
-            q[part] = 2 * triad.drift**2 * PERIOD_S / triad.correlation_s
-        return np.diag(q)
 
     def _stepped(self, last: Estimate, turn_rad: Vector, push_m_s: Vector) -> Estimate:
         turn = turn_rad - last.gyroscope_bias * PERIOD_S
@@ -232,9 +201,27 @@ class Filter:
                 self._before[k + 1] = self._stepped(now, *self._samples[k + 1])
         self._from = self.newest + 1
 
-    def _forget(self, number: int) -> None:
-        for table in (self._before, self._after, self._samples, self._measured):
-            table.pop(number, None)
+
+def _first(known: Known, errors: SensorErrors) -> Estimate:
+    """Return the estimate at the start."""
+    bias = math.sqrt(errors.accelerometer.bias**2 + errors.accelerometer.drift**2 + _GRAVITY_ERROR_M_S2**2)
+    sigma = [known.place_sigma_m] * 2 + [known.height_sigma_m] + [known.velocity_sigma_m_s] * 3
+    sigma += [_ATTITUDE_RAD] * 3 + [bias] * 3 + [math.hypot(errors.gyroscope.bias, errors.gyroscope.drift)] * 3
+    covariance = np.diag(np.square(sigma))
+    return Estimate(
+        np.array(known.position_m), np.array(known.velocity_m_s), NO_TURN, np.zeros(3), np.zeros(3), covariance
+    )
+
+
+def _growth(errors: SensorErrors) -> Vector:
+    """Return the covariance that a period adds."""
+    q = np.zeros(15)
+    rounding = np.array([1e-5, 1e-6]) ** 2 / 12  # of push and turn on the bus
+    q[_V] = errors.accelerometer.white**2 * PERIOD_S + rounding[0]
+    q[_Q] = errors.gyroscope.white**2 * PERIOD_S + rounding[1]
+    for part, triad in ((_A, errors.accelerometer), (_G, errors.gyroscope)):
+        q[part] = 2 * triad.drift**2 * PERIOD_S / triad.correlation_s
+    return np.diag(q)
 
 
 def corrected(now: Estimate, measurement: Measurement) -> Estimate:

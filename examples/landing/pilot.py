@@ -4,13 +4,9 @@
     a_east = -c (v_east - w_east),  w = -place / 20 s, limited; the same to the north
 
 Height, speed and place are those of the filter (navigation.py), predicted for the time at which the command acts from
-the commands that were sent. D* and k are those of `guidance.Law`. Below `final_m` the vehicle falls slowly, straight.
+the commands that were sent. D* and k are those of guidance.py. Below 8 m the vehicle falls slowly, straight.
 
-A law of the user's, FILE.py:NAME, can take the place of this one. NAME is a function, or a class that is created
-without arguments and called. It receives a `LawInput` in each turn and returns the acceleration that it wants, (east,
-north, up), m/s2, gravity's not included: (0, 0, 1.62) hovers. A law that raises, returns anything but three numbers of
-at most 32 m/s2, or does not return within two seconds, has failed and is not called again. docs/landing.md has an
-example and the steps to a better one.
+A law of the user's, FILE.py:NAME, can take the place of this one: docs/landing.md.
 """
 
 from __future__ import annotations
@@ -21,31 +17,17 @@ import sys
 import traceback
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 from typing import TypeVar
 
 import numpy as np
+import sensors
 from divergence import Motion
-from guidance import Law
+from guidance import DIVERGENCE_1_S, ENGINE_S, FINAL_M, GAIN_1_S, wanted_1_s, window_s
 from navigation import Filter, Known, of_events, of_range, of_star
-from sensors import (
-    ESTIMATE,
-    PERIOD_S,
-    PUSH,
-    PUSH_M_S,
-    RANGE,
-    STAR,
-    TURN,
-    TURN_RAD,
-    SensorErrors,
-    nearest_number,
-    pack_attitude,
-    unpack_attitude,
-    unpack_range,
-    unpack_vector,
-)
+from sensors import PERIOD_S, SensorErrors, nearest_number
 from vehicle import GRAVITY_M_S2, Vector
 
 LAW_FAILED = "law_failed.txt"
@@ -61,25 +43,15 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class LawInput:
-    """State from navigation, predicted for the time at which the command of this turn acts.
+    """State from navigation, predicted for the time at which the command of this turn acts."""
 
-    Attributes
-    ----------
-    t_s : that time, s since the start.
-    position_m : place beside the site and height above it, (east, north, up), (3,).
-    velocity_m_s : (3,), in the same axes.
-    attitude : newest, unit quaternion world from body, scalar first, (4,).
-    position_sigma_m, velocity_sigma_m_s : 1 sigma of each axis by the filter, (3,).
-    turn_s : time from one command to the next, s.
-    """
-
-    t_s: float
-    position_m: Vector
-    velocity_m_s: Vector
-    attitude: Vector
-    position_sigma_m: Vector
+    t_s: float  # that time, since the start
+    position_m: Vector  # place beside the site and height above it, (east, north, up), (3,)
+    velocity_m_s: Vector  # (3,), in the same axes
+    attitude: Vector  # newest, unit quaternion world from body, scalar first, (4,)
+    position_sigma_m: Vector  # 1 sigma of each axis by the filter, (3,)
     velocity_sigma_m_s: Vector
-    turn_s: float
+    turn_s: float  # from one command to the next
 
 
 class LawFailed(Exception):
@@ -87,15 +59,12 @@ class LawFailed(Exception):
 
 
 class GivenLaw:
-    """A law of a file, called in a thread of its own, so that one that hangs does not stop the flight computer.
+    """A law, FILE.py:NAME, called in a thread of its own, so that one that hangs does not stop the flight computer.
 
-    Parameters
-    ----------
-    text : FILE.py:NAME. Raises LawFailed, with the remedy, where it cannot be loaded.
+    Raises LawFailed, with the remedy, where it cannot be loaded.
     """
 
     def __init__(self, text: str) -> None:
-        self.text = text
         file, _, self._name = text.rpartition(":")
         self._path = Path(file).resolve()
         if not self._name.isidentifier() or self._path.suffix != ".py":
@@ -110,25 +79,24 @@ class GivenLaw:
 
     def _within(self, seconds: float, call: Callable[[], Result]) -> Result:
         """Return the result of a call; raises LawFailed for any exception of it, and when it takes longer."""
-        results: list[Result] = []
-        failures: list[LawFailed] = []
+        results: list[Result | LawFailed] = []
 
         def work() -> None:
             try:
                 results.append(call())
             except LawFailed as failure:
-                failures.append(failure)
+                results.append(failure)
             except BaseException as error:  # noqa: BLE001  a law may raise anything, SystemExit too
-                failures.append(LawFailed(f"raised {self._described(error)}"))
+                results.append(LawFailed(f"raised {self._described(error)}"))
 
         thread = Thread(target=work, daemon=True)
         thread.start()
         for _ in range(2):  # a machine that stands still may take away one half
             thread.join(seconds / 2)
-        if failures:
-            raise failures[0]
         if not results:
             raise LawFailed(f"did not return within {seconds:g} s")
+        if isinstance(results[0], LawFailed):
+            raise results[0]
         return results[0]
 
     def _described(self, error: BaseException) -> str:
@@ -141,8 +109,6 @@ class GivenLaw:
 
     def _loaded(self) -> Callable[[LawInput], object]:
         spec = importlib.util.spec_from_file_location(_MODULE, self._path)
-        assert spec is not None
-        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[_MODULE] = module  # dataclasses of the file look for their module there
         sys.path.append(str(self._path.parent))  # for what the file imports from beside it
@@ -156,8 +122,7 @@ class GivenLaw:
             law = law()
         if not callable(law):
             raise LawFailed("cannot be called: give a function, or a class with a method __call__(self, state)")
-        callable_law: Callable[[LawInput], object] = law
-        return callable_law
+        return law
 
 
 def _acceleration(value: object) -> Vector:
@@ -174,6 +139,8 @@ def _acceleration(value: object) -> Vector:
     return command
 
 
+LawCall = Callable[[LawInput], Vector]
+
 NAVIGATIONS = {
     "blind": frozenset[str](),
     "altimeter": frozenset({"altimeter"}),
@@ -182,103 +149,55 @@ NAVIGATIONS = {
 }
 """Sensors beside IMU and star tracker, by the name of the navigation."""
 
-_ENGINE_S = 0.1
+TURN_S = 0.2
+"""Time from one command to the next."""
+
+DELAY_S = 0.1
+"""Time from the newest sample of a turn until its command acts."""
+
 _PLACE_1_S, _SIDEWAYS_1_S, _MOST_SIDEWAYS_M_S = 0.05, 0.3, 1.5
 _MOST_TILT = 0.05
 _LEAST_M = 1.0
 _RELATIVE, _LEAST_DOWN_1_S, _LEAST_ASIDE_1_S = 0.025, 0.0007, 0.001
 _RELIEF_M = 0.5
-
-
-@dataclass(frozen=True)
-class PilotSettings:
-    """Settings of a pilot.
-
-    Attributes
-    ----------
-    navigation : a name of NAVIGATIONS.
-    edge_px : as of `guidance.Guidance`.
-    turn_s, delay_s : from one command to the next; from the newest sample of a turn until its command acts.
-    law, errors : of the descent and of the sensors, as the designer knows them.
-    """
-
-    navigation: str
-    edge_px: float = 173.0
-    turn_s: float = 0.2
-    delay_s: float = 0.1
-    law: Law = field(default_factory=Law)
-    errors: SensorErrors = field(default_factory=SensorErrors)
+_HOLD_S = 1.0
 
 
 class Pilot:
-    """One descent.
+    """One descent, from the state known at its start, with the sensors of a name of NAVIGATIONS.
 
-    Parameters
-    ----------
-    known : state from navigation at the start.
-    settings : of the pilot.
-    law : gives the wanted acceleration, (3,), in the place of that of `settings.law`.
+    `law` gives the wanted acceleration, (3,), in the place of `wanted_m_s2`; `delay_s` is as DELAY_S.
     """
 
-    def __init__(self, known: Known, settings: PilotSettings, law: Callable[[LawInput], Vector] | None = None) -> None:
-        self._settings, self._used = settings, NAVIGATIONS[settings.navigation]
-        self._law = law or (lambda state: wanted_m_s2(settings.law, state.position_m, state.velocity_m_s))
-        self.filter = Filter(known, settings.errors)
+    begins_s = 0.5  # before it, events show the camera's start and not the ground
+
+    def __init__(self, known: Known, navigation: str, law: LawCall | None = None, delay_s: float = DELAY_S) -> None:
+        self._used, self._law, self._delay_s = NAVIGATIONS[navigation], law or wanted_m_s2, delay_s
+        self.uses_events = "events" in self._used
+        self.filter = Filter(known, SensorErrors())
         self._turn = np.zeros(3)
         self._sent: deque[tuple[float, Vector]] = deque([(-math.inf, np.array([0.0, 0.0, GRAVITY_M_S2]))], maxlen=20)
+        self._motion: Motion | None = None  # of this turn
+        self._seen_s = self.begins_s
 
-    @property
-    def uses_events(self) -> bool:
-        """True when events belong to the navigation."""
-        return "events" in self._used
-
-    def take(self, identifier: int, data: bytes) -> None:
+    def take_frame(self, identifier: int, data: bytes) -> None:
         """Take a frame of the bus; raises ValueError for one of a wrong length."""
-        errors, newest = self._settings.errors, self.filter.newest
-        if identifier == TURN:
-            self._turn, _ = unpack_vector(data, TURN_RAD)
-        elif identifier == PUSH:
-            push, number = unpack_vector(data, PUSH_M_S)
+        newest = self.filter.newest
+        if identifier == sensors.TURN:
+            self._turn, _ = sensors.unpack_vector(data, sensors.TURN_RAD)
+        elif identifier == sensors.PUSH:
+            push, number = sensors.unpack_vector(data, sensors.PUSH_M_S)
             self.filter.sample(nearest_number(number, newest), self._turn, push)
-        elif identifier == STAR:
-            q, number = unpack_attitude(data)
-            self.filter.measure(nearest_number(number, newest), of_star(q, errors))
-        elif identifier == RANGE and "altimeter" in self._used:
-            range_m, number = unpack_range(data)
-            self.filter.measure(nearest_number(number, newest), of_range(range_m, errors, _RELIEF_M))
+        elif identifier == sensors.STAR:
+            q, number = sensors.unpack_attitude(data)
+            self.filter.measure(nearest_number(number, newest), of_star(q, self.filter.errors))
+        elif identifier == sensors.RANGE and "altimeter" in self._used:
+            range_m, number = sensors.unpack_range(data)
+            self.filter.measure(nearest_number(number, newest), of_range(range_m, self.filter.errors, _RELIEF_M))
 
-    def take_motion(self, motion: Motion, window_s: float) -> None:
-        """Take the motion of a window of events."""
-        if "events" not in self._used or not motion.reliable:
-            return
-        sigma = _RELATIVE * abs(motion.down) + np.array([_LEAST_ASIDE_1_S, _LEAST_ASIDE_1_S, _LEAST_DOWN_1_S])
-        variance = sigma**2 * max(1.0, window_s / self._settings.turn_s)
-        seen = np.array([motion.east, motion.south, motion.down])
-        self.filter.measure(round(motion.at_s / PERIOD_S), of_events(seen, variance))
-
-    def motion(self, at_s: float) -> Motion:
-        """Return the motion over height that the filter has for a time: the estimator begins there."""
-        then = self.filter.at(round(at_s / PERIOD_S))
-        east, north, up = (then.velocity_m_s / max(float(then.position_m[2]), _LEAST_M)).tolist()
-        return Motion(east, -north, -up, math.inf, at_s, 0)
-
-    def window_s(self, now_s: float) -> float:
-        """Length of the next window of events."""
-        law, seen = self._settings.law, self.motion(now_s)
-        speed_px_s = self._settings.edge_px * max(abs(seen.down), math.hypot(seen.east, seen.south), 1e-3)
-        return float(np.clip(law.window_px / speed_px_s, *law.window_s))
-
-    def command_m_s2(self, now_s: float) -> Vector:
-        """Return the acceleration wanted when the command of now acts, (east, north, up), gravity's not included."""
-        acts_s, now = now_s + self._settings.delay_s, self.filter.now
-        position, velocity = self._predicted(acts_s + _ENGINE_S)
-        sigma = np.sqrt(np.diag(now.covariance))
-        state = LawInput(
-            acts_s + _ENGINE_S, position, velocity, now.attitude.copy(), sigma[:3], sigma[3:6], self._settings.turn_s
-        )
-        command = self._law(state)
-        self._sent.append((acts_s, command))
-        return command
+    def complete(self, now_s: float) -> bool:
+        """Return True when the samples of the turn that began at a time have come."""
+        return self.filter.newest >= round((now_s + TURN_S) / PERIOD_S) - 1
 
     def attitudes(self, since_s: float) -> list[tuple[float, Vector]]:
         """Return times, s, and attitudes, world from body, from a time until the newest sample, every second one."""
@@ -286,9 +205,50 @@ class Pilot:
         numbers = range(self.filter.newest, max(first, self.filter.oldest) - 1, -2)
         return [(k * PERIOD_S, self.filter.at(k).attitude) for k in reversed(numbers)]
 
-    def estimate(self) -> tuple[int, bytes]:
-        """Return the frame with the newest attitude."""
-        return ESTIMATE, pack_attitude(self.filter.now.attitude, self.filter.newest)
+    def guess(self, at_s: float) -> Motion:
+        """Return the motion over height that the filter has for a time: the estimator begins there."""
+        then = self.filter.at(round(at_s / PERIOD_S))
+        east, north, up = (then.velocity_m_s / max(float(then.position_m[2]), _LEAST_M)).tolist()
+        return Motion(east, -north, -up, math.inf, at_s, 0)
+
+    def window_s(self, now_s: float) -> float:
+        """Return the length of the next window of events."""
+        motion = self.guess(now_s)
+        return window_s(motion.down, motion.east, motion.south)
+
+    def take_motion(self, motion: Motion, now_s: float, length_s: float) -> None:
+        """Take the motion of a window of events."""
+        if self.uses_events and motion.reliable:
+            self._motion, self._seen_s = motion, now_s
+            sigma = _RELATIVE * abs(motion.down) + np.array([_LEAST_ASIDE_1_S, _LEAST_ASIDE_1_S, _LEAST_DOWN_1_S])
+            variance = sigma**2 * max(1.0, length_s / TURN_S)
+            velocity_1_s = np.array([motion.east, motion.south, motion.down])
+            self.filter.measure(round(motion.at_s / PERIOD_S), of_events(velocity_1_s, variance))
+
+    def command_m_s2(self, now_s: float, period_s: float) -> Vector:
+        """Return the acceleration wanted when the command acts, (east, north, up), gravity's not included.
+
+        The turn began at `now_s`, and its newest sample is `period_s` later.
+        """
+        acts_s, now = now_s + period_s + self._delay_s, self.filter.now
+        position, velocity = self._predicted(acts_s + ENGINE_S)
+        sigma = np.sqrt(np.diag(now.covariance))
+        state = LawInput(acts_s + ENGINE_S, position, velocity, now.attitude.copy(), sigma[:3], sigma[3:6], TURN_S)
+        command = self._law(state)
+        self._sent.append((acts_s, command))
+        return command
+
+    def frames(self) -> list[tuple[int, bytes]]:
+        """Return what is sent before a command: the newest attitude, for the attitude control."""
+        return [(sensors.ESTIMATE, sensors.pack_attitude(self.filter.now.attitude, self.filter.newest))]
+
+    def row(self, now_s: float) -> dict[str, object]:
+        """Return what belongs into the log of a turn."""
+        now, motion, self._motion = self.filter.now, self._motion, None
+        row: dict[str, object] = {"estimate_s": self.filter.newest * PERIOD_S}
+        row |= {"lost": self.uses_events and now_s - self._seen_s > _HOLD_S} | (motion.row() if motion else {})
+        row |= {"position_m": now.position_m.tolist(), "velocity_m_s": now.velocity_m_s.tolist()}
+        return row | {"attitude": now.attitude.tolist(), "sigma": np.sqrt(np.diag(now.covariance)).tolist()}
 
     def _predicted(self, until_s: float) -> tuple[Vector, Vector]:
         """Return position and velocity at a time, from the commands that act until then."""
@@ -296,22 +256,21 @@ class Pilot:
         position, velocity = now.position_m, now.velocity_m_s
         while t_s < until_s - 1e-9:
             step_s = min(PERIOD_S, until_s - t_s)
-            acting = [command for acts_s, command in self._sent if acts_s + _ENGINE_S <= t_s + 1e-9]
+            acting = [command for acts_s, command in self._sent if acts_s + ENGINE_S <= t_s + 1e-9]
             change = ((acting or [self._sent[0][1]])[-1] - (0.0, 0.0, GRAVITY_M_S2)) * step_s
             position, velocity = position + (velocity + change / 2) * step_s, velocity + change
             t_s += step_s
         return position, velocity
 
 
-def wanted_m_s2(law: Law, position_m: Vector, velocity_m_s: Vector) -> Vector:
-    """Return the acceleration of the law at a place, (3,), gravity's not included."""
-    height_m = max(float(position_m[2]), _LEAST_M)
-    wanted = law.wanted_1_s(height_m)
-    limited = wanted < law.divergence_1_s
-    steady = wanted**2 * height_m * (0.5 if limited else 1.0) * (height_m > law.final_m)
-    up = max(steady + law.gain_1_s * (-velocity_m_s[2] - wanted * height_m) + GRAVITY_M_S2, 0.1)
-    to_place = -_PLACE_1_S * position_m[:2] * (height_m > law.final_m)
+def wanted_m_s2(state: LawInput) -> Vector:
+    """Return the acceleration that the example's law wants, (3,), gravity's not included."""
+    height_m = max(float(state.position_m[2]), _LEAST_M)
+    wanted = wanted_1_s(height_m)
+    steady = wanted**2 * height_m * (0.5 if wanted < DIVERGENCE_1_S else 1.0) * (height_m > FINAL_M)
+    up = max(steady + GAIN_1_S * (-state.velocity_m_s[2] - wanted * height_m) + GRAVITY_M_S2, 0.1)
+    to_place = -_PLACE_1_S * state.position_m[:2] * (height_m > FINAL_M)
     to_place *= min(1.0, _MOST_SIDEWAYS_M_S / max(float(np.hypot(*to_place)), 1e-9))
-    aside = _SIDEWAYS_1_S * (to_place - velocity_m_s[:2])
+    aside = _SIDEWAYS_1_S * (to_place - state.velocity_m_s[:2])
     aside *= min(1.0, _MOST_TILT * up / max(float(np.hypot(*aside)), 1e-9))
     return np.array([*aside, up])

@@ -1,7 +1,4 @@
-"""Verdict of a flight, and its pages: verdict.json, `page.html`, and on request a GIF of the events beside the descent.
-
-    python fly.py --height 300 --out flight --record flight/events.npz
-    python report.py flight        # flight/landing.gif, and its last picture, flight/landing.png; needs pillow
+"""Verdict of a flight, verdict.json, and its page, page.html.
 
 The page contains the verdict and its reasons, the track, velocities and divergence beside the truth, and the last
 events that the flight computer received. It needs no network and no script; charts are drawn by matplotlib.
@@ -11,9 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +28,9 @@ FIGURES = {
 }
 """Figures that are judged, and their names with the unit."""
 
-_SOFT_M_S = 1.0
+BOUNDS = {"vertical_m_s": 1.0, "horizontal_m_s": 0.5, "tilt_deg": 5.0, "place_m": 25.0}
+SITE_BOUNDS = {"slope_deg": 12.0, "rock_m": 0.4}
+
 _STORM_1_S = 300_000  # the ground alone gives 60 000 to 100 000 events a second
 _POSES = {
     "poses refused": "poses were refused: no numbers, or damaged",
@@ -43,27 +40,14 @@ _POSES = {
 }
 _FEET_M, _PLACES = 1.5, 9
 _LEAST_M = 3.0  # nearer, the ground in view is no longer that below
-_PALETTE = np.array([(30, 30, 30), ON_RGB, OFF_RGB], np.uint8)
+COLOURS = np.array([(30, 30, 30), ON_RGB, OFF_RGB], np.uint8)
 _SHAPE = 260, 346
 _SHOWN_US = 30_000
-_GIF_FRAMES, _GIF_MS = 40, 150
 _BEFORE_S = (2.0, 1.0, 0.0)  # pictures of the page, before the newest event
 _MOST_1_S = 0.3  # of a divergence that is drawn: at touchdown that of the truth grows beyond bounds
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """Bounds of a landing: speeds, m/s; tilt at contact, degrees; place, m. Of the site: slope, degrees; rock, m."""
-
-    vertical_m_s: float = 1.0
-    horizontal_m_s: float = 0.5
-    tilt_deg: float = 5.0
-    place_m: float = 25.0
-    slope_deg: float = 12.0
-    rock_m: float = 0.4
-
-
-def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) -> dict[str, object]:
+def judgement(end: TouchDown, ground_m: Height) -> dict[str, object]:
     """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and touched).
 
     `site_good`: slope of the ground under the feet and the highest rock between them are within theirs. Nothing on
@@ -71,17 +55,16 @@ def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) ->
     """
     x, y, _ = end.state.position_m.tolist()
     slope_deg, rock_m = map(float, _site(ground_m, x, y))
-    bounds = bounds or Bounds()
     figures = {
         "vertical_m_s": end.vertical_m_s,
         "horizontal_m_s": end.horizontal_m_s,
         "tilt_deg": math.degrees(math.acos(min(1.0, float(matrix(end.state.attitude)[2, 2])))),
         "place_m": math.hypot(x, y),
     }
-    beyond = [name for name, value in figures.items() if not value < getattr(bounds, name)]
+    beyond = [name for name, value in figures.items() if not value < BOUNDS[name]]
     site = {"slope_deg": slope_deg, "rock_m": rock_m}
-    site_good = slope_deg < bounds.slope_deg and rock_m < bounds.rock_m
-    return figures | site | {"site_good": bool(site_good), "beyond": beyond, "soft": bool(end.touched and not beyond)}
+    site_good = all(value < SITE_BOUNDS[name] for name, value in site.items())
+    return figures | site | {"site_good": site_good, "beyond": beyond, "soft": bool(end.touched and not beyond)}
 
 
 def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
@@ -96,18 +79,21 @@ def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
     return math.degrees(math.atan(math.hypot(east, north))), over
 
 
+def rows_of(folder: Path) -> list[dict[str, Any]]:
+    """Return the turns of the flight computer."""
+    log = folder / "computer.jsonl"
+    return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+
+
 class Flight:
-    """Files of a flight in its folder; `events` are those of a record, or the last ones of the flight computer."""
+    """Files of a flight in its folder; `events` are the last ones of the flight computer."""
 
     def __init__(self, folder: Path) -> None:
         names, *lines = [line.split(",") for line in (folder / "truth.csv").read_text().splitlines()]
         columns = np.array(lines, np.float64).reshape(-1, len(names)).T
         self.truth = dict(zip(names, columns, strict=True))
-        log = folder / "computer.jsonl"
-        text = log.read_text() if log.exists() else ""
-        self.rows: list[dict[str, Any]] = [json.loads(line) for line in text.splitlines()]
-        record, last = folder / "events-events.npz", folder / "last_events.npz"  # the record of the link "events"
-        file = record if record.exists() else last
+        self.rows = rows_of(folder)
+        file = folder / "last_events.npz"
         self.events = np.load(file)["events"] if file.exists() else np.zeros(0, [("t", "u8"), ("on", "?")])
         self.height_m = self.truth["z_m"] - self.truth["ground_m"]
         self.end_s = float(self.truth["t_s"].max(initial=0.0))
@@ -118,7 +104,7 @@ class Flight:
         return np.array(list(pairs)), np.array(list(pairs.values()))
 
     def picture(self, t_s: float) -> np.ndarray:
-        """Return the pixels with events in the 30 ms before a time as numbers of colours, (260, 346)."""
+        """Return the pixels with events in the 30 ms before a time as numbers of COLOURS, (260, 346)."""
         out = np.zeros(_SHAPE, np.uint8)
         if len(self.events):
             first, last = np.searchsorted(self.events["t"], [t_s * 1e6 - _SHOWN_US, t_s * 1e6])
@@ -150,14 +136,14 @@ def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object
     `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each fault and error, also after a
     good landing.
     """
-    soft = end.touched and end.vertical_m_s < _SOFT_M_S
+    soft = end.touched and end.vertical_m_s < BOUNDS["vertical_m_s"]
     found: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
     found |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
     found["height_m"] = float(end.state.position_m[2])
-    why = [*end.why, *_of_computer(out), *_of_camera(out)]
+    rows = rows_of(out)
+    why = [*end.why, *_of_computer(rows), *_of_camera(out / "summary.json")]
     why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
-    flown = (out / "computer.jsonl").exists() and (out / "computer.jsonl").read_text().strip()
-    return found | {"why": why} | (divergence_errors(Flight(out)) if flown else {})
+    return found | {"why": why} | (divergence_errors(Flight(out)) if rows else {})
 
 
 def reasons(judged: dict[str, Any]) -> Iterator[str]:
@@ -166,12 +152,11 @@ def reasons(judged: dict[str, Any]) -> Iterator[str]:
         yield f"no touchdown: {judged['height_m']:.1f} m up after {judged['t_s']:.1f} s"
         return
     for name in judged.get("beyond", [] if judged["soft"] else ["vertical_m_s"]):
-        yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {getattr(Bounds(), name):g}"
+        yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {BOUNDS[name]:g}"
 
 
-def _of_computer(out: Path) -> Iterator[str]:
-    log = out / "computer.jsonl"
-    rows = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+def _of_computer(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield sentences from the turns of the flight computer."""
     if not rows:
         yield "the flight computer answered no SYNC"
         return
@@ -183,9 +168,8 @@ def _of_computer(out: Path) -> Iterator[str]:
         yield f"no edge of the SYNC came from the camera in {without} of {len(rows)} turns"
 
 
-def _of_camera(out: Path) -> Iterator[str]:
+def _of_camera(file: Path) -> Iterator[str]:
     """Yield sentences from the camera's summary, where this flight started the camera."""
-    file = out / "summary.json"
     text = file.read_text().strip() if file.exists() else ""
     if not text:
         return
@@ -214,11 +198,8 @@ def write_page(folder: Path) -> Path:
     page = Document("A landing guided by events", f"{law}; navigation: {judged['navigation']}; {folder}", kind, words)
     page.add(Section("Reasons").listed([*reasons(judged), *judged["why"]] or ["Nothing went wrong."]))
     columns = [Column("name", "figure"), Column("value", "at the end", "number"), Column("bound", "bound", "number")]
-    figures = [{"name": words, "value": judged.get(name)} for name, words in FIGURES.items()]
-    for row, name in zip(figures, FIGURES, strict=True):
-        row["bound"] = getattr(Bounds(), name)
-    rest = {"time, s": "t_s", "height of the camera, m": "height_m", "propellant, kg": "fuel_kg"}
-    figures += [{"name": words, "value": judged[name]} for words, name in rest.items()]
+    names = FIGURES | {"t_s": "time, s", "height_m": "height of the camera, m", "fuel_kg": "propellant, kg"}
+    figures = [{"name": names[name], "value": judged.get(name), "bound": BOUNDS.get(name)} for name in names]
     page.add(Section("Figures").table("Touchdown, or the end of the flight", columns, figures))
     if len(flight.height_m):
         page.add(Section("Track, velocities and divergence").chart(*_charts(flight)))
@@ -230,7 +211,7 @@ def write_page(folder: Path) -> Path:
         at_s = end_s - before_s
         up_m = float(np.interp(at_s, flight.truth["t_s"], flight.height_m))
         text = f"events of 30 ms at {at_s:.2f} s, {up_m:.1f} m above the ground; ON orange, OFF blue"
-        element = image_element(palette_png(flight.picture(at_s), _PALETTE), text, _SHAPE[1])
+        element = image_element(palette_png(flight.picture(at_s), COLOURS), text, _SHAPE[1])
         pictures.append(f"<figure>{element}<figcaption>{text}</figcaption></figure>")
     events.element(f'<div class="maps">{"".join(pictures)}</div>')
     return page.add(events.text("" if shown else "No events came.")).write(folder / "page.html")
@@ -245,7 +226,7 @@ def _charts(flight: Flight) -> tuple[str, str]:
     places = np.array([row["position_m"] for row in known]).reshape(-1, 3)
     plan.plot(truth["x_m"], truth["y_m"], color=BLUE)
     plan.plot(places[:, 0], places[:, 1], color=RED, lw=0.8)
-    plan.add_patch(pyplot().Circle((0, 0), Bounds().place_m, fill=False, ls=":"))
+    plan.add_patch(pyplot().Circle((0, 0), BOUNDS["place_m"], fill=False, ls=":"))
     plan.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="track; dots: bound of the place")
     plan.margins(0.1)
     height.plot(truth["t_s"], truth["z_m"], color=BLUE, label="truth")
@@ -263,45 +244,3 @@ def _charts(flight: Flight) -> tuple[str, str]:
     for (axis,) in axes:
         axis.grid(alpha=0.3)
     return image(figure, "track, height, divergence and velocities"), "Blue: truth; red: navigation, or from events."
-
-
-def picture_at(flight: Flight, t_s: float) -> Any:
-    """Return a figure of the events of one instant, and of height, speed and divergence up to it."""
-    made = pyplot().figure(figsize=(9.2, 3.9), dpi=80, layout="constrained")
-    left, *right = made.subplot_mosaic([["e", "h"], ["e", "v"], ["e", "d"]], width_ratios=[1.35, 1]).values()
-    left.imshow(_PALETTE[flight.picture(t_s)], interpolation="nearest")
-    k = int(np.searchsorted(flight.truth["t_s"], t_s).clip(0, len(flight.height_m) - 1))
-    speed = -flight.truth["vz_m_s"]
-    left.set_title(f"{t_s:5.1f} s   {flight.height_m[k]:6.1f} m   {speed[k]:5.2f} m/s down", family="monospace")
-    left.set_axis_off()
-    times = flight.truth["t_s"][: k + 1]
-    shown = (flight.height_m, "height, m"), (speed, "speed, m/s"), (speed / flight.height_m, "divergence, 1/s")
-    for axes, (values, name) in zip(right, shown, strict=True):
-        axes.plot(times, values[: k + 1], color="k", lw=1.2, label="truth")
-        axes.set(xlim=(0, flight.end_s), ylabel=name)
-        axes.grid(alpha=0.3)
-    right[0].set(yscale="log", ylim=(1.5, flight.height_m.max() * 1.1))
-    right[1].set(ylim=(0, speed.max() * 1.1))
-    at_s, down = flight.seen()
-    right[2].plot(at_s[at_s <= t_s], down[at_s <= t_s], ".", ms=2.5, color="tab:orange", label="from events")
-    right[2].set(ylim=(0, _MOST_1_S), xlabel="time, s")
-    right[2].legend(loc="upper left", fontsize=7)
-    return made
-
-
-def main(folder: Path) -> None:
-    """Write the GIF and its last picture."""
-    from PIL import Image
-
-    flight, frames = Flight(folder), []
-    for t_s in np.linspace(0.4, flight.end_s, _GIF_FRAMES):
-        made = picture_at(flight, float(t_s))
-        made.savefig(folder / "landing.png")
-        pyplot().close(made)
-        with Image.open(folder / "landing.png") as image_file:
-            frames.append(image_file.convert("P", palette=Image.Palette.ADAPTIVE, colors=32))
-    frames[0].save(folder / "landing.gif", save_all=True, append_images=frames[1:], duration=_GIF_MS, loop=0)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

@@ -11,26 +11,15 @@ A frame has 8 bytes, little-endian, 11-bit identifiers.
     0x215  turn       i16 x, y, z: turn of the body in one period of the IMU, 1e-6 rad | u16 number of its end
     0x216  push       i16 x, y, z: its change of speed without gravity's, body, 1e-5 m/s | u16 number of its end
 
-The SYNC of the bus (0x080) begins a turn; the camera sends the same instant as an edge among its events. Attitudes are
-numbered by pictures in lockstep, by steps of the dynamics in real time. Numbers of the vehicle's own sensors, and of
-the estimate, count periods of the IMU, 20 ms. With them no frame 0x211 is sent. An identifier decides on the bus who
-sends first: a push comes after all frames of its time, and a command after its estimate.
+The SYNC of the bus (0x080) begins a turn; the camera sends the same instant as an edge among its events. Attitudes that
+are given are numbered by light frames in lockstep, by steps of the dynamics in real time; other frames by periods of
+the IMU, 20 ms. An identifier decides on the bus who sends first: a push comes after all frames of its time, and a
+command after its estimate.
 
-The sensors measure
-
-    gyroscope       turn of the body in one period   + (bias + drift) period + white, rounded to 1e-6 rad
-    accelerometer   change of speed without gravity's, in the axes of the middle of the period, with the same errors
-    star tracker    attitude, with a fixed misalignment and white noise about the three axes
-    altimeter       slant range along the body's -z to the ground: (1 + scale) range + white
-
-All errors are numbers of a seed: white noise is keyed by (seed, purpose, sample), a constant by (seed, purpose), and a
-drift is a first-order Gauss-Markov sequence of the samples from zero on, x' = f x + sqrt(1 - f^2) s n with f =
-exp(-period / correlation time). A sample therefore depends on the true motion and on its own number, not on the step of
-the dynamics, or on what was read before it.
-
-The defaults are assumptions, of the order of tactical MEMS units (0.15 degree per root hour, bias 5, drift 0.5 degree
-per hour; 0.06 m/s per root hour, bias 0.5 mg of the Earth), of small star trackers (20 arc-seconds across, 100 about
-the boresight), and of small altimeters (0.3 m + 0.3 % of the range).
+The errors of the sensors are numbers of a seed: white noise is keyed by (seed, purpose, sample), a constant by (seed,
+purpose), and a drift is a first-order Gauss-Markov sequence of the samples from zero on. A sample therefore depends on
+the true motion and on its own number, not on the step of the dynamics, or on what was read before it. The defaults are
+assumptions, of the order of tactical MEMS units, small star trackers and small altimeters.
 """
 
 from __future__ import annotations
@@ -41,41 +30,37 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from vehicle import Height, Lander, State, Vector, matrix, product
 
 SYNC, COMMAND, ATTITUDE, EDGE = 0x080, 0x210, 0x211, 0x212
 ESTIMATE, RANGE, STAR, TURN, PUSH = 0x20F, 0x213, 0x214, 0x215, 0x216
 TURN_RAD, PUSH_M_S, _RANGE_M = 1e-6, 1e-5, 1e-3
 
-_LAYOUT = struct.Struct("<hhhH")
-_RANGE_LAYOUT = struct.Struct("<IHH")
+_WORDS, _RANGE = struct.Struct("<hhhH"), struct.Struct("<IHH")
 _MM, _UNIT = 1000.0, 32767.0
 _NUMBERS = 1 << 16
 
 
-def pack_command(acceleration_m_s2: npt.NDArray[np.float64], turn: int) -> bytes:
+def pack_command(acceleration_m_s2: Vector, turn: int) -> bytes:
     """Return the data of a command; accelerations beyond 32 m/s2 are clipped."""
-    words = np.clip(np.round(acceleration_m_s2 * _MM), -_UNIT, _UNIT).astype(int)
-    return _LAYOUT.pack(*words.tolist(), turn % _NUMBERS)
+    return _packed(acceleration_m_s2 * _MM, turn)
 
 
-def unpack_command(data: bytes) -> tuple[npt.NDArray[np.float64], int]:
-    """Return acceleration, m/s2, and turn; raises ValueError for other data."""
-    *words, turn = _unpack(data)
-    return np.array(words) / _MM, turn
+def unpack_command(data: bytes) -> tuple[Vector, int]:
+    """Return acceleration, m/s2, and turn; raises ValueError for other data, as all that follow."""
+    words, turn = _unpacked(data)
+    return words / _MM, turn
 
 
-def pack_attitude(q_world_from_body: npt.NDArray[np.float64], number: int) -> bytes:
+def pack_attitude(q_world_from_body: Vector, number: int) -> bytes:
     """Return the data of an attitude, a unit quaternion, scalar first."""
-    vector = q_world_from_body[1:] * (1.0 if q_world_from_body[0] >= 0 else -1.0)
-    return _LAYOUT.pack(*np.round(vector * _UNIT).astype(int).tolist(), number % _NUMBERS)
+    return _packed(q_world_from_body[1:] * (1.0 if q_world_from_body[0] >= 0 else -1.0) * _UNIT, number)
 
 
-def unpack_attitude(data: bytes) -> tuple[npt.NDArray[np.float64], int]:
-    """Return quaternion and number; raises ValueError for other data."""
-    *words, number = _unpack(data)
-    vector = np.array(words) / _UNIT
+def unpack_attitude(data: bytes) -> tuple[Vector, int]:
+    """Return quaternion and number."""
+    words, number = _unpacked(data)
+    vector = words / _UNIT
     return np.array([math.sqrt(max(0.0, 1 - float(vector @ vector))), *vector]), number
 
 
@@ -85,34 +70,31 @@ def pack_edge(counter: int, t_us: int) -> bytes:
 
 
 def unpack_edge(data: bytes) -> tuple[int, int]:
-    """Return counter and time, us; raises ValueError for other data."""
-    if len(data) != _LAYOUT.size:
-        raise ValueError(f"{len(data)} bytes: a frame of this bus has {_LAYOUT.size}")
+    """Return counter and time, us."""
+    _check(data)
     return int.from_bytes(data[:2], "little"), int.from_bytes(data[2:], "little")
 
 
-def pack_vector(vector: npt.NDArray[np.float64], unit: float, number: int) -> bytes:
+def pack_vector(vector: Vector, unit: float, number: int) -> bytes:
     """Return the data of a turn or a push in its unit; what is beyond 16 bits is clipped."""
-    words = np.clip(np.round(vector / unit), -_UNIT, _UNIT).astype(int)
-    return _LAYOUT.pack(*words.tolist(), number % _NUMBERS)
+    return _packed(vector / unit, number)
 
 
-def unpack_vector(data: bytes, unit: float) -> tuple[npt.NDArray[np.float64], int]:
-    """Return vector and number; raises ValueError for other data."""
-    *words, number = _unpack(data)
-    return np.array(words) * unit, number
+def unpack_vector(data: bytes, unit: float) -> tuple[Vector, int]:
+    """Return vector and number."""
+    words, number = _unpacked(data)
+    return words * unit, number
 
 
 def pack_range(range_m: float, number: int) -> bytes:
     """Return the data of a range."""
-    return _RANGE_LAYOUT.pack(round(range_m / _RANGE_M), number % _NUMBERS, 0)
+    return _RANGE.pack(round(range_m / _RANGE_M), number % _NUMBERS, 0)
 
 
 def unpack_range(data: bytes) -> tuple[float, int]:
-    """Return range, m, and number; raises ValueError for other data."""
-    if len(data) != _RANGE_LAYOUT.size:
-        raise ValueError(f"{len(data)} bytes: a frame of this bus has {_RANGE_LAYOUT.size}")
-    words, number, _ = _RANGE_LAYOUT.unpack(data)
+    """Return range, m, and number."""
+    _check(data)
+    words, number, _ = _RANGE.unpack(data)
     return words * _RANGE_M, number
 
 
@@ -121,13 +103,24 @@ def nearest_number(number: int, newest: int) -> int:
     return number + _NUMBERS * round((newest - number) / _NUMBERS)
 
 
-def _unpack(data: bytes) -> tuple[int, int, int, int]:
-    if len(data) != _LAYOUT.size:
-        raise ValueError(f"{len(data)} bytes: a frame of this bus has {_LAYOUT.size}")
-    return _LAYOUT.unpack(data)
+def _packed(words: Vector, number: int) -> bytes:
+    return _WORDS.pack(*np.clip(np.round(words), -_UNIT, _UNIT).astype(int).tolist(), number % _NUMBERS)
+
+
+def _unpacked(data: bytes) -> tuple[Vector, int]:
+    _check(data)
+    *words, number = _WORDS.unpack(data)
+    return np.array(words), number
+
+
+def _check(data: bytes) -> None:
+    if len(data) != _WORDS.size:
+        raise ValueError(f"{len(data)} bytes: a frame of this bus has {_WORDS.size}")
 
 
 PERIOD_S = 0.02
+"""Period of the IMU."""
+
 _ARC_S = math.pi / 648_000
 _CHUNK = 512
 _RANGE_ROUNDS = 4
@@ -137,13 +130,9 @@ Frame = tuple[int, bytes]
 
 @dataclass(frozen=True)
 class Inertial:
-    """Errors of a gyroscope (rad/s) or an accelerometer (m/s2).
+    """Errors of a gyroscope (rad/s) or an accelerometer (m/s2), 1 sigma of each axis.
 
-    Attributes
-    ----------
-    white : of the integral, 1 sigma after a second: rad or m/s per root second.
-    bias : constant, 1 sigma of each axis.
-    drift, correlation_s : of a first-order Gauss-Markov bias, its 1 sigma and its time.
+    `white` is of the integral after a second; `bias` is constant, `drift` a first-order Gauss-Markov bias.
     """
 
     white: float
@@ -154,10 +143,7 @@ class Inertial:
 
 @dataclass(frozen=True)
 class StarTracker:
-    """Errors, rad about the body's axes: white, fixed; samples, in periods of the IMU: every, delay.
-
-    Its boresight is the body's x axis.
-    """
+    """Errors about the body's axes; `every`, `delay` in periods. Its boresight is the body's x axis."""
 
     white_rad: tuple[float, float, float] = (100 * _ARC_S, 20 * _ARC_S, 20 * _ARC_S)
     misalignment_rad: float = 30 * _ARC_S
@@ -189,13 +175,7 @@ class SensorErrors:
 
 
 class Draws:
-    """Normal numbers of a seed and a purpose, three for each sample.
-
-    Parameters
-    ----------
-    seed : of the flight.
-    purpose : a number, different for each use.
-    """
+    """Normal numbers of a flight's seed and a purpose, a number for each use; three for each sample."""
 
     def __init__(self, seed: int, purpose: int) -> None:
         self._key = np.array([seed, purpose], np.uint64)
@@ -204,7 +184,11 @@ class Draws:
 
     def normal(self, sample: int) -> Vector:
         """Return the numbers of a sample, (3,)."""
-        return self._chunk(sample // _CHUNK)[sample % _CHUNK]
+        chunk = sample // _CHUNK
+        if chunk not in self._chunks:
+            generator = np.random.Generator(np.random.Philox(key=self._key, counter=[0, 0, 0, chunk]))
+            self._chunks[chunk] = generator.standard_normal((_CHUNK, 3))
+        return self._chunks[chunk][sample % _CHUNK]
 
     def drift(self, sample: int, decay: float) -> Vector:
         """Return the Gauss-Markov sequence of variance 1 at a sample, (3,); the first value has that variance too."""
@@ -214,12 +198,6 @@ class Draws:
             fresh = math.sqrt(1 - decay**2) if self._drifts else 1 - decay
             self._drifts.append(decay * before + fresh * number)
         return self._drifts[sample]
-
-    def _chunk(self, chunk: int) -> Vector:
-        if chunk not in self._chunks:
-            generator = np.random.Generator(np.random.Philox(key=self._key, counter=[0, 0, 0, chunk]))
-            self._chunks[chunk] = generator.standard_normal((_CHUNK, 3))
-        return self._chunks[chunk]
 
 
 class _Triad:
@@ -259,13 +237,15 @@ class Sensors:
 
     def take(self, number: int, before: State, after: State) -> None:
         """Sample the period that ends at `number`, between two true states."""
-        errors = self._errors
-        for delay, frame in (
-            (errors.imu_delay, (TURN, pack_vector(self.turn_rad(number, before, after), TURN_RAD, number))),
-            (errors.imu_delay, (PUSH, pack_vector(self.push_m_s(number, before, after), PUSH_M_S, number))),
-            *self._slow(number, after),
-        ):
-            self._waiting.append((number + delay, frame))
+        errors, tracker, altimeter = self._errors, self._errors.star_tracker, self._errors.altimeter
+        turn = pack_vector(self.turn_rad(number, before, after), TURN_RAD, number)
+        push = pack_vector(self.push_m_s(number, before, after), PUSH_M_S, number)
+        self._waiting += [(number + errors.imu_delay, (TURN, turn)), (number + errors.imu_delay, (PUSH, push))]
+        if number % tracker.every == 0:
+            star = pack_attitude(self.attitude(number, after), number)
+            self._waiting.append((number + tracker.delay, (STAR, star)))
+        if number % altimeter.every == 0 and (range_m := self.range_m(number, after)) > 0:
+            self._waiting.append((number + altimeter.delay, (RANGE, pack_range(range_m, number))))
 
     def due(self, number: int) -> Iterator[Frame]:
         """Yield the frames that are sent at `number`, the accelerometer's last."""
@@ -299,13 +279,6 @@ class Sensors:
         white = self._ranges.normal(number)
         measured_m = self._scale * true_m + altimeter.white_m * white[0] + altimeter.white_scale * true_m * white[1]
         return max(float(measured_m), 0.0) if true_m <= altimeter.longest_m else 0.0
-
-    def _slow(self, number: int, state: State) -> Iterator[tuple[int, Frame]]:
-        tracker, altimeter = self._errors.star_tracker, self._errors.altimeter
-        if number % tracker.every == 0:
-            yield tracker.delay, (STAR, pack_attitude(self.attitude(number, state), number))
-        if number % altimeter.every == 0 and (range_m := self.range_m(number, state)) > 0:
-            yield altimeter.delay, (RANGE, pack_range(range_m, number))
 
 
 def vector_of(q: Vector) -> Vector:

@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from emulator.geometry.attitude import cross
+
 Vector = npt.NDArray[np.float64]
 
 GRAVITY_M_S2 = 1.62
@@ -28,30 +30,18 @@ _LEAST_UP = 0.3  # beside the horizontal part of the wanted acceleration: a tilt
 
 @dataclass(frozen=True)
 class Lander:
-    """Parameters of the vehicle; the defaults hover at 40 % of their thrust on the Moon.
+    """Parameters of the vehicle; the defaults hover at 40 % of their thrust on the Moon."""
 
-    Attributes
-    ----------
-    thrust_n : least and most thrust while the engine runs.
-    isp_s : specific impulse.
-    lag_s : time constant of the engine.
-    inertia_kg_m2 : about the three axes of the body.
-    bandwidth_rad_s, damping, torque_nm : of the attitude loop.
-    thrust_scale : thrust given for thrust wanted; its error is unknown to the guidance.
-    mass_error_kg : mass that the engine's control assumes, less the true one: it gives that mass times acceleration.
-    gravity_m_s2 : the true one, (east, north, up); guidance assumes GRAVITY_M_S2 downwards.
-    """
-
-    thrust_n: tuple[float, float] = (400.0, 4000.0)
-    isp_s: float = 310.0
-    lag_s: float = 0.1
-    inertia_kg_m2: tuple[float, float, float] = (800.0, 800.0, 800.0)
-    bandwidth_rad_s: float = 1.5
+    thrust_n: tuple[float, float] = (400.0, 4000.0)  # least and most while the engine runs
+    isp_s: float = 310.0  # specific impulse
+    lag_s: float = 0.1  # time constant of the engine
+    inertia_kg_m2: tuple[float, float, float] = (800.0, 800.0, 800.0)  # about the three axes of the body
+    bandwidth_rad_s: float = 1.5  # of the attitude loop, with the next two
     damping: float = 0.8
     torque_nm: float = 200.0
-    thrust_scale: float = 1.0
-    mass_error_kg: float = 0.0
-    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2)
+    thrust_scale: float = 1.0  # thrust given for thrust wanted; its error is unknown to the guidance
+    mass_error_kg: float = 0.0  # mass that the engine's control assumes, less the true one
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2)  # true, (east, north, up)
 
 
 @dataclass(frozen=True)
@@ -128,25 +118,14 @@ def _wanted(lander: Lander, state: State, command_m_s2: Vector, error: Vector) -
 def _derivative(lander: Lander, y: Vector, thrust_wanted_n: float, attitude_wanted: Vector) -> Vector:
     velocity, q, w, (thrust_n, mass_kg) = y[3:6], y[6:10], y[10:13], y[13:15]
     inertia = np.array(lander.inertia_kg_m2)
-    error = 2 * _difference(attitude_wanted, q)
+    turn = product(attitude_wanted * (1, -1, -1, -1), q)
+    error = 2 * turn[1:] * (1.0 if turn[0] >= 0 else -1.0)  # of the shorter way round
     torque = -inertia * (lander.bandwidth_rad_s**2 * error + 2 * lander.damping * lander.bandwidth_rad_s * w)
     torque = np.clip(torque, -lander.torque_nm, lander.torque_nm)
     acceleration = matrix(q)[:, 2] * thrust_n / mass_kg + lander.gravity_m_s2
-    turning = (torque - _cross(w, inertia * w)) / inertia
+    turning = (torque - cross(w, inertia * w)) / inertia
     rest = ((thrust_wanted_n - thrust_n) / lander.lag_s, -thrust_n / (lander.isp_s * _G0_M_S2))
     return np.concatenate([velocity, acceleration, product(q, np.array([0.0, *w])) / 2, turning, rest])
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    """Return the cross product of two vectors; numpy's takes longer than the rest of a derivative."""
-    (ax, ay, az), (bx, by, bz) = a, b
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-
-
-def _difference(wanted: Vector, q: Vector) -> Vector:
-    """Return the vector part of conj(wanted) q, of the shorter way round."""
-    e = product(wanted * (1, -1, -1, -1), q)
-    return e[1:] * (1.0 if e[0] >= 0 else -1.0)
 
 
 def product(a: Vector, b: Vector) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import threading
 from pathlib import Path
@@ -10,10 +11,8 @@ import fly
 import numpy as np
 import pilot as pilot_module
 import pytest
-from fly import Ends
-from links import Faults
-from pilot import LAW_FAILED, GivenLaw, LawFailed, LawInput, Pilot, PilotSettings
-from report import reasons, write_page
+from pilot import LAW_FAILED, GivenLaw, LawFailed, LawInput, Pilot
+from report import reasons, verdict, write_page
 from sensors import PERIOD_S
 from simple_law import Law
 from spacecraft import Mission, TouchDown
@@ -116,11 +115,11 @@ def test_the_pilot_flies_the_given_law() -> None:
         state.position_m[:] = state.attitude[:] = np.nan
         return command
 
-    flying = Pilot(Mission.drawn(100.0, 1).known, PilotSettings("blind"), law)
+    flying = Pilot(Mission.drawn(100.0, 1).known, "blind", law)
     for number in range(1, 11):
         flying.filter.sample(number, np.zeros(3), np.array([0.0, 0.0, GRAVITY_M_S2 * PERIOD_S]))
     place, speed = flying.filter.now.position_m.copy(), flying.filter.now.velocity_m_s
-    command = flying.command_m_s2(0.2)
+    command = flying.command_m_s2(0.0, 0.2)
     assert states[0].t_s == pytest.approx(0.4)  # 0.1 s of delay and 0.1 s of the engine
     assert states[0].velocity_m_s == pytest.approx(speed)
     assert command[2] == pytest.approx(Law()(LawInput(0.4, place + speed * 0.2, speed, *[np.ones(3)] * 3, 0.2))[2])
@@ -131,10 +130,10 @@ def test_a_flight_whose_law_failed_is_not_good(tmp_path: Path) -> None:
     """However softly the last command lands it."""
     end = TouchDown(30.0, State(np.zeros(3), np.array([0.0, 0.0, -0.5])), touched=True, fuel_kg=5.0)
     (tmp_path / "truth.csv").write_text("t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s\n")
-    flight = fly.Flight(Ends(0, 0, ""), 1, tmp_path, Faults(), navigation="events", guidance="mine.py:law")
-    assert fly._report(end, flight, {"soft": True}, None) == 0
+    options = argparse.Namespace(navigation="events", guidance="mine.py:law", real_time=False, result=None)
+    assert fly._report(end, verdict(end, tmp_path), options, tmp_path) == 0
     (tmp_path / LAW_FAILED).write_text("guidance mine.py:law raised ZeroDivisionError: division by zero")
-    assert fly._report(end, flight, {"soft": True}, None) == 1
+    assert fly._report(end, verdict(end, tmp_path), options, tmp_path) == 1
 
 
 def test_the_page_has_reasons_charts_and_the_last_events(tmp_path: Path) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import guidance as guidance_module
 import numpy as np
 import pytest
 from divergence import Lens, Motion, MotionEstimator, Rays, Window
-from guidance import Guidance, Law
+from guidance import Guidance
 from sensors import pack_attitude, pack_command, unpack_attitude, unpack_command
 from vehicle import GRAVITY_M_S2, Lander, State, advance, matrix
 
@@ -126,8 +127,7 @@ def test_rays_are_level_whatever_the_attitude() -> None:
     body = matrix(tilt).T @ ray
     x, y = (-body[0] / body[2] * lens.focal_px + 173, body[1] / body[2] * lens.focal_px + 130)
     window = Window(lens, 1)
-    window.add_attitude(0.0, tilt)
-    window.add_attitude(1.0, tilt)
+    window.replace_attitudes([(0.0, tilt), (1.0, tilt)])
     events = np.zeros(2000, [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
     events["t"], events["x"], events["y"] = np.arange(2000) * 400, int(x), int(y)
     window.add_events(events)
@@ -138,28 +138,35 @@ def test_rays_are_level_whatever_the_attitude() -> None:
     assert (rays.x.mean(), rays.y.mean()) == pytest.approx((0.2, 0.1), abs=1 / lens.focal_px)
 
 
-def test_a_motion_that_jumps_is_not_believed() -> None:
-    """A window that shows nothing, and one that shows far more than the last, change nothing."""
-    guidance = Guidance(Law(), 100.0, np.array([0.0, 0.0, -8.0]), 173.0)
+def test_a_motion_that_jumps_is_not_accepted() -> None:
+    """A window that shows nothing, and ones that show far more than was predicted, change nothing.
+
+    Half the difference of one that agrees is applied: after a second at 8 m/s the divergence is 8 / 92.
+    """
+    guidance = Guidance(100.0, np.array([0.0, 0.0, -8.0]))
     for motion in (Motion(0, 0, 0.08, 1.0, 1.0, 9), Motion(0, 0, -0.2, 2.0, 1.0, 9), Motion(0.2, 0, 0.08, 2.0, 1.0, 9)):
-        guidance.take(motion, 1.0)
+        guidance.take_motion(motion, 1.0, 1.0)
         assert guidance.motion.gain == math.inf
-    guidance.take(Motion(0, 0, 0.09, 1.5, 1.0, 9), 1.0)
-    assert guidance.motion.down == 0.09
+    guidance.take_motion(Motion(0, 0, 0.09, 1.5, 1.0, 9), 1.0, 1.0)
+    assert guidance.motion.down == pytest.approx((0.09 + 8 / 92) / 2)
 
 
 def test_falling_too_fast_asks_for_more_thrust() -> None:
-    """At the wanted divergence the command is that of constant divergence; above it, more."""
-    guidance = Guidance(Law(), 50.0, np.array([0.0, 0.0, -4.0]), 173.0)
-    assert guidance.command_m_s2(0.0, 0.0)[2] == pytest.approx(0.08**2 * 50 + GRAVITY_M_S2)
-    guidance.take(Motion(0, 0, 0.09, 1.5, 0.0, 9), 0.0)
-    assert guidance.command_m_s2(0.0, 0.0)[2] == pytest.approx(0.08**2 * 50 + 50 * 0.01 + GRAVITY_M_S2)
+    """The command is that of constant divergence, and more above it; predicted for 0.2 s of delay and engine."""
+    guidance = Guidance(50.0, np.array([0.0, 0.0, -4.0]))
+    steady = 0.08**2 * 50 + GRAVITY_M_S2
+    assert guidance.command_m_s2(0.0, 0.0)[2] == pytest.approx(steady + 50 * (4 / 49.2 - 0.08))
+    guidance.take_motion(Motion(0, 0, 0.09, 1.5, 0.0, 9), 0.0, 0.2)
+    assert guidance.command_m_s2(0.0, 0.0)[2] == pytest.approx(steady + 50 * (4.25 / 49.15 - 0.08))
 
 
-def test_without_motion_dead_reckoning_takes_over() -> None:
-    """Without a motion for ten seconds, a vehicle that follows its commands is at the reckoned place, upright."""
-    law, step_s = Law(hold_s=0.0), 0.05
-    guidance = Guidance(law, 100.0, np.array([1.0, 0.0, -5.0]), 173.0)
+def test_without_motion_dead_reckoning_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a motion for ten seconds, a vehicle that follows its commands is at the reckoned place, upright.
+
+    Its divergence D nears that wanted, W, by D' = (D - W) (D + W - k), k being 0.8 / (t + 0.2 s), at most 1.
+    """
+    monkeypatch.setattr(guidance_module, "_HOLD_S", 0.0)
+    guidance, step_s = Guidance(100.0, np.array([1.0, 0.0, -5.0])), 0.05
     height_m, speed_m_s = 100.0, 5.0
     for k in range(1, 200):
         command = guidance.command_m_s2(k * step_s, step_s)
@@ -168,18 +175,23 @@ def test_without_motion_dead_reckoning_takes_over() -> None:
         height_m -= speed_m_s * step_s
         speed_m_s -= (command[2] - GRAVITY_M_S2) * step_s
     assert guidance.height_m == pytest.approx(height_m, rel=0.02)
-    assert speed_m_s / height_m == pytest.approx(law.divergence_1_s, rel=0.02)
+    divergence_1_s = 0.05
+    for t_s in np.arange(0.0, 9.95, 0.01):
+        divergence_1_s += (divergence_1_s - 0.08) * (divergence_1_s + 0.08 - min(1.0, 0.8 / (t_s + 0.2))) * 0.01
+    assert speed_m_s / height_m == pytest.approx(divergence_1_s, rel=0.02)
 
 
-def test_a_motion_is_believed_again_after_a_gap() -> None:
-    """One far from the last, but near dead reckoning; and not one that is nowhere near."""
-    guidance = Guidance(Law(), 100.0, np.array([0.0, 0.0, -4.0]), 173.0)
+def test_a_motion_is_accepted_again_after_a_gap() -> None:
+    """One far from the prediction, after ten seconds without any; and not one that is nowhere near."""
+    guidance = Guidance(100.0, np.array([0.0, 0.0, -4.0]))
     for k in range(40):
         guidance.command_m_s2(k * 0.25, 0.25)
-    guidance.take(Motion(0.0, 0.0, 0.4, 2.0, 10.0, 9), 10.0)
+    expected = guidance.expected(10.0)
+    guidance.take_motion(Motion(0.0, 0.0, expected + 0.04, 2.0, 10.0, 9), 0.25, 1.0)  # too far off after one turn
+    guidance.take_motion(Motion(0.0, 0.0, expected + 0.3, 2.0, 10.0, 9), 10.0, 1.0)
     assert guidance.motion.gain == math.inf
-    guidance.take(Motion(0.0, 0.0, 0.15, 2.0, 10.0, 9), 10.0)  # too far off after one turn, not after ten seconds
-    assert guidance.motion.down == 0.15
+    guidance.take_motion(Motion(0.0, 0.0, expected + 0.04, 2.0, 10.0, 9), 10.0, 1.0)
+    assert guidance.motion.down == pytest.approx(expected + 0.02)
 
 
 def test_frames_carry_what_was_put_in() -> None:

@@ -10,7 +10,7 @@ import pytest
 from compare import table
 from divergence import Motion
 from navigation import Filter, Known, of_events, of_range, of_star
-from pilot import Pilot, PilotSettings
+from pilot import Pilot
 from report import judgement
 from scipy.stats import chi2
 from sensors import (
@@ -29,7 +29,7 @@ from sensors import (
     unpack_vector,
     vector_of,
 )
-from spacecraft import Mission, SensingSpacecraft, TouchDown, WithoutCamera
+from spacecraft import Mission, Spacecraft, TouchDown, WithoutCamera
 from vehicle import GRAVITY_M_S2, Lander, State, advance, product
 
 ROLLING = State(np.array([3.0, 4.0, 100.0]), np.array([0.5, 0.0, -8.0]), thrust_n=1620.0)
@@ -190,15 +190,20 @@ def landed(navigation: str, seed: int) -> TouchDown:
     mission = dataclasses.replace(mission, known=dataclasses.replace(mission.known, height_sigma_m=2.0))
     known = np.array(mission.known.position_m) + (0.0, 0.0, 2.0)
     mission = dataclasses.replace(mission, known=dataclasses.replace(mission.known, position_m=tuple(known)))
-    pilot, spacecraft = Pilot(mission.known, PilotSettings(navigation)), []
+    pilot, spacecraft = Pilot(mission.known, navigation), []
 
-    def motion(t_s: float) -> tuple[Motion, float]:
-        state = spacecraft[0].state
-        east, north, up = state.velocity_m_s / state.position_m[2] * (1 + 0.01 * draw.normal(size=3))
-        return Motion(east, -north, -up, 2.0, t_s - PERIOD_S, 9), 0.2
+    class Seeing(WithoutCamera):
+        """Links whose pilot gets the motion that a camera would have measured."""
+
+        def answer(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int, bytes]:
+            state = spacecraft[0].state
+            east, north, up = state.velocity_m_s / state.position_m[2] * (1 + 0.01 * draw.normal(size=3))
+            pilot.take_motion(Motion(east, -north, -up, 2.0, t_s - PERIOD_S, 9), t_s, 0.2)
+            return super().answer(t_s, limit_s)
 
     unit = Sensors(SensorErrors(), mission.lander, seed, lambda x, y: 0.0)
-    spacecraft.append(SensingSpacecraft(mission, WithoutCamera(pilot, motion), unit))
+    links = Seeing(pilot)
+    spacecraft.append(Spacecraft(mission.lander, mission.state, links, sensors=unit))
     return spacecraft[0].land(lambda x, y: 0.0, lambda t_s, state: None)
 
 
