@@ -37,6 +37,7 @@ from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
 from firmware_protocol.events import Events, make_events
 from transports.link.pacing import MonotonicClock
+from transports.recording.format import FORMATS
 
 _GIVEN_KEYS = ("rig", "count", "record", "program", "truth")
 _MOST_DSEC_S = 4294.0
@@ -152,13 +153,11 @@ def write_dsec(folder: Path, pictures: int) -> None:
     """
     import h5py
 
-    from transports.recording.dsec import DsecReader, DsecWriter
-
     left, forward = folder / "events/left", folder / "flow/forward"
     left.mkdir(parents=True)
     (folder / "images").mkdir()
-    events = DsecReader(folder / "truth.h5", None)
-    with closing(DsecWriter(left / "events.h5", events.facts)) as file:
+    events = FORMATS["dsec"].open_reader(folder / "truth.h5")
+    with closing(FORMATS["dsec"].open_writer(left / "events.h5", events.facts)) as file:
         for part in events.parts():
             file.write(part)
     with h5py.File(folder / "truth.h5") as truth, h5py.File(left / "rectify_map.h5", "w") as rectified:
