@@ -46,7 +46,6 @@ from emulator.run.outcome import RunResult, good, judge
 from emulator.run.truth.source import TruthRefused, check_truth
 from emulator.tables.toml_text import shortened
 from emulator.tables.typed_table import KeyPath, TableError
-from transports.link.report import LinkReport
 from transports.registry import unknown
 
 Row = dict[str, Any]
@@ -54,7 +53,8 @@ Row = dict[str, Any]
 _OF_PROGRAM = ("program.", "result.")
 _ALWAYS = ("index", "outcome", "seed", "verdict", "sim_s", "frames", "steps", "undersampled_share", "late_us")
 _EVENTS = ("raised", "lost_in_pixel", "lost_at_readout", "read_out", "rate_hz")
-_LINK = ("delivered", "dropped", "dropped_in_device", "latency_p50_us", "latency_p99_us", "latency_max_us")
+_COUNTS, _LATENCIES = ("delivered", "dropped", "dropped_in_device"), ("p50", "p99", "max")
+_LINK = (*_COUNTS, *(f"latency_{name}_us" for name in _LATENCIES))
 
 
 def parameter_columns(values: Mapping[str, Any]) -> Row:
@@ -82,21 +82,11 @@ def result_columns(rig: Rig, result: RunResult, digest: str) -> Row:
         "events.digest": digest,
     }
     for name, link in result.links.items():
-        row |= {f"link.{name}.{column}": value for column, value in _link_columns(link).items()}
+        counts = {column: getattr(link, column) for column in _COUNTS}
+        latencies = {f"latency_{column}_us": getattr(link.latency, column) for column in _LATENCIES}
+        columns = {**counts, "digest": f"{link.digest:08x}", **latencies, "error": link.error or ""}
+        row |= {f"link.{name}.{column}": value for column, value in columns.items()}
     return row
-
-
-def _link_columns(link: LinkReport) -> Row:
-    return {
-        "delivered": link.delivered,
-        "dropped": link.dropped,
-        "dropped_in_device": link.dropped_in_device,
-        "digest": f"{link.digest:08x}",
-        "latency_p50_us": link.latency.p50,
-        "latency_p99_us": link.latency.p99,
-        "latency_max_us": link.latency.max,
-        "error": link.error or "",
-    }
 
 
 def judged(settings: Settings, row: Row) -> Row:

@@ -1,7 +1,8 @@
 """Data sets: sequences of events with their truth, each a run of a campaign.
 
     DIR/dataset.toml              the campaign: `evstim campaign again DIR/dataset.toml 17 --folder DIR`
-       /sequences/000017.h5       a truth file, see `emulator.run.truth.file`; .npz: the same arrays by the same names
+       /sequences/000017.h5       a truth file, see `emulator.run.truth.file`; .npz: the same arrays by the same names;
+                 /000017/         without a suffix: a folder as the DSEC data set has it, with truth.h5, the truth file
        /manifest.json             seed, parameters, digests and file of each sequence
        /README.md                 a data card, made of the manifest
 
@@ -16,8 +17,9 @@ import errno
 import json
 import os
 import re
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -25,18 +27,21 @@ from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import map_coordinates
 
 from emulator.campaign.campaign import Campaign, Row
-from emulator.campaign.loading import CampaignError, SequenceTruth, Source, laid_over
+from emulator.campaign.loading import FLOW_HZ, CampaignError, SequenceTruth, Source, campaign_text, laid_over, table_of
+from emulator.report.pictures import deep_png
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
-from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import Events, make_events
 from transports.link.pacing import MonotonicClock
+from transports.recording.format import FORMATS
 
 _GIVEN_KEYS = ("rig", "count", "record", "program", "truth")
-_MOST_BYTES = 1 << 22
+_MOST_DSEC_S = 4294.0
+_REFINEMENTS = 4  # of the place at the end of a step; each leaves the error times half a step and the flow's gradient
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -66,29 +71,19 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
     if parsed.trigger is not None or parsed.second_camera is not None:
         raise CampaignError(f"{rig_file}: a data set has one camera and no link: remove [trigger] and [second_camera]")
     vary, truth = sequences.vary, sequences.truth
-    table = dict(_read(Path(vary)) if isinstance(vary, str | Path) else vary or {})
+    table = dict(table_of(campaign_text(Path(vary)), str(vary)) if isinstance(vary, str | Path) else vary or {})
     if wrong := [key for key in _GIVEN_KEYS if key in table]:
         raise CampaignError(f"vary: {', '.join(wrong)}: this is given by the data set itself")
+    if truth.format == "dsec" and sequences.seconds > _MOST_DSEC_S:
+        raise CampaignError(f"--seconds: at most {_MOST_DSEC_S:g} with --format dsec: its times have 32 bits")
     run = {"seconds": sequences.seconds, "pace": "free", "step_us": _step_us(parsed.run.step_us, truth.rate_hz)}
     settings = laid_over({"links": [], "faults": [], "run": run}, table.get("set", {}))
-    content = {
-        "rig": str(rig_file if Path(rig).is_file() else rig),
-        "truth": dataclasses.asdict(truth),
-        "set": settings,
-    }
+    named = str(rig_file if Path(rig).is_file() else rig)
+    content = {"rig": named, "truth": dataclasses.asdict(truth), "set": settings}
     count = {} if table.get("sampling") == "grid" else {"count": sequences.count}
     table = {"seed": sequences.seed} | table | count | content
     text = "".join(f"{_toml(key)} = {_toml(value)}\n" for key, value in table.items())
     return Source(str(file), text, str(rig_file), rig_text)
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return read_toml(read_text(file, _MOST_BYTES))
-    except TomlError as error:
-        raise CampaignError(error.at(str(file))) from error
-    except (TextFileError, OSError) as error:
-        raise CampaignError(f"{file}: {error}") from error
 
 
 def _step_us(step_us: int, rate_hz: float) -> int:
@@ -112,8 +107,8 @@ def _toml(value: Any) -> str:
 
 
 def sequence_path(folder: Path, index: int, truth: SequenceTruth) -> Path:
-    """Return the file of a sequence."""
-    return folder / "sequences" / f"{index:06d}.{truth.format}"
+    """Return the file or the folder of a sequence."""
+    return folder / "sequences" / (f"{index:06d}" if truth.format == "dsec" else f"{index:06d}.{truth.format}")
 
 
 @contextmanager
@@ -124,21 +119,101 @@ def written_sequence(rig: Rig, truth: SequenceTruth, path: Path) -> Iterator[Run
     """
     path.parent.mkdir(exist_ok=True)
     for left in path.parent.glob(f".{path.stem}.*"):  # of a killed run, whose writer may still have it
-        left.unlink(missing_ok=True)
+        _remove(left)
     part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    recorded = TruthFile(rig, part, truth.selection) if truth.format == "h5" else TruthArrays(rig, truth.selection)
+    file = part / "truth.h5" if truth.format == "dsec" else part
+    recorded = TruthArrays(rig, truth.selection) if truth.format == "npz" else TruthFile(rig, file, truth.selection)
     try:
+        file.parent.mkdir(exist_ok=True)
         with recorded:
             yield recorded
         if recorded.trouble:
             raise OSError(errno.EIO, recorded.trouble, str(path))
         if isinstance(recorded, TruthArrays):
-            with part.open("wb") as file:
-                np.savez_compressed(file, **recorded.arrays())  # type: ignore[arg-type]
+            with part.open("wb") as opened:
+                np.savez_compressed(opened, **recorded.arrays())  # type: ignore[arg-type]
+        if truth.format == "dsec":
+            write_dsec(part, round(truth.rate_hz / FLOW_HZ))
+            _remove(path)  # a folder, unlike a file, does not replace another one
         part.replace(path)
     finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+        _remove(part)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder, where there is one."""
+    with suppress(OSError):
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def write_dsec(folder: Path, pictures: int) -> None:
+    """Write the files of a sequence of DSEC beside `folder`/truth.h5: its events, and flow between so many pictures.
+
+    Files and their numbers: dsec.ifi.uzh.ch, "Data format". Raises OSError.
+    """
+    import h5py
+
+    left, forward = folder / "events/left", folder / "flow/forward"
+    left.mkdir(parents=True)
+    (folder / "images").mkdir()
+    events = FORMATS["dsec"].open_reader(folder / "truth.h5")
+    with closing(FORMATS["dsec"].open_writer(left / "events.h5", events.facts)) as file:
+        for part in events.parts():
+            file.write(part)
+    with h5py.File(folder / "truth.h5") as truth, h5py.File(left / "rectify_map.h5", "w") as rectified:
+        t_us, layers = np.rint(truth["pictures/t"][:]).astype(int), truth["pictures"]
+        pixels = np.indices((truth.attrs["height"], truth.attrs["width"]), np.float32)
+        rectified["rectify_map"] = np.moveaxis(pixels, 0, -1)[..., ::-1]
+        np.savetxt(folder / "images/timestamps.txt", t_us, "%d")
+        if not {"flow", "labels"} <= {*layers}:
+            return
+        forward.mkdir(parents=True)
+        firsts = range(0, len(t_us) - pictures, pictures)
+        for k in firsts:
+            seen = slice(k, k + pictures + 1)
+            moved, is_known = displacement(t_us[seen], layers["flow"][seen], layers["labels"][seen])
+            coded = np.rint(moved * 128) + 2**15
+            is_known &= ((coded >= 0) & (coded < 2**16)).all(axis=-1)
+            coded[~is_known] = 2**15
+            (forward / f"{k:06d}.png").write_bytes(deep_png(np.dstack([coded, is_known]).astype(np.uint16)))
+        pairs = np.array([(t_us[k], t_us[k + pictures]) for k in firsts], int).reshape(-1, 2)
+        names = "from_timestamp_us, to_timestamp_us"
+        np.savetxt(folder / "flow/forward_timestamps.txt", pairs, "%d", ", ", header=names)
+
+
+def displacement(
+    t_us: npt.NDArray[np.int64], flow: npt.NDArray[np.float32], labels: npt.NDArray[np.uint16]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """Return how far the point at each pixel's middle moves from the first instant to the last, and where it is known.
+
+    From one instant to the next by the trapezoidal rule along the path of the point. It is unknown where the path
+    leaves the picture, or a pixel around its end has another label.
+
+    Parameters
+    ----------
+    t_us : (n,) instants.
+    flow, labels : (n, height, width, 2) px/s, and (n, height, width).
+
+    Returns
+    -------
+    (height, width, 2) px to the right and down, and (height, width).
+    """
+    at = begin = np.indices(labels.shape[1:]).astype(np.float64)  # rows, columns
+    is_known = np.ones(labels.shape[1:], bool)
+    for k, half_s in enumerate(np.diff(t_us) * 0.5e-6):
+        before = end = _flow_at(flow[k], at)
+        for _ in range(_REFINEMENTS):
+            end = _flow_at(flow[k + 1], at + half_s * (before + end))
+        at = at + half_s * (before + end)
+        for label in np.unique(labels[0]):
+            is_near = map_coordinates((labels[k + 1] == label).astype(np.float64), at, order=1) > 1 - 1e-9
+            is_known &= is_near | (labels[0] != label)
+    return np.moveaxis(at - begin, 0, -1)[..., ::-1], is_known
+
+
+def _flow_at(flow: npt.NDArray[np.float32], at: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the flow between pixels, rows and columns a second, at rows and columns (2, height, width)."""
+    return np.stack([map_coordinates(flow[..., axis], at, np.float64, order=1, mode="nearest") for axis in (1, 0)])
 
 
 def check_layers(truth: SequenceTruth, recorded: RunTruth) -> None:
@@ -171,11 +246,8 @@ class TruthSequence:
     @property
     def events(self) -> Events:
         """The events, (n,) EVENT, as the sensor reads them out."""
-        events = np.zeros(len(self.arrays.get("events/t", ())), EVENT)
-        for field, name in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
-            if len(events):
-                events[field] = self.arrays[f"events/{name}"]
-        return events
+        t, x, y, p = (self.arrays.get(f"events/{name}", np.zeros(0, np.uint64)) for name in "txyp")
+        return make_events(t, x, y, p > 0)
 
 
 class Dataset(Sequence[TruthSequence]):
@@ -295,7 +367,7 @@ Simulated events with truth, made by evstim {version("evstim")}. No real camera 
 - {len(sequences)} of {campaign.runs} sequences; together {seconds:.6g} s and {events} events
 - camera `{rig.camera.model}`, {width} x {height} pixels; rig `{rig.name}`
 - truth: {layers}; {truth.rate_hz:g} times a second; the cause of each event
-- layout: page *Recordings and truth* of evstim's documentation
+- layout: pages *Data sets* and *Recordings and truth* of evstim's documentation
 - times of events are whole microseconds of stream time, without errors of a camera's clock or link
 - `manifest.json`: seed, parameters and digests of each sequence, which are the same on any machine
 - `evstim campaign again dataset.toml INDEX --folder .` makes a sequence again and compares it

@@ -106,9 +106,7 @@ def margin(rules: Sequence[SuccessRule], row: Mapping[str, Any]) -> float | None
 
     None without a rule that compares numbers by size.
     """
-    margins = [_margin(rule, row) for rule in rules]
-    measured = [value for value in margins if value is not None]
-    return min(measured) if measured else None
+    return min((value for rule in rules if (value := _margin(rule, row)) is not None), default=None)
 
 
 def _margin(rule: SuccessRule, row: Mapping[str, Any]) -> float | None:
@@ -173,6 +171,10 @@ class Program:
         check_bounds(self)
 
 
+FLOW_HZ = 10
+"""Maps of optical flow a second in a sequence of DSEC, each of the displacement until the next one."""
+
+
 @dataclass(frozen=True)
 class SequenceTruth:
     """Truth that each run writes with its events, as a sequence of a data set.
@@ -182,18 +184,23 @@ class SequenceTruth:
     rate_hz : light, depth, flow and labels a second.
     layers : of "light", "depth", "flow", "labels", "poses" and "clean_events"; by default depth, flow, labels and
         poses, as far as the scene has them.
-    format : "h5": a truth file, which readers of DSEC take for a recording; "npz": the same arrays for numpy.
+    format : "h5": a truth file, which readers of DSEC take for a recording; "npz": the same arrays for numpy; "dsec":
+        the folder of a sequence of DSEC, with a truth file beside what it has a place for.
     """
 
     rate_hz: Annotated[float, Meta(gt=0, le=1e6)] = 20.0
     layers: tuple[str, ...] = ()
-    format: Literal["h5", "npz"] = "h5"
+    format: Literal["h5", "npz", "dsec"] = "h5"
 
     def __post_init__(self) -> None:
         check_bounds(self)
         for layer in self.layers:
             if layer not in LAYERS:
                 raise ValueError(unknown(layer, LAYERS))
+        if self.format == "dsec" and self.rate_hz % FLOW_HZ:
+            raise ValueError(f"rate_hz must be a multiple of DSEC's {FLOW_HZ} flows a second, got {self.rate_hz:g}")
+        if self.format == "dsec" and self.layers and not {"flow", "labels"} <= {*self.layers}:
+            raise ValueError('layers: format "dsec" needs "flow" and "labels", which show where flow is known')
 
     @property
     def selection(self) -> TruthSelection:
@@ -350,11 +357,8 @@ def load_source(file: Path) -> Source:
     file = file.absolute()
     if not file.exists():
         raise CampaignError(f"{file}: no such file: give the path of a campaign file (docs/campaigns.md has one)")
-    try:
-        text = read_text(file, _MOST_BYTES)
-    except TextFileError as error:
-        raise CampaignError(f"{file}: {error}") from error
-    named = str(_table_of(text, str(file)).get("rig", ""))
+    text = campaign_text(file)
+    named = str(table_of(text, str(file)).get("rig", ""))
     if not named:
         raise CampaignError(f"{file}: 'rig' is missing: the name of a shipped rig, or the path of a rig file")
     beside = file.parent / named
@@ -364,7 +368,16 @@ def load_source(file: Path) -> Source:
     return Source(str(file), text, str(rig.absolute()), rig_text)
 
 
-def _table_of(text: str, file: str) -> dict[str, Any]:
+def campaign_text(file: Path) -> str:
+    """Return the text of a campaign file, or of a part of one; raises CampaignError."""
+    try:
+        return read_text(file, _MOST_BYTES)
+    except (TextFileError, OSError) as error:
+        raise CampaignError(f"{file}: {error}") from error
+
+
+def table_of(text: str, file: str) -> dict[str, Any]:
+    """Return the tables of a campaign's text; raises CampaignError, which names `file`."""
     try:
         return read_toml(text)
     except TomlError as error:
@@ -373,7 +386,7 @@ def _table_of(text: str, file: str) -> dict[str, Any]:
 
 def parse_settings(source: Source) -> tuple[Settings, dict[str, Any]]:
     """Return a campaign file as its types, and as plain tables; raises CampaignError."""
-    table = _table_of(source.text, source.file)
+    table = table_of(source.text, source.file)
     try:
         return _settings(table), table
     except TableError as error:
@@ -407,19 +420,14 @@ def _parameters(tables: object) -> tuple[Law, ...]:
     if not isinstance(tables, list):
         raise TableError("expected [[parameters]] tables", ("parameters",))
     laws = tuple(convert_kind(table, LAWS, ("parameters", i)) for i, table in enumerate(tables))
-    _check_apart(laws)
-    return laws
-
-
-def _check_apart(laws: tuple[Law, ...]) -> None:
-    """Raise TableError for a key that two parameters set, or that no rig can have."""
     taken: set[str] = set()
     for i, law in enumerate(laws):
         for key in (law.key, *law.also):
-            path: KeyPath = ("parameters", i, "key" if key == law.key else "also")
             if key in taken:
+                path: KeyPath = ("parameters", i, "key" if key == law.key else "also")
                 raise TableError(f"{key!r} is given by an earlier parameter as well", path)
             taken.add(key)
+    return laws
 
 
 def _rules(rules: object) -> tuple[SuccessRule, ...]:

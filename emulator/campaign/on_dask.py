@@ -55,7 +55,11 @@ class DaskWorkers(Workers):
     def _row(self, future: Any, index: int) -> Row:
         del self._futures[future.key]
         if future.status == "finished":
-            return self._result(future)
+            try:
+                row: Row = future.result()
+            except (OSError, CancelledError) as lost:
+                raise self._gone() from lost
+            return row
         error = future.exception() if future.status == "error" else None
         if error is None:
             raise self._gone()
@@ -64,14 +68,6 @@ class DaskWorkers(Workers):
         if isinstance(error, CampaignStopped):
             raise error
         raise CampaignStopped(f"--scheduler: a worker cannot do run {index}: {type(error).__name__}: {error}")
-
-    def _result(self, future: Any) -> Row:
-        """Fetch the row of a finished run from the cluster, and return it."""
-        try:
-            row: Row = future.result()
-        except (OSError, CancelledError) as error:
-            raise self._gone() from error
-        return row
 
     def _gone(self) -> CampaignStopped:
         return CampaignStopped(f"--scheduler: {self._address} is gone, or has cancelled the runs")

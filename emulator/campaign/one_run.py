@@ -140,12 +140,9 @@ def result_of(file: Path) -> tuple[dict[str, Any], str]:
     if not isinstance(result, dict) or len(result) > _MOST_COLUMNS:
         return {}, f"result: expected one JSON object of at most {_MOST_COLUMNS} values"
     wrong = [key for key, value in result.items() if not isinstance(value, str | int | float | bool | None)]
-    columns = {f"result.{key}": _plain(value) for key, value in result.items() if key not in wrong}
+    right = {key: value for key, value in result.items() if key not in wrong}
+    columns = {f"result.{key}": float(value) if type(value) is int else value for key, value in right.items()}
     return columns, f"result: {', '.join(wrong[:5])}: neither number, text nor bool" if wrong else ""
-
-
-def _plain(value: Any) -> Any:
-    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
@@ -221,6 +218,8 @@ class _Run:
         self._record = place.record
         self._cwd = Path(campaign.source.file).parent
         self._started: RunningProgram | None = None
+        self._values = campaign.values(index)
+        self._mark = f"{campaign.id}/{index}"
 
     def row(self) -> Row:
         """Run, and return the row."""
@@ -229,7 +228,9 @@ class _Run:
         rig = self._rig()
         with ExitStack() as stack:
             result, columns = self._run(rig, stack)
-            _check_space(result)
+            for trouble in (trouble for link in result.links.values() for trouble in link.file_troubles):
+                if _NO_SPACE in trouble:  # this is no fault of the run
+                    raise CampaignStopped(trouble)
             row = result_columns(rig, result, self._digest.hexdigest())
             return row | columns | self._program_columns(stack)
 
@@ -242,14 +243,6 @@ class _Run:
             self._record = self._folder / f"delivered{self._settings.record}"
         description = {"index": self._index, "seed": self._campaign.seed(self._index), "values": self._values}
         (self._folder / "run.json").write_text(json.dumps(description, indent=1, default=str) + "\n")
-
-    @property
-    def _mark(self) -> str:
-        return f"{self._campaign.id}/{self._index}"
-
-    @property
-    def _values(self) -> dict[str, Any]:
-        return self._campaign.values(self._index)
 
     def _rig(self) -> Rig:
         rig = self._campaign.rig(self._index, self._place.worker)
@@ -322,11 +315,3 @@ class _Run:
             trouble = f"it did not end within {program.grace_s:g} s and was stopped"
         ending = {"program.exit": code, "program.trouble": trouble, "machine.program_s": seconds}
         return {**columns, **ending}
-
-
-def _check_space(result: RunResult) -> None:
-    """Raise CampaignStopped where a file of the run has no room: this is no fault of the run."""
-    for link in result.links.values():
-        for trouble in link.file_troubles:
-            if _NO_SPACE in trouble:
-                raise CampaignStopped(trouble)

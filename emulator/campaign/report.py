@@ -25,6 +25,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +120,7 @@ def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_poin
     if len(y_there) < _FEWEST or np.ptp(y_there) == 0:
         reason = f"fewer than {_FEWEST} runs have a value" if len(y_there) < _FEWEST else "all runs have the same value"
         return Sensitivity(column, f"no sensitivity: {reason}", [])
-    if base_points and _salib() and has_value.all() and len(y) == base_points * (len(laws) + 2):
+    if base_points and find_spec("SALib") and has_value.all() and len(y) == base_points * (len(laws) + 2):
         return Sensitivity(column, _SOBOL.format(base_points), _sobol(y, laws))
     x = np.stack([parameter_numbers(rows, law)[has_value] for law in laws], axis=1)
     shares = [
@@ -135,30 +136,15 @@ def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_poin
 _SOBOL = "Sobol indices (Saltelli's design, {} base points) with 95 % confidence: share of the variance"
 
 
-def _salib() -> bool:
-    try:
-        importlib.import_module("SALib.analyze.pawn")
-    except ImportError:
-        return False
-    return True
-
-
 def _sobol(y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
     analyze, count = importlib.import_module("SALib.analyze.sobol").analyze, len(laws)
     problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         indices = analyze(problem, y, calc_second_order=False, seed=1)
-    return [
-        {
-            "parameter": law.key,
-            "alone (S1)": float(indices["S1"][k]),
-            "± S1": float(indices["S1_conf"][k]),
-            "with all others (ST)": float(indices["ST"][k]),
-            "± ST": float(indices["ST_conf"][k]),
-        }
-        for k, law in enumerate(laws)
-    ]
+    names = {"alone (S1)": "S1", "± S1": "S1_conf", "with all others (ST)": "ST", "± ST": "ST_conf"}
+    columns = {name: indices[key].tolist() for name, key in names.items()}
+    return [{"parameter": law.key, **{n: c[k] for n, c in columns.items()}} for k, law in enumerate(laws)]
 
 
 def _rank(x: _Floats, y: _Floats) -> dict[str, float]:
@@ -327,10 +313,8 @@ def _add_chart(section: Section, draw: Callable[[], str]) -> None:
 def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     """Return the columns of the report; those without a number are left out."""
     chosen = list(campaign.settings.report.columns)
-    result_columns = [
-        name for name in dict.fromkeys(name for row in rows for name in row) if name.startswith("result.")
-    ]
-    columns = chosen or ["margin", "events.rate_hz", *result_columns]
+    results = dict.fromkeys(name for row in rows for name in row if name.startswith("result."))
+    columns = chosen or ["margin", "events.rate_hz", *results]
     return [name for name in columns if len(_finite(rows, name))][:_MOST_COLUMNS]
 
 
@@ -379,13 +363,8 @@ def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
     def badness(row: Row) -> tuple[bool, bool, bool, float, int]:
         value = row.get(shown.worst)
         is_number = isinstance(value, int | float)
-        return (
-            row["outcome"] == "ok",
-            bool(row["success"]),
-            not is_number,
-            sign * float(value or 0.0),
-            int(row["index"]),
-        )
+        rank = sign * float(value or 0.0)
+        return row["outcome"] == "ok", bool(row["success"]), not is_number, rank, int(row["index"])
 
     return sorted(rows, key=badness)[:_MOST_WORST]
 

@@ -53,15 +53,11 @@ def _parquet() -> Any:
 
 def write_row(folder: Path, row: Row) -> None:
     """Write a row's file, whole or not at all; raises OSError."""
-    _write(folder / f"{row['index']:08d}{_SUFFIX}", [row])
+    write_table(folder / f"{row['index']:08d}{_SUFFIX}", [row])
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write all rows as one file, whole or not at all; raises OSError."""
-    _write(path, rows)
-
-
-def _write(path: Path, rows: Sequence[Row]) -> None:
     content = _file_of(rows)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -70,10 +66,9 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
-    except BaseException:
+    finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-        raise
 
 
 def _file_of(rows: Sequence[Row]) -> Any:
@@ -92,10 +87,8 @@ def _column(values: list[Any], pyarrow: Any) -> Any:
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {float, int} and kinds != {int}:
         return pyarrow.array([None if v is None else float(v) for v in values], pyarrow.float64())
-    if kinds == {int}:
-        return pyarrow.array(values, pyarrow.int64())
-    if kinds == {bool}:
-        return pyarrow.array(values, pyarrow.bool_())
+    if kinds in ({int}, {bool}):
+        return pyarrow.array(values, pyarrow.int64() if kinds == {int} else pyarrow.bool_())
     return pyarrow.array([None if v is None else str(v) for v in values], pyarrow.string())
 
 
@@ -166,9 +159,8 @@ def _write_once(file: Path, text: str) -> None:
     part = file.with_name(f".{file.name}.{os.getpid()}.part")
     part.write_text(text)
     try:
-        os.link(part, file)
-    except FileExistsError:
-        pass
+        with suppress(FileExistsError):
+            os.link(part, file)
     finally:
         part.unlink()
 

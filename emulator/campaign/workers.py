@@ -27,7 +27,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -129,6 +129,7 @@ class WarmWorker:
         return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
     def _kill(self, index: int | None) -> int:
+        """End the process, where there is one, and what a run has left; return its exit code."""
         process, socket = self._process, self._socket
         self._process = self._socket = None
         if socket is not None:
@@ -141,31 +142,21 @@ class WarmWorker:
             end_leftover(run_folder(self._folder, index), f"{self._campaign.id}/{index}")
         return code
 
-    def abandon(self) -> None:
-        """End the present run without a row; for another thread."""
+    def abandon(self, number: int = signal.SIGTERM) -> None:
+        """End the present run without a row, by SIGKILL at once; for another thread."""
         self._closing = True
         if self._process is not None:
             with suppress(ProcessLookupError):
-                self._process.terminate()
-
-    def kill(self) -> None:
-        """End the process at once; for another thread."""
-        self._closing = True
-        if self._process is not None:
-            self._process.kill()
+                self._process.send_signal(number)
 
     def close(self, patience_s: float = 10.0) -> None:
         """End the process, which has no run now."""
         if self._socket is not None:
             self._socket.close()
-        if self._process is None:
-            return
-        try:
-            self._process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process = self._socket = None
+        if self._process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(patience_s)
+        self._kill(None)
 
 
 def _answer(socket: Connection, timeout_s: float) -> dict[str, Any]:
@@ -248,11 +239,11 @@ class LocalWorkers(Workers):
         self._workers = workers
         self._threads = ThreadPoolExecutor(len(workers))
 
-    def stop(self) -> None:
+    def stop(self, number: int = signal.SIGTERM) -> None:
         """Begin no further run, and abandon those in progress; for a signal handler."""
         super().stop()  # first: no row of an abandoned run is taken
         for worker in self._workers:
-            worker.abandon()
+            worker.abandon(number)
 
     def _size(self) -> int:
         return len(self._workers)
@@ -266,16 +257,12 @@ class LocalWorkers(Workers):
     def _close(self) -> None:
         """Return when no worker is left; those that do not end their run in time are killed."""
         self.stop()
-        timer = threading.Timer(_PATIENCE_S, self._kill)
+        timer = threading.Timer(_PATIENCE_S, self.stop, [signal.SIGKILL])
         timer.start()
         self._threads.shutdown()
         for worker in self._workers:
             worker.close()
         timer.cancel()
-
-    def _kill(self) -> None:
-        for worker in self._workers:
-            worker.kill()
 
 
 def cores() -> int:
@@ -283,24 +270,12 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-@dataclass(frozen=True)
-class Part:
-    """The runs of one job of a job array: every `of`-th, from `number` - 1 on."""
-
-    number: int
-    of: int
-
-    def indices(self, runs: int) -> range:
-        """Return the indices of the part's runs."""
-        return range(self.number - 1, runs, self.of)
-
-
-def part_of(text: str) -> Part:
-    """Return a part written as "3/10", the third of ten; raises ValueError."""
+def part_of(text: str, runs: int) -> range:
+    """Return the runs of a job of a job array: for "3/10" every tenth, from 2 on; raises ValueError."""
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
     if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"expected I/N with I from 1 to N, such as 3/10, got {text!r}")
-    return Part(int(match[1]), int(match[2]))
+    return range(int(match[1]) - 1, runs, int(match[2]))
 
 
 def remaining(folder: Path, indices: Iterable[int]) -> list[int]:
@@ -316,19 +291,14 @@ def run_campaign(
     count = 0
     with closing(workers.rows(indices)) as rows:
         for row in rows:
-            _write(folder, row, campaign)
+            try:
+                write_row(rows_folder(folder), row)
+            except OSError as error:
+                lost = f"the row of run {row['index']} of {campaign.name} was not written"
+                raise CampaignStopped(f"{folder}: {error.strerror or error}: {lost}") from error
             count += 1
             on_row(row)
     return count
-
-
-def _write(folder: Path, row: Row, campaign: Campaign) -> None:
-    try:
-        write_row(rows_folder(folder), row)
-    except OSError as error:
-        raise CampaignStopped(
-            f"{folder}: {error.strerror or error}: the row of run {row['index']} of {campaign.name} was not written"
-        ) from error
 
 
 _PR_SET_PDEATHSIG = 1

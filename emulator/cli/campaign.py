@@ -21,25 +21,12 @@ from cyclopts import App, Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from emulator.campaign import table
 from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.dataset import Sequences, dataset_source, write_manifest
 from emulator.campaign.loading import CampaignError, SequenceTruth, load_source, proportion
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.campaign.report import write_report
-from emulator.campaign.table import (
-    FolderError,
-    RowUnreadable,
-    TablesLacking,
-    begin_folder,
-    check_folder,
-    check_tables,
-    done_rows,
-    read_row,
-    read_rows,
-    rows_folder,
-    working_in,
-    write_table,
-)
 from emulator.campaign.workers import LocalWorkers, WarmWorker, Workers, cores, part_of, remaining, run_campaign
 from emulator.cli.checks import check_record, failures, prepared
 from emulator.cli.output import (
@@ -133,7 +120,7 @@ def finish(
     campaign: Campaign, folder: Path, progress: Progress, report: Path | None, *, in_part: bool, as_json: bool
 ) -> int:
     """Write table and report where the campaign is complete, print the summary and return the exit code."""
-    rows = read_rows(rows_folder(folder), progress.rows)
+    rows = table.read_rows(table.rows_folder(folder), progress.rows)
     successes = sum(bool(row["success"]) for row in rows)
     success = proportion(successes, len(rows))
     outcomes = Counter(str(row["outcome"]) for row in rows)
@@ -166,7 +153,7 @@ def finish(
 def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | None) -> str:
     try:
         if len(rows) == campaign.runs:
-            write_table(folder / "rows.parquet", rows)
+            table.write_table(folder / "rows.parquet", rows)
         return str(write_report(campaign, rows, report or folder))
     except OSError as error:
         message = f"{error.filename or folder}: {error.strerror or error}: table or report is missing"
@@ -190,8 +177,8 @@ def _print(summary: dict[str, object], outcomes: Counter[str], success: str, pro
 def campaign_failures() -> Iterator[None]:
     """Turn the errors of a campaign into Failure with its exit code."""
     with (
-        failing(WRONG_USE, CampaignError, FolderError, RowUnreadable),
-        failing(LACKING, TablesLacking, CampaignStopped),
+        failing(WRONG_USE, CampaignError, table.FolderError, table.RowUnreadable),
+        failing(LACKING, table.TablesLacking, CampaignStopped),
     ):
         yield
 
@@ -216,7 +203,7 @@ def again(
     """
     with failures(), campaign_failures():
         campaign = Campaign(load_source(file))
-        check_tables()
+        table.check_tables()
         rig = campaign.rig(index)
         check_record(rig, record)
         before = _row_before(campaign, folder or file.with_suffix(""), index)
@@ -234,10 +221,10 @@ def again(
 
 
 def _row_before(campaign: Campaign, folder: Path, index: int) -> Row | None:
-    rows = rows_folder(folder)
-    if index not in done_rows(rows):
+    rows = table.rows_folder(folder)
+    if index not in table.done_rows(rows):
         return None
-    row = read_row(rows, index)
+    row = table.read_row(rows, index)
     return row if row["campaign"] == campaign.id else None
 
 
@@ -265,10 +252,10 @@ def report(file: Path, /, *, folder: Path | None = None, to: Path | None = None,
     """
     with failures(), campaign_failures():
         loaded = Campaign(load_source(file))
-        check_tables()
+        table.check_tables()
         campaign_folder = folder or file.with_suffix("")
-        check_folder(loaded, campaign_folder)
-        done = len(done_rows(rows_folder(campaign_folder)))
+        table.check_folder(loaded, campaign_folder)
+        done = len(table.done_rows(table.rows_folder(campaign_folder)))
         if not done:
             raise Failure(f"{campaign_folder}: no run of {loaded.name} is done", WRONG_USE)
         return finish(
@@ -336,12 +323,12 @@ def campaign(
     """
     with failures(), campaign_failures():
         loaded = Campaign(load_source(file))
-        check_tables()
+        table.check_tables()
         folder = where.folder or file.with_suffix("")
         indices = _wanted(loaded, share)
         in_part = share.only is not None or share.part is not None
         todo = _begun(loaded, folder, indices)
-        with working_in(folder, alone=not in_part):
+        with table.working_in(folder, alone=not in_part):
             todo = remaining(folder, todo)
             loaded.check_all(todo)
             progress = Progress(loaded, len(indices), len(indices) - len(todo))
@@ -356,13 +343,13 @@ def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
         loaded.values(share.only)  # raises CampaignError for a run that there is not
         return [share.only]
     with failing(WRONG_USE, ValueError, at="--part"):
-        return range(loaded.runs) if share.part is None else part_of(share.part).indices(loaded.runs)
+        return range(loaded.runs) if share.part is None else part_of(share.part, loaded.runs)
 
 
 def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     """Make or check the folder, and return the runs that remain to be done."""
     try:
-        remark = begin_folder(loaded, folder)
+        remark = table.begin_folder(loaded, folder)
     except OSError as error:
         raise Failure(f"--folder: {error.filename or folder}: {error.strerror or error}", WRONG_USE) from error
     if remark:
@@ -428,7 +415,8 @@ class Content:
     rate
         Light, depth, flow and labels a second.
     format
-        h5: a truth file, which readers of DSEC take for a recording; npz: the same arrays for numpy.
+        h5: a truth file, which readers of DSEC take for a recording; npz: the same arrays for numpy; dsec: folders of
+        events and flow as the DSEC data set has them, and a truth file in each.
     """
 
     count: int = 100
@@ -437,7 +425,7 @@ class Content:
     vary: Path | None = None
     truth: str = ""
     rate: float = 20.0
-    format: Literal["h5", "npz"] = "h5"
+    format: Literal["h5", "npz", "dsec"] = "h5"
 
 
 _CONTENT = Content()
@@ -466,20 +454,20 @@ def dataset(
     """
     with failures(), campaign_failures():
         campaign, selection = _campaign(rig, out, content)
-        check_tables()
+        table.check_tables()
         if out.is_dir() and any(out.iterdir()) and not (out / "campaign.json").exists():
             raise Failure(f"--out: {out} has other files; name a new folder, or one of the same command", WRONG_USE)
         todo = _begun(campaign, out, range(campaign.runs))
         with failing(LACKING, OSError, at="--out"):
             Path(campaign.source.file).write_text(campaign.source.text)
-        with working_in(out, alone=True):
+        with table.working_in(out, alone=True):
             todo = remaining(out, todo)
             campaign.check_all(todo)
             megabytes = content.seconds * selection.pictures(campaign.rig(0))[1] / 1e6
             status.print(f"{len(todo)} sequences remain, of at most {megabytes:.3g} MB each before compression")
             progress = Progress(campaign, campaign.runs, campaign.runs - len(todo))
             _run(campaign, out, todo, Placement(workers=workers, scheduler=scheduler), progress)
-        rows = read_rows(rows_folder(out), progress.rows)
+        rows = table.read_rows(table.rows_folder(out), progress.rows)
         with failing(LACKING, OSError, at="--out"):
             manifest = write_manifest(campaign, out, rows)
         failed = [row for row in rows if row["outcome"] != "ok"]

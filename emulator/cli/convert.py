@@ -82,12 +82,9 @@ def _closed(file: RecordingFile, target: Path) -> Iterator[None]:
     """Finish the file in any case."""
     try:
         yield
-    except BaseException:
+    finally:
         with writing(target):
             file.close()
-        raise
-    with writing(target):
-        file.close()
 
 
 def _print(source: Path, target: Path, form: Format, done: _Done, json: bool) -> int:

@@ -17,16 +17,8 @@ from emulator.cli.checks import failures, parsed_address
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, failing, print_result
 from emulator.cli.run import summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
-from emulator.dynamics.flight import (
-    DynamicsError,
-    FlightEnded,
-    FlightResult,
-    Pace,
-    fly,
-    load_mapping,
-    opened_inputs,
-    wall_clock,
-)
+from emulator.dynamics import flight
+from emulator.dynamics.flight import FlightResult, Pace, opened_inputs
 from emulator.dynamics.fmu import Fmu
 from emulator.run.outcome import good, judge
 from emulator.run.simulation import Simulation
@@ -102,8 +94,8 @@ def dynamics(
     with (
         failures(),
         failing(WRONG_USE, OSError, at="--to"),
-        failing(BAD_VERDICT, FlightEnded),
-        failing(WRONG_USE, DynamicsError),
+        failing(BAD_VERDICT, flight.FlightEnded),
+        failing(WRONG_USE, flight.DynamicsError),
     ):
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
@@ -122,7 +114,7 @@ def dynamics(
 
 def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> tuple[FlightResult, Simulation | None, bool]:
     """Return the flight, the rig's run in lockstep, which has ended, and whether the flight was complete."""
-    address, mapping = parsed_address("--to", target.to), load_mapping(map_file)
+    address, mapping = parsed_address("--to", target.to), flight.load_mapping(map_file)
     stopped = threading.Event()
     if target.rig is not None and mapping.body:
         raise Failure(f"{map_file}: body = {mapping.body}: with --rig the FMU moves the camera, body 0", WRONG_USE)
@@ -131,10 +123,10 @@ def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> tuple[Flig
         with Fmu(file, mapping, names) as unit:
             stop_on_signals(stopped.set)
             if target.rig is None:
-                pace = dataclasses.replace(pace, waiting=wall_clock(stopped.is_set))
-                flown = fly(unit, mapping, inputs, pace, lambda pose: out.sendto(bytes(pose), address))
+                pace = dataclasses.replace(pace, waiting=flight.wall_clock(stopped.is_set))
+                flown = flight.fly(unit, mapping, inputs, pace, lambda pose: out.sendto(bytes(pose), address))
                 return flown, None, not stopped.is_set()
             pace = dataclasses.replace(pace, waiting=lambda _: not stopped.is_set())
             with closing(_Lockstep(target.rig, mapping.step_s)) as lockstep:
-                flown = fly(unit, mapping, inputs, pace, lockstep.send)
+                flown = flight.fly(unit, mapping, inputs, pace, lockstep.send)
             return flown, lockstep.simulation, not stopped.is_set()

@@ -40,7 +40,7 @@ _MAKERS: Mapping[str, Callable[[_Wanted], Mapping[str, str]]] = {
         ).items()
     },
     "fprime": lambda content: {
-        "EvstimTopologyDictionary.json": fprime_text(content.packets, version=version("evstim")),
+        "EvstimTopologyDictionary.json": fprime_text(content.packets, version=version("evstim"))
     },
     "wireshark": lambda content: {
         "evstim.lua": wireshark_text(content.packets, (content.udp.port, content.udp.command_port), content.frames),

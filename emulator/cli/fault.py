@@ -9,6 +9,7 @@ import os
 import time
 import tomllib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -81,10 +82,8 @@ def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:
         return Path(run), answer_of(Path(run), {"request": "faults"})
     runs = []
     for path in sockets():
-        try:
+        with suppress(NoAnswer):  # its run has died
             runs.append((path, send_request(path, {"request": "faults"})))
-        except NoAnswer:
-            continue  # its run has died
     meant = [(path, faults) for path, faults in runs if run in (None, faults["rig"], str(faults["pid"]))]
     if not meant:
         name = "no rig" if run is None else f"no rig {run!r}"

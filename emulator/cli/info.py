@@ -173,18 +173,10 @@ def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
         f"begins    {_date(facts)}",
     ]
     for name, title in _STREAMS.items():
-        stream = survey.streams[name]
-        if name not in form.holds:
-            content = "none: the format holds none"
-        elif name == "events":
-            content = _stream_text(stream, share, busiest)
-        else:
-            content = _stream_text(stream)
-        lines.append(f"{title:<9} {content}")
-    for name, title in _STREAMS.items():
-        if back := survey.streams[name].steps_back:
-            lines.append(f"NOTE      the time of {title} goes back {back} times")
-    return lines
+        content = _stream_text(survey.streams[name], *((share, busiest) if name == "events" else ()))
+        lines.append(f"{title:<9} {content if name in form.holds else 'none: the format holds none'}")
+    back = {title: survey.streams[name].steps_back for name, title in _STREAMS.items()}
+    return lines + [f"NOTE      the time of {title} goes back {n} times" for title, n in back.items() if n]
 
 
 def _stream_text(stream: StreamSurvey, share: str = "", busiest: str = "") -> str:

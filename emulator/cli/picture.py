@@ -1,7 +1,8 @@
-"""`evstim picture SOURCE FILE` and `evstim play SOURCE`: light and events of a rig or recording in a file or terminal.
+"""`evstim picture SOURCE FILE`, `evstim play SOURCE`: light and events of a rig or recording in a file, or on a screen.
 
 A character of the terminal shows two pixels, the upper half block U+2580 in the colour of one over that of the other
-(24-bit colours: ISO 8613-6, SGR 38;2 and 48;2). The alternate screen (xterm, DECSET 1049) is left at every end.
+(24-bit colours: ISO 8613-6, SGR 38;2 and 48;2). The alternate screen (xterm, DECSET 1049) is left at every end, and
+while the process is stopped. The window is Tk's, which comes with Python; it gets pictures as PPM.
 """
 
 from __future__ import annotations
@@ -10,20 +11,21 @@ import dataclasses
 import math
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_size, prepared, reading
-from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, print_result
-from emulator.cli.signals import ignore_stop_signals
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Flag, Json, failing, print_result
+from emulator.cli.signals import handle_suspension, ignore_stop_signals
 from emulator.light import Light
 from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of
 from emulator.rig.loading import Rig, load_rig
@@ -96,7 +98,7 @@ class PictureOptions:
 
 @dataclass(frozen=True)
 class PlayOptions(PictureOptions):
-    """Content of the pictures in the terminal.
+    """Content of the pictures in the terminal or window.
 
     Attributes
     ----------
@@ -116,6 +118,11 @@ _DEFAULTS, _PLAYED = PictureOptions(), PlayOptions()
 Look = tuple[float, Light, Events]
 """Stream time in seconds, the light then, and the events of the window before it."""
 _Looks = Callable[[PictureOptions, float], Iterator[Look]]
+_Draw = Callable[[Light, Events], Rgb]
+_Put = Callable[[Light, Events, _Draw, str, int], None]
+"""Show a picture of light and events, drawn by a function, with a text, at a time in ns."""
+_Screen = Callable[[MonotonicClock], AbstractContextManager[_Put]]
+_TICK_NS = 10_000_000  # from one look at the window's keys to the next
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"
 
 
@@ -153,6 +160,7 @@ def play(
     /,
     *,
     out: Path | None = None,
+    window: Flag = False,
     show: Annotated[PlayOptions, Parameter(name="*")] = _PLAYED,
     json: Json = False,
 ) -> int:
@@ -166,6 +174,8 @@ def play(
         Path of a rig file, the name of a shipped rig, or a recording in any format that can be read.
     out
         Write this picture (.png) or movie (.gif, .mp4) instead, as `evstim picture` does.
+    window
+        Open a window instead: the space bar pauses, q ends, and so does closing it.
     """
     if show.seconds == math.inf:
         if out is not None and not is_recording(Path(source)):
@@ -173,51 +183,105 @@ def play(
         show = dataclasses.replace(show, seconds=_LONGEST_S)
     if out is not None:
         return picture(source, out, show=show, json=json)
-    if sys.stdout is None or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
+    if not window and (sys.stdout is None or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb"):
         advice = f"`evstim picture {source} FILE.gif` writes a movie"
         raise Failure(f"stdout is not a terminal that can show pictures; {advice}", WRONG_USE)
+    screen = partial(_window, _tk()) if window else _terminal
     with failures(), _source(source, show) as (name, seen):
-        shown = _play(name, seen, show)
+        shown = _play(name, seen, show, screen)
     lengths = f"{shown['stream_s']:.2f} s of stream time in {shown['wall_s']:.2f} s"
     line = f"{name}: {shown['events']} events in {shown['pictures']} pictures, {lengths}"
     print_result(json, {"source": source, **shown}, [line])
     return GOOD
 
 
-def _play(name: str, seen: _Looks, show: PictureOptions) -> dict[str, float]:
+def _play(name: str, seen: _Looks, show: PictureOptions, screen: _Screen) -> dict[str, float]:
     """Show the pictures at their times until the last one or a signal; return their counts and lengths."""
     clock = MonotonicClock()
     period_ns = 10**9 // show.fps
     white = 0.0
     window_ms = show.window_ms or 1000 * show.period_s
     shown = {"events": 0, "pictures": 0, "stream_s": 0.0, "wall_s": 0.0}
-    begin_ns = due_ns = 0
-    try:
-        for at_s, light, events in seen(show, window_ms):
-            if not shown["pictures"]:
-                begin_ns = due_ns = clock.now_ns()
-                sys.stdout.write(_ENTER)
-            white = white or white_of(light)
-            columns, rows = shutil.get_terminal_size()
-            reduced = _reduced(light, events, columns, 2 * (rows - 1))
-            rgb = event_picture(*reduced, white=white or None, dimming=show.brightness)
-            clock.sleep_until(due_ns)
-            sys.stdout.write(
-                _characters(rgb, columns, rows) + _caption(name, at_s, window_ms)[: columns - 1] + "\x1b[J"
-            )
-            sys.stdout.flush()
-            now_ns = clock.now_ns()
-            due_ns = max(due_ns, now_ns - period_ns) + period_ns  # one that is late delays those after it
-            shown["events"] += len(events)
-            shown["pictures"] += 1
-            shown |= {"stream_s": at_s - show.at_s, "wall_s": (now_ns - begin_ns) * 1e-9}
-    except KeyboardInterrupt:
-        ignore_stop_signals()
-    finally:
-        if begin_ns:
-            sys.stdout.write(_LEAVE)
-            sys.stdout.flush()
+    with ExitStack() as stack:
+        try:
+            for at_s, light, events in seen(show, window_ms):
+                if not shown["pictures"]:
+                    begin_ns = due_ns = clock.now_ns()
+                    put = stack.enter_context(screen(clock))
+                white = white or white_of(light)
+                draw = partial(event_picture, white=white or None, dimming=show.brightness)
+                put(light, events, draw, _caption(name, at_s, window_ms), due_ns)
+                now_ns = clock.now_ns()
+                due_ns = max(due_ns, now_ns - period_ns) + period_ns  # one that is late delays those after it
+                shown["events"] += len(events)
+                shown["pictures"] += 1
+                shown |= {"stream_s": at_s - show.at_s, "wall_s": (now_ns - begin_ns) * 1e-9}
+        except KeyboardInterrupt:
+            ignore_stop_signals()
     return shown
+
+
+@contextmanager
+def _terminal(clock: MonotonicClock) -> Iterator[_Put]:
+    """Show pictures in the terminal, as large as they fit into it then; the shell's text and cursor come back."""
+
+    def put(light: Light, events: Events, draw: _Draw, caption: str, due_ns: int) -> None:
+        columns, rows = shutil.get_terminal_size()
+        lines = _characters(draw(*_reduced(light, events, columns, 2 * (rows - 1))), columns, rows)
+        clock.sleep_until(due_ns)
+        sys.stdout.write(lines + caption[: columns - 1] + "\x1b[J")
+        sys.stdout.flush()
+
+    # Not through the stream: a signal may interrupt a write to it.
+    handle_suspension(*(partial(os.write, 1, text.encode()) for text in (_LEAVE, _ENTER)))
+    sys.stdout.write(_ENTER)
+    try:
+        yield put
+    finally:
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        sys.stdout.write(_LEAVE)
+        sys.stdout.flush()
+
+
+def _tk() -> Any:
+    """Return a window of Tk that is not shown yet; raises Failure where Tk or a display is missing."""
+    with failing(LACKING, ImportError, at="--window needs Python's tkinter (Debian: apt-get install python3-tk)"):
+        from tkinter import TclError, Tk
+    with failing(LACKING, TclError, at="--window needs a display: set DISPLAY, or play in the terminal without it"):
+        root = Tk(className="evstim")
+    root.withdraw()
+    return root
+
+
+@contextmanager
+def _window(root: Any, clock: MonotonicClock) -> Iterator[_Put]:
+    """Show pictures in a window; the space bar pauses, q or closing it raises KeyboardInterrupt."""
+    from tkinter import Label, PhotoImage
+
+    pressed = {"space": False, "q": False}
+    label, image = Label(root, bg="black", fg="white", compound="top"), PhotoImage(master=root, format="PPM")
+    label.pack()
+    root.bind("<space>", lambda _: pressed.update(space=not pressed["space"]))
+    root.bind("q", lambda _: pressed.update(q=True))
+    root.protocol("WM_DELETE_WINDOW", lambda: pressed.update(q=True))
+    root.deiconify()
+
+    def put(light: Light, events: Events, draw: _Draw, caption: str, due_ns: int) -> None:
+        rgb = scaled(draw(light, events))
+        root.update()
+        while not pressed["q"] and ((now_ns := clock.now_ns()) < due_ns or pressed["space"]):
+            clock.sleep_until(now_ns + _TICK_NS if pressed["space"] else min(due_ns, now_ns + _TICK_NS))
+            root.update()
+        if pressed["q"]:
+            raise KeyboardInterrupt
+        image.configure(data=b"P6 %d %d 255\n" % (rgb.shape[1], rgb.shape[0]) + rgb.tobytes())
+        label.configure(image=image, text=caption)
+        root.update()
+
+    try:
+        yield put
+    finally:
+        root.destroy()
 
 
 def _reduced(light: Light, events: Events, columns: int, rows: int) -> tuple[Light, Events]:

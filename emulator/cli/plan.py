@@ -10,7 +10,7 @@ from emulator.cli.checks import failures, prepared
 from emulator.cli.output import GOOD, Json, RigName, print_result
 from emulator.plan.plan import Decision, Plan
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
-from emulator.rig.loading import Rig, load_rig
+from emulator.rig.loading import load_rig
 from emulator.run.assembly import build_scene, plan_of
 from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.kernels import parts_of
@@ -26,20 +26,17 @@ def plan(rig: RigName, /, *, json: Json = False) -> int:
     with failures():
         loaded = load_rig(rig)
         if SCENES[loaded.scene.kind].events:
-            return _nothing_to_plan(loaded, json)
+            kind = loaded.scene.kind
+            reason = (
+                f"{loaded.name}: a {kind} plays events that exist already: there is no light and no sensor to plan for"
+            )
+            print_result(json, {"rig": loaded.name, "plan": None, "why": reason}, [reason])
+            return GOOD
         prepared(parts_of(loaded))
         with build_scene(loaded) as scene:
             planned = plan_of(loaded, scene)
             speed = expected_speed(planned, scene)
     print_result(json, {**_as_json(planned), "speed": speed.as_json()}, _lines(planned, speed))
-    return GOOD
-
-
-def _nothing_to_plan(rig: Rig, json: bool) -> int:
-    reason = (
-        f"{rig.name}: a {rig.scene.kind} plays events that exist already: there is no light and no sensor to plan for"
-    )
-    print_result(json, {"rig": rig.name, "plan": None, "why": reason}, [reason])
     return GOOD
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli import restore_collection
+from emulator.cli import restore_collection, run_summary
 from emulator.cli.checks import check_output, check_record, failures, prepared
 from emulator.cli.output import (
     BAD_VERDICT,
@@ -30,18 +30,7 @@ from emulator.cli.output import (
     status,
 )
 from emulator.cli.run_display import LiveTable, OptionalPage, begin_report, check_serving, end_report
-from emulator.cli.run_summary import (
-    Truth,
-    begin_trace,
-    changes_lines,
-    latency_text,
-    lateness_lines,
-    link_json,
-    link_lines,
-    timing_json,
-    timing_lines,
-    verdict_line,
-)
+from emulator.cli.run_summary import Truth
 from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals, stop_on_signals
 from emulator.light import Scene
 from emulator.rig.loading import Rig, load_rig, with_options
@@ -217,7 +206,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
             reporting.plan(scene, is_driven=simulation is not None)
         serving = OptionalPage(rig, files.serve, parts.repeats)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
-        setups = begin_trace(setups, files.trace)
+        setups = run_summary.begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
         stop_on_signals(partial(_stop, session, parts.repeats), session.interrupt)
         with (
@@ -302,8 +291,8 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
                 "digest": r.digest,
                 "error": r.error,
                 "file_troubles": r.file_troubles,
-                **link_json(r),
-                **timing_json(r),
+                **run_summary.link_json(r),
+                **run_summary.timing_json(r),
             }
             for name, r in result.links.items()
         },
@@ -334,23 +323,23 @@ def summary_lines(rig: Rig, result: RunResult, truth_trouble: str = "") -> Itera
     )
     for link in ledger.links:
         report = result.links[link.name]
-        yield from link_lines(link, report)
+        yield from run_summary.link_lines(link, report)
         if report.error is not None:
             yield f"{link.name}: {report.error}"
         yield from (f"{link.name}: {trouble}" for trouble in report.file_troubles)
-        yield from timing_lines(link.name, report)
+        yield from run_summary.timing_lines(link.name, report)
         if report.latency.p50 is not None:
-            yield f"{link.name}: event to socket {latency_text(report.latency)}"
+            yield f"{link.name}: event to socket {run_summary.latency_text(report.latency)}"
     if advice := undersampled_advice(result):
         yield advice
     if result.scene_counts:
         yield f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}"
-    yield from changes_lines(result)
-    yield from lateness_lines(rig, result)
+    yield from run_summary.changes_lines(result)
+    yield from run_summary.lateness_lines(rig, result)
     rules = judge(rig.verdict, result)
     for broken in (rule for rule in rules if not rule.good and rule.rule.startswith(_SHOWN)):
         yield f"NOT GOOD: {broken.rule}: {broken.finding}"
     yield "ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS"
-    yield verdict_line(rules)
+    yield run_summary.verdict_line(rules)
     if truth_trouble:
         yield f"--truth: {truth_trouble}"

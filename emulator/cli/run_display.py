@@ -91,12 +91,10 @@ def begin_report(rig: Rig, folder: Path | None) -> RunReporter | None:
 def end_report(reporter: RunReporter, result: RunResult, summary: Mapping[str, Any], truth_trouble: str) -> None:
     """Write the report and name it; where that fails the run's own result still stands."""
     try:
-        path = reporter.write(result, summary, truth_trouble)
+        line = f"report: {reporter.write(result, summary, truth_trouble)}"
     except OSError as error:
-        reason = error.strerror or error
-        console.print(f"--report: {reason} ({reporter.folder}): the report is not whole", markup=False)
-    else:
-        console.print(f"report: {path}", markup=False)
+        line = f"--report: {error.strerror or error} ({reporter.folder}): the report is not whole"
+    console.print(line, markup=False)
 
 
 class OptionalPage:

@@ -104,7 +104,9 @@ def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
     """Return no line for a run that kept up, else its lateness and the remedies."""
     late = result.lateness
     if result.too_late:
-        return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig)}"]
+        longer = f"a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us})"
+        remedies = f"Take {longer}, fewer scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
+        return [f"NOT IN REAL TIME: {_broken(rig, result)}. {remedies}"]
     if late.worst_gap_us > _REPORTED_LATENESS_US or result.often_stretched:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
@@ -115,21 +117,11 @@ def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
 
 def _broken(rig: Rig, result: RunResult) -> str:
     """Return which limits the run has broken, and by how much."""
-    late, broken = result.lateness, []
-    if result.step_too_late:
-        worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late"
-        broken.append(f"{worst}, and run.max_late_ms is {rig.run.max_late_ms:g}")
-    if result.late_too_often:
-        often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
-        broken.append(f"{often}, and run.max_late_share is {rig.run.max_late_share:g}")
-    return "; ".join(broken)
-
-
-def _remedies(rig: Rig) -> str:
-    return (
-        f"Take a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us}), fewer "
-        "scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
-    )
+    late, run = result.lateness, rig.run
+    worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late, and run.max_late_ms is {run.max_late_ms:g}"
+    often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
+    often = f"{often}, and run.max_late_share is {run.max_late_share:g}"
+    return "; ".join([worst] * result.step_too_late + [often] * result.late_too_often)
 
 
 def timing_json(report: LinkReport) -> dict[str, object]:
@@ -137,15 +129,12 @@ def timing_json(report: LinkReport) -> dict[str, object]:
     on_the_way = dataclasses.asdict(report.edges)
     fates = {} if report.camera is None else _edge_fates(report.camera.edges)
     counted = {} if report.camera is None else report.camera.readings
+    balanced = {"balanced": report.readings_balanced}
     return {
         "edges": {**on_the_way, **fates, "balanced": report.edges_balanced},
         "clock": None if report.clock is None else dataclasses.asdict(report.clock),
         "readings": {
-            kind: {
-                **dataclasses.asdict(reading),
-                **_reading_fates(counted.get(kind, Counts())),
-                "balanced": report.readings_balanced,
-            }
+            kind: {**dataclasses.asdict(reading), **_reading_fates(counted.get(kind, Counts())), **balanced}
             for kind, reading in report.readings.items()
         },
     }

@@ -79,6 +79,20 @@ def ignore_stop_signals() -> None:
     atexit.register(_ignore_to_the_end)
 
 
+def handle_suspension(before: Callable[[], object], after: Callable[[], object]) -> None:
+    """Make Ctrl-Z (SIGTSTP) call `before`, stop the process, and call `after` when it goes on; ignored, it stays so."""
+
+    def stop(*_: object) -> None:
+        before()
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGTSTP)
+        handle_suspension(before, after)
+        after()
+
+    if signal.getsignal(signal.SIGTSTP) != signal.SIG_IGN:
+        signal.signal(signal.SIGTSTP, stop)
+
+
 def _handle(handler: Callable[..., object] | signal.Handlers) -> None:
     for number in _SIGNALS:
         signal.signal(number, handler)

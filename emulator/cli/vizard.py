@@ -79,12 +79,8 @@ def vizard(
     """
     with failures():
         for module in ("zmq", "google.protobuf"):
-            try:
+            with failing(LACKING, ImportError, at=f"this needs pyzmq and protobuf: {install_command('basilisk')}"):
                 importlib.import_module(module)
-            except ImportError as error:
-                raise Failure(
-                    f"evstim vizard needs pyzmq and protobuf: {install_command('basilisk')}", LACKING
-                ) from error
         check_pillow()
         loaded, paths = connected(load_rig(rig))
         loaded = rig_with_options(loaded, seconds or 0.0, seed, None)

@@ -166,26 +166,26 @@ Counts = npt.NDArray[np.int64]
 _LEVELS = 16
 _CIVIDIS = ("00224e", "123570", "3b496c", "575d6d", "707173", "8a8678", "a59c74", "c3b369", "e1cc55", "fee838")
 _MOST_PX = 480  # width of a map; a larger sensor is shown reduced
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREYS, _DIMMING = 30, 0.45
 _ON, _OFF = _GREYS, _GREYS + 1
 
 
 def palette_png(pixels: Bytes, palette: Bytes) -> bytes:
     """Return a PNG of pixels (height, width), numbers of colours in `palette` (n, 3), n at most 256."""
-    height, width = pixels.shape
-    rows = np.zeros((height, width + 1), np.uint8)  # each with filter 0 before it
-    rows[:, 1:] = pixels
-    header = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)
-    data = zlib.compress(rows.tobytes(), 9)
-    return b"".join(
-        [_SIGNATURE, _chunk(b"IHDR", header), _chunk(b"PLTE", palette.tobytes()), _chunk(b"IDAT", data)]
-        + [_chunk(b"IEND", b"")]
-    )
+    return _png(pixels, pixels.shape[1], 8, 3, {b"PLTE": palette.tobytes()})
 
 
-def _chunk(name: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+def deep_png(pixels: npt.NDArray[np.uint16]) -> bytes:
+    """Return a PNG of pixels (height, width, 3), red, green and blue of 16 bits."""
+    return _png(pixels.astype(">u2").reshape(len(pixels), -1).view(np.uint8), pixels.shape[1], 16, 2, {})
+
+
+def _png(rows: Bytes, width: int, depth: int, colours: int, palette: Mapping[bytes, bytes]) -> bytes:
+    """Return a PNG of rows (height, bytes of a row), each with filter 0 before it; `colours` is the colour type."""
+    header, data = struct.pack(">IIBB3x", width, len(rows), depth, colours), np.insert(rows, 0, 0, axis=1).tobytes()
+    chunks = {b"IHDR": header, **palette, b"IDAT": zlib.compress(data, 9), b"IEND": b""}
+    parts = [[struct.pack(">I", len(c)), n, c, struct.pack(">I", zlib.crc32(n + c))] for n, c in chunks.items()]
+    return b"".join([b"\x89PNG\r\n\x1a\n", *chain.from_iterable(parts)])
 
 
 def image_element(png: bytes, description: str, width: int) -> str:

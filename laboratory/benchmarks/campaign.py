@@ -21,6 +21,7 @@ from cyclopts import App
 
 from emulator.campaign.report import numbers
 from emulator.campaign.table import read_rows
+from laboratory.benchmarks.streams import children_s
 
 app = App(name="campaign")
 
@@ -98,12 +99,6 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=folder) as process:
         yield process.stdout.readline().strip()
         process.stdin.close()
-
-
-def children_s() -> float:
-    """Return the CPU time of all processes that have ended and were waited for."""
-    times = os.times()
-    return times.children_user + times.children_system
 
 
 def campaign(file: Path, folder: Path, *options: str) -> None:

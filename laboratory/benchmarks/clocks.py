@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -119,8 +120,9 @@ def _judge(taken: npt.NDArray[np.int64], truth: Numbers) -> None:
 
 
 def _show(name: str, values: Numbers) -> None:
-    shares = ", ".join(f"{value:.1f}" for value in np.percentile(values, [0, 5, 50, 95, 100]))
-    print(f"{name}: least, 5 %, median, 95 %, most of {len(values)}: {shares} us")
+    shares = ", ".join(f"{value:.2f}" for value in np.percentile(values, [0, 5, 50, 95, 100]))
+    rms = np.sqrt(np.mean(values**2))
+    print(f"{name}: least, 5 %, median, 95 %, most of {len(values)}: {shares} us; rms {rms:.2f} us")
 
 
 SLAVE, MASTER = "10.78.1.1", "10.78.1.2"
@@ -181,8 +183,7 @@ def follow(seconds: float) -> None:
             sys.exit(f"no slave after {WAIT_S:.0f} s: {slave.state.name}, {dict(slave.counts)}")
     print(f"SLAVE after {locked_s - begin_s:.1f} s; {len(rows)} readings in {seconds:.0f} s, in us:")
     for name, values in zip(("true error", "offset", "delay"), np.array(rows).T * 1e-3, strict=True):
-        shares = ", ".join(f"{value:.2f}" for value in np.percentile(values, [0, 5, 50, 95, 100]))
-        print(f"{name}: least, 5 %, median, 95 %, most {shares}; rms {np.sqrt(np.mean(values**2)):.2f}")
+        _show(name, values)
 
 
 SYNC_RIG = """
@@ -206,11 +207,6 @@ kind = "loopback"
 """
 
 
-def normal_policy() -> None:
-    """Let evstim run as users run it, however urgent this program is."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
 def free_port() -> int:
     """Return a TCP port that is not in use."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -219,16 +215,14 @@ def free_port() -> int:
 
 def joined(port: int, deadline_s: float = 60.0) -> Any:
     """Return the bus as soon as evstim serves it."""
+    import can
+
     deadline = time.monotonic() + deadline_s
     while time.monotonic() < deadline:
-        try:
+        with suppress(ConnectionRefusedError):
             socket.create_connection(("127.0.0.1", port)).close()
-        except ConnectionRefusedError:
-            time.sleep(0.05)
-        else:
-            import can
-
             return can.Bus(interface="socketcand", host="127.0.0.1", port=port, channel="can0")
+        time.sleep(0.05)
     raise TimeoutError(f"no bus on port {port}")
 
 
@@ -261,7 +255,8 @@ def measure(folder: Path, seconds: float, priority: int) -> dict[str, Any]:
     rig.write_text(SYNC_RIG.format(seconds=seconds, priority=priority, port=port))
     evstim = [str(Path(sys.executable).with_name("evstim")), "run", str(rig), "--json"]
     files = ["--record", str(folder / "r.npz"), "--truth", str(folder / "t.csv")]
-    with subprocess.Popen([*evstim, *files], stdout=subprocess.PIPE, text=True, preexec_fn=normal_policy) as running:
+    normal = partial(os.sched_setscheduler, 0, os.SCHED_OTHER, os.sched_param(0))  # however urgent this program is
+    with subprocess.Popen([*evstim, *files], stdout=subprocess.PIPE, text=True, preexec_fn=normal) as running:
         sent_ns = send_syncs(joined(port), running)
         said, _ = running.communicate()
     monotonic_ns, stream_us = np.loadtxt(folder / "t-loopback.csv", delimiter=",", skiprows=1)[-1, :2]

@@ -39,10 +39,10 @@ LAYERS = ((), ("rate",), ("motion",), ("motion", "depth"), ("motion", "depth", "
 
 
 class Images(Scene):
-    """The images of `inner` every `period_ns` with some layers, joined as those of a renderer."""
+    """The images of bodies every `period_ns` with some layers, joined as those of a renderer."""
 
-    def __init__(self, inner: Scene, period_ns: int, layers: tuple[str, ...]) -> None:
-        self._inner = inner
+    def __init__(self, p: BodiesParameters, pinhole: Pinhole, period_ns: int, layers: tuple[str, ...]) -> None:
+        inner = self._inner = RasterBodies(p, pinhole)
         self._period_ns = period_ns
         self._layers = layers
         self._joined, self._drawn = Joined(inner.size), dict[int, TimedImage]()
@@ -104,13 +104,12 @@ def fast_look() -> Look:
 
 def truth_of(shown: Look, folder: Path | None) -> Stream:
     """Return the true events, stored in `folder`."""
-    path = None if folder is None else folder / "external-images.pickle"
-    if path is not None and path.exists():
-        return pickle.loads(path.read_bytes())  # type: ignore[no-any-return]
-    truth = shown.truth()
-    if path is not None:
-        path.write_bytes(pickle.dumps(truth))
-    return truth
+    if folder is None:
+        return shown.truth()
+    path = folder / "external-images.pickle"
+    if not path.exists():
+        path.write_bytes(pickle.dumps(shown.truth()))
+    return pickle.loads(path.read_bytes())  # type: ignore[no-any-return]
 
 
 def row(name: str, stream: Stream, truth: Stream, period_us: float) -> str:
@@ -140,14 +139,10 @@ def images(folder: Path | None = None) -> None:
         print(row("our own scene", shown.events(scene, shown.step_ns, with_rate=True)[0], truth, STEP_US))
     for hz in RATES_HZ:
         for layers in LAYERS:
-            build = partial(_images, period_ns=round(1e9 / hz), layers=layers)
+            build = partial(Images, period_ns=round(1e9 / hz), layers=layers)
             with shown.scene(build) as scene:
                 stream, _ = shown.events(scene, min(shown.step_ns, round(1e9 / hz)), with_rate=True)
             print(row(f"{hz} Hz, {' and '.join(layers) or 'images alone'}", stream, truth, 1e6 / hz), flush=True)
-
-
-def _images(p: BodiesParameters, pinhole: Pinhole, period_ns: int, layers: tuple[str, ...]) -> Images:
-    return Images(RasterBodies(p, pinhole), period_ns, layers)
 
 
 SIZE = (1280, 720)

@@ -33,7 +33,7 @@ from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import Events, empty_events
 from laboratory.bench.streams import saturated_stream
-from laboratory.benchmarks.streams import say
+from laboratory.benchmarks.streams import own_s, say
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
 
@@ -82,10 +82,9 @@ class Used:
     @classmethod
     def by(cls, pid: int | None) -> Used:
         """Return those of a running process."""
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         status = Path(f"/proc/{pid}/status").read_text()
         sleeps = int(status.rpartition("\nvoluntary_ctxt_switches:")[2].split()[0])
-        return cls((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"), sleeps)
+        return cls(own_s(pid), sleeps)
 
 
 @dataclass(frozen=True)
@@ -167,12 +166,8 @@ def measured(link: LinkProcess, seconds: float, *, has_events: bool, is_read: bo
     before, delivered, begun_s = Used.by(link.pid), link.listen().delivered, time.monotonic()
     stream.go_on(seconds)
     after, now, wall_s = Used.by(link.pid), link.listen(), time.monotonic() - begun_s
-    return Measured(
-        (after.cpu_s - before.cpu_s) / wall_s,
-        (after.sleeps - before.sleeps) / wall_s,
-        (now.delivered - delivered) / wall_s,
-        link.stop(1.0),
-    )
+    used = after.cpu_s - before.cpu_s, after.sleeps - before.sleeps, now.delivered - delivered
+    return Measured(*(value / wall_s for value in used), link.stop(1.0))
 
 
 def case(name: str, seconds: float, *, has_host: bool, has_events: bool) -> tuple[Measured, str]:

@@ -31,6 +31,7 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from laboratory.accuracy.peers import adapters
 from laboratory.accuracy.peers.worker import Frame, Settings
+from laboratory.benchmarks.kernels import seconds
 
 SIZE = 346, 260
 STEP_S = 1e-3
@@ -140,12 +141,8 @@ def started(preset: str, light: float, size: tuple[int, int] = START_SIZE) -> St
     """Return the less of two processor times of a sensor's reset in still light, after one that compiles."""
     frame, found_s = LightFrame(0, np.full(size[::-1], light, np.float32)), []
     for noise in (True, False):
-        sensor, taken_s = Sensor(parameters(preset, size, noise=noise), 1), []
-        for _ in range(3):
-            begin_s = time.process_time()
-            sensor.reset(frame)
-            taken_s.append(time.process_time() - begin_s)
-        found_s.append(min(taken_s[1:]))
+        reset = partial(Sensor(parameters(preset, size, noise=noise), 1).reset, frame)
+        found_s.append(min([seconds(reset) for _ in range(3)][1:]))
     return Start(preset, light, *found_s)
 
 

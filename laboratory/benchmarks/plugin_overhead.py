@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from laboratory.benchmarks.streams import children_s
 
 MOST_S = 0.5
 TEST = """
@@ -51,20 +52,14 @@ def measured(count: int, folder: Path) -> dict[str, float]:
     return {phase: statistics.median(seconds) for phase, seconds in phases.items()}
 
 
-def processor_s() -> float:
-    """Return the processor time of all children that have ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def main(count: int = 6) -> int:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
         measured(2, Path(folder))  # compiles
-        marks = [processor_s()]
+        marks = [children_s()]
         for tests in (count, 3 * count):
             phases = measured(tests, Path(folder))
-            marks.append(processor_s())
+            marks.append(children_s())
     added_s = phases["setup"] + phases["teardown"]
     each_s = (marks[2] - marks[1] - (marks[1] - marks[0])) / (2 * count)
     durations = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in phases.items())

@@ -1,5 +1,6 @@
-"""Loops with poses from outside: from a pose to its events, and the updates of Basilisk that a run keeps up with.
+"""Loops with poses from outside: from a pose to its events, and the steps and updates that a run keeps up with.
 
+python -m laboratory.benchmarks.poses python [ROUNDS]
 python -m laboratory.benchmarks.poses live [MOVES [LEAD_US]]
 python -m laboratory.benchmarks.poses vizard [UPDATES]
 python -m laboratory.benchmarks.poses basilisk PYTHON_WITH_BSK [RIG] [SECONDS] [STEP_US]
@@ -7,6 +8,7 @@ python -m laboratory.benchmarks.poses basilisk PYTHON_WITH_BSK [RIG] [SECONDS] [
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -17,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,10 +27,47 @@ from typing import Any
 import numpy as np
 from cyclopts import App
 
+import evstim
+from emulator.rig.loading import load_rig
+from emulator.run.assembly import build_frames, build_scene, build_sensor, planned_sensor
 from firmware_protocol.pose_message import NOW, PoseMessage
 from firmware_protocol.vizard import message_class
 
 app = App(name="poses")
+
+LOOPS = {"eros": (40_000, 60), "malapert": (20_000, 40), "checkerboard": (1000, 600)}  # us of a step, and their number
+FIRST_STEPS = 5  # steps that are not counted
+
+
+def times_s(step: Callable[[int], object], count: int) -> list[tuple[float, float]]:
+    """Return wall and processor time of each of `count` steps but the first; `step` gets their numbers, from 1 on."""
+    times = []
+    for k in range(1, count + 1):
+        begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
+        step(k)
+        times.append((time.perf_counter() - begun_s, time.process_time() - begun_cpu_s))
+    return times[FIRST_STEPS:]
+
+
+@app.command(name="python")
+def loop(rounds: int = 3) -> None:
+    """Measure a step of `evstim.Simulation` over scene and sensor alone, of shipped rigs without links, in turns.
+
+    A step has one light frame, and the camera follows the rig's path. Printed are medians of a step and their ratio.
+    """
+    for name, (step_us, count) in LOOPS.items():
+        rig, alone, stepped = load_rig(name), [], []
+        run = dataclasses.replace(rig.run, step_us=step_us, pace="free", seconds=0.0)
+        rig = dataclasses.replace(rig, run=run)
+        for _ in range(rounds):
+            with build_scene(rig) as scene, evstim.Simulation(rig) as simulation:
+                frames, sensor = build_frames(rig, scene), build_sensor(rig, planned_sensor(rig, scene))
+                sensor.reset(frames.draw(0))
+                alone += times_s(lambda k: sensor.expose(frames.draw(k * step_us * 1000)), count)  # noqa: B023
+                stepped += times_s(lambda _: simulation.step(step_us), count)  # noqa: B023
+        for clock, step_s, alone_s in zip(("wall", "CPU"), *np.median((stepped, alone), axis=1), strict=True):
+            print(f"{name}, {clock}: {1000 * step_s:.2f} over {1000 * alone_s:.2f} ms, {step_s / alone_s:.3f} times")
+
 
 LIVE_RIG = """
 [scene]

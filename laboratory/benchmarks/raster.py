@@ -5,7 +5,7 @@ python -m laboratory.benchmarks.raster [--check] [SECONDS ...]
 
 from __future__ import annotations
 
-import time
+from functools import partial
 
 import numpy as np
 from cyclopts import App
@@ -14,6 +14,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.rig.loading import load_rig
 from emulator.scene.terrain.raster_terrain import RasterTerrain, camera_motion
 from laboratory.accuracy.sampled_scenes import SampledTerrain
+from laboratory.benchmarks.kernels import seconds
 
 app = App(name="raster")
 
@@ -44,12 +45,8 @@ def terrain(*times_s: int, check: bool = False) -> None:
 
 def shading_ns(scene: RasterTerrain, t_s: int, light: np.ndarray, *, with_rate: bool) -> float:
     motion, rate = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time), np.zeros_like(light)
-    spent_s = []
-    for _ in range(9):
-        start_s = time.process_time()
-        scene._shade(motion, light, rate, with_rate=with_rate)
-        spent_s.append(time.process_time() - start_s)
-    return min(spent_s) / light.size * 1e9
+    shade = partial(scene._shade, motion, light, rate, with_rate=with_rate)
+    return min(seconds(shade) for _ in range(9)) / light.size * 1e9
 
 
 def errors(parameters, pinhole, t_s: int, light: np.ndarray) -> str:

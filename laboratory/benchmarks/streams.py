@@ -24,12 +24,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import Events, make_events
 from laboratory.bench.streams import saturated_stream
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
@@ -76,9 +75,9 @@ class ProcessorTime:
     """Processor time of a link, and of the process that writes its file, from when it is ready to its end, seconds."""
 
     def __init__(self, table: str) -> None:
-        self._before_s = _of_children_s()
+        self._before_s = children_s()
         self.link = opened(table)
-        self._ready_s = [_own_s(self.link.pid), *map(_own_s, _children(self.link.pid))]
+        self._ready_s = [own_s(self.link.pid), *map(own_s, _children(self.link.pid))]
         self.link_s = self.writer_s = 0.0
 
     def stopped(self, count: int) -> LinkReport:
@@ -88,19 +87,21 @@ class ProcessorTime:
             if now.delivered != delivered:
                 delivered, until_s = now.delivered, time.monotonic() + 60
             time.sleep(0.01)
-        own_s = _own_s(self.link.pid)
+        before_s = own_s(self.link.pid)
         report = self.link.stop(60.0)
-        self.link_s = own_s - self._ready_s[0]
-        self.writer_s = max(0.0, _of_children_s() - self._before_s - own_s - sum(self._ready_s[1:]))
+        self.link_s = before_s - self._ready_s[0]
+        self.writer_s = max(0.0, children_s() - self._before_s - before_s - sum(self._ready_s[1:]))
         return report
 
 
-def _of_children_s() -> float:
+def children_s() -> float:
+    """Return the processor time of all children that have ended and were waited for."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
-def _own_s(pid: int | None) -> float:
+def own_s(pid: int | None) -> float:
+    """Return the processor time of a running process."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -123,11 +124,11 @@ def file_back(path: Path) -> Events:
         import evt3
 
         read = evt3.decode_file(str(path))
-        return _events(read.t, read.x, read.y, np.asarray(read.p) > 0)
+        return make_events(read.t, read.x, read.y, np.asarray(read.p) > 0)
     import faery
 
     parts = np.concatenate(list(faery.events_stream_from_file(path)))
-    return _events(*(parts[name] for name in ("t", "x", "y", "on")))
+    return make_events(*(parts[name] for name in ("t", "x", "y", "on")))
 
 
 def file_measured(name: str, sent: Events, folder: Path) -> Measured:
@@ -197,7 +198,7 @@ def read_dv(port: int, count: int, path: Path) -> None:
         have += batch.size()
     say("all")
     read = np.concatenate([batch.numpy() for batch in batches])
-    np.save(path, _events(*(read[name] for name in ("timestamp", "x", "y", "polarity"))))
+    np.save(path, make_events(*(read[name] for name in ("timestamp", "x", "y", "polarity"))))
     say("saved")
 
 
@@ -221,7 +222,7 @@ def read_jaer(count: int, path: Path) -> None:
     words = np.frombuffer(b"".join(one[4:] for one in datagrams), ">u4").reshape(-1, 2)
     at, on = words[:, 0], (words[:, 0] >> 11 & 1).astype(bool)
     x, y = SIZE[0] - 1 - (at >> 12 & 0x3FF), SIZE[1] - 1 - (at >> 22 & 0x1FF)
-    np.save(path, _events(words[:, 1], x, y, on))
+    np.save(path, make_events(words[:, 1], x, y, on))
     say(str(int(np.count_nonzero(np.diff(numbers) != 1)) + int(numbers[0] != 1)))
 
 
@@ -229,13 +230,6 @@ def say(text: str) -> None:
     """Print a line at once."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
-
-
-def _events(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike, on: npt.ArrayLike) -> Events:
-    events = np.zeros(len(np.asarray(t)), EVENT)
-    for name, values in zip(("t", "x", "y", "on"), (t, x, y, on), strict=True):
-        events[name] = values
-    return events
 
 
 def _next_line(process: subprocess.Popen[str]) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from emulator.cli.checks import check_output
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, print_result, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, failing, print_result, status
 from transports.reception import Reception
 from transports.recording.record import Recorder
 
@@ -47,10 +47,8 @@ class Limits:
     @contextmanager
     def recorder(self) -> Iterator[Recorder | None]:
         """Yield the recorder, and close it after the reception; raises Failure when it cannot be opened."""
-        try:
+        with failing(LACKING, OSError, at=f"--record: {self.record}"):
             recorder = None if self.record is None else Recorder(self.record)
-        except OSError as error:
-            raise Failure(f"--record: {error.filename}: {error.strerror}", LACKING) from error
         try:
             yield recorder
         finally:

@@ -52,9 +52,7 @@ def listen(
         def summary(reception: CameraReception) -> list[str]:
             return [f", {reception.faults} malformed words{', the camera was unplugged' if reception.gone else ''}"]
 
-        source = Source(
-            lambda goes_on, recorder: receive(camera, goes_on, MonotonicClock(), recorder), summary, _USB_GONE
-        )
+        source = Source(lambda goes_on, to: receive(camera, goes_on, MonotonicClock(), to), summary, _USB_GONE)
         return listen_to(source, limits, json=json)
 
 

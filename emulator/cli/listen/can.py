@@ -53,9 +53,8 @@ def can(
     limits.check()
     with failures():
         parameters = peer_of(_link(load_rig(rig), link))
-    parameters = dataclasses.replace(
-        parameters, interface=interface or parameters.interface, channel=channel or parameters.channel
-    )
+    interface, channel = interface or parameters.interface, channel or parameters.channel
+    parameters = dataclasses.replace(parameters, interface=interface, channel=channel)
     prepared([DECODER])
     status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
 

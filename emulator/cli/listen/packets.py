@@ -15,17 +15,7 @@ from emulator.cli.listen import Limits, Source, listen_to
 from emulator.cli.output import LACKING, WRONG_USE, Failure, Flag, Json, failing, status
 from emulator.cli.run_summary import latency_text
 from emulator.run.kernels import DECODER
-from firmware_protocol.packets.telecommands import (
-    Ping,
-    RequestHousekeeping,
-    SetRateLimit,
-    SetRegion,
-    SetTick,
-    SetTime,
-    Start,
-    Stop,
-    Telecommand,
-)
+from firmware_protocol.packets import telecommands as requests
 from transports.link.pacing import MonotonicClock
 from transports.network import check_allow
 from transports.reception import InstrumentReception
@@ -90,19 +80,19 @@ class TelecommandOptions:
     ping: Flag = False
     housekeeping: Flag = False
 
-    def telecommands(self) -> list[Telecommand]:
+    def telecommands(self) -> list[requests.Telecommand]:
         """Return the telecommands; raises ValueError for a value out of range."""
-        requests: list[tuple[bool, Callable[[], Telecommand]]] = [
-            (self.set_time, lambda: SetTime(time.time_ns() // 1000)),
-            (self.tick is not None, lambda: SetTick(self.tick or 0)),
-            (self.region is not None, lambda: SetRegion(*(self.region or ()))),
-            (self.rate_limit is not None, lambda: SetRateLimit(self.rate_limit or 0)),
-            (self.start, Start),
-            (self.stop, Stop),
-            (self.ping, Ping),
-            (self.housekeeping, RequestHousekeeping),
+        choices: list[tuple[bool, Callable[[], requests.Telecommand]]] = [
+            (self.set_time, lambda: requests.SetTime(time.time_ns() // 1000)),
+            (self.tick is not None, lambda: requests.SetTick(self.tick or 0)),
+            (self.region is not None, lambda: requests.SetRegion(*(self.region or ()))),
+            (self.rate_limit is not None, lambda: requests.SetRateLimit(self.rate_limit or 0)),
+            (self.start, requests.Start),
+            (self.stop, requests.Stop),
+            (self.ping, requests.Ping),
+            (self.housekeeping, requests.RequestHousekeeping),
         ]
-        return [make() for is_wanted, make in requests if is_wanted]
+        return [make() for is_wanted, make in choices if is_wanted]
 
 
 _GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"

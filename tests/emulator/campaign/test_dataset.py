@@ -9,15 +9,17 @@ import time
 import tomllib
 from pathlib import Path
 
+import av
 import h5py
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 import evstim
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.dataset import Sequences, _toml, dataset_source
+from emulator.campaign.dataset import Sequences, _toml, dataset_source, displacement
 from emulator.campaign.loading import SequenceTruth
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.cli.app import _main
@@ -105,6 +107,104 @@ def test_sequences_do_not_depend_on_the_number_of_workers_or_the_format(rig, fol
             assert "clean_events" not in file
 
 
+@pytest.fixture(scope="module")
+def dsec(rig, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dsec") / "data"
+    made(rig, folder, "--workers", "2", "--format", "dsec")
+    return folder
+
+
+def flow_of(path):
+    """Return flow (height, width, 2), px, and where it is valid, as DSEC's page decodes them; the reader is FFmpeg."""
+    with av.open(str(path)) as file:
+        image = next(file.decode(video=0)).to_ndarray(format="rgb48le").astype(float)
+    return (image[..., :2] - 2**15) / 128, image[..., 2].astype(bool)
+
+
+def way_of(truth, begin_us, end_us):
+    """Return the motion of each pixel's point in px, by its depth and the poses at both times alone."""
+    picture, (first, last) = (
+        list(truth["pictures/t"]).index(begin_us),
+        np.searchsorted(truth["poses/t"], (begin_us, end_us)),
+    )
+    depth_m, (height, width) = truth["pictures/depth"][picture], truth["pictures/depth"].shape[1:]
+    turns = [Rotation.from_quat(q, scalar_first=True) for q in truth["poses/camera_q_world_from_camera"][:]]
+    middles = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    rays = np.dstack([(middles - truth.attrs["centre_px"]) / truth.attrs["focal_px"], np.ones((height, width))])
+    moved_m = truth["poses/camera_position_m"][last] - truth["poses/camera_position_m"][first]
+    of_sky = np.isinf(depth_m)[..., None]
+    points = np.where(of_sky, rays, rays * np.where(of_sky, 1.0, depth_m[..., None]))
+    seen = turns[first].apply(points.reshape(-1, 3)) - np.where(of_sky, 0.0, moved_m).reshape(-1, 3)
+    seen = turns[last].inv().apply(seen).reshape(height, width, 3)
+    return truth.attrs["focal_px"] * seen[..., :2] / seen[..., 2:] + truth.attrs["centre_px"] - middles
+
+
+@pytest.mark.system
+def test_flow_in_dsec_s_files_is_the_motion_of_each_point_until_the_next_map(dsec):
+    folder = dsec / "sequences" / "000001"
+    pairs = np.loadtxt(folder / "flow/forward_timestamps.txt", delimiter=",", dtype=np.int64)
+    np.testing.assert_array_equal(pairs, [(0, 100_000), (100_000, 200_000)])
+    images = sorted((folder / "flow/forward").iterdir())
+    assert [image.name for image in images] == ["000000.png", "000002.png"]  # of the picture at their first time
+    times_us = np.loadtxt(folder / "images/timestamps.txt", dtype=np.int64)
+    np.testing.assert_array_equal(times_us[[0, 2]], pairs[:, 0])
+    with h5py.File(folder / "truth.h5") as truth:
+        for image, (begin_us, end_us) in zip(images, pairs, strict=True):
+            flow, valid = flow_of(image)
+            of_ball = truth["pictures/labels"][int(image.stem)] == 1
+            assert valid[of_ball].mean() > 0.85
+            assert valid[~of_ball].mean() > 0.3  # of the sky, which leaves to the side, by up to 13 px
+            errors_px = np.abs(flow - way_of(truth, begin_us, end_us))[valid]
+            assert np.abs(flow[valid]).max() > 10
+            assert np.median(errors_px) < 1 / 256
+            assert errors_px.max() < 0.1
+
+
+@pytest.mark.system
+def test_a_sequence_of_dsec_has_its_files_and_the_truth_beside_them(folder, dsec):
+    assert [name for name, *_ in digests(dsec)] == [f"sequences/00000{k}" for k in range(3)]
+    assert [rest for _, *rest in digests(dsec)] == [rest for _, *rest in digests(folder)]
+    assert json.loads((dsec / "manifest.json").read_text())["campaign"]["truth"]["format"] == "dsec"
+    sequence, left = dsec / "sequences" / "000000", dsec / "sequences" / "000000" / "events" / "left"
+    with (
+        h5py.File(left / "events.h5") as events,
+        h5py.File(sequence / "truth.h5") as truth,
+        h5py.File(folder / "sequences" / "000000.h5") as other,
+        h5py.File(left / "rectify_map.h5") as rectified,
+    ):
+        assert truth.attrs["complete"]
+        for name in ("pictures/depth", "pictures/labels", "poses/camera_position_m", "events/origin"):
+            np.testing.assert_array_equal(truth[name][:], other[name][:])
+        for name in "xytp":
+            np.testing.assert_array_equal(events[f"events/{name}"][:], other[f"events/{name}"][:])
+        t_us = events["events/t"][:] + events["t_offset"][()]
+        assert t_us.dtype == np.int64  # as DSEC's slicer adds them: unsigned ones of 64 bits would become floats
+        np.testing.assert_array_equal(
+            events["ms_to_idx"][:], np.searchsorted(t_us, 1000 * np.arange(1 + t_us[-1] // 1000))
+        )
+        y, x = np.mgrid[:48, :64]
+        np.testing.assert_array_equal(rectified["rectify_map"][:], np.dstack([x, y]))
+
+
+def test_a_displacement_follows_its_point_through_a_flow_that_turns():
+    # Rigid rotation about the middle: a quarter turn a second, in closed form. A label fills all but the left columns.
+    y, x = np.mgrid[-20.0:21.0, -20.0:21.0]
+    flow = np.broadcast_to(np.dstack([-y, x]) * np.pi / 2, (5, 41, 41, 2)).astype(np.float32)
+    labels = np.ones((5, 41, 41), np.uint16)
+    labels[:, :, :4] = 2
+    moved, is_known = displacement(np.arange(5) * 25_000, flow, labels)
+    turned = (x + 1j * y) * np.exp(0.05j * np.pi)
+    expected = np.dstack([turned.real - x, turned.imag - y])
+    assert (
+        np.abs(moved - expected)[is_known].max() < 0.01
+    )  # the trapezoid's own: (step * rate)^3 / 12 a step, times 28 px
+    stays = (np.abs(turned.real) <= 20) & (np.abs(turned.imag) <= 20)
+    assert (is_known <= stays).all()
+    same_side = (x < -16) == (np.ceil(turned.real) < -16)
+    assert (is_known <= same_side).all()
+    assert is_known.mean() > 0.7
+
+
 @pytest.mark.system
 def test_sequences_in_memory_are_those_of_the_files(rig, folder):
     data = evstim.dataset(rig, 3, seconds=0.2, vary=rig.with_name("vary.toml"))
@@ -155,12 +255,13 @@ def test_readers_of_dsec_take_a_sequence_for_a_recording(folder):
 
 
 @pytest.mark.system
-def test_an_interrupted_data_set_goes_on_and_is_the_same(rig, tmp_path):
+@pytest.mark.parametrize("form", ["h5", "dsec"])
+def test_an_interrupted_data_set_goes_on_and_is_the_same(form, rig, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    made(rig, whole, count=8)
+    made(rig, whole, "--format", form, count=8)
     for number in (signal.SIGKILL, signal.SIGINT):
         process = subprocess.Popen(
-            command(rig, killed, "--workers", "1", count=8),
+            command(rig, killed, "--workers", "1", "--format", form, count=8),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
@@ -172,12 +273,14 @@ def test_an_interrupted_data_set_goes_on_and_is_the_same(rig, tmp_path):
         process.send_signal(number)
         assert process.wait(60) in (-signal.SIGKILL, 1)
     assert len(digests(killed)) < 8  # that of the interrupt, with its manifest
-    for path in killed.glob("sequences/0*.h5"):  # each file is whole
-        with h5py.File(path) as file:
+    for path in killed.glob("sequences/0*"):  # each file is whole
+        with h5py.File(path if form == "h5" else path / "truth.h5") as file:
             assert file.attrs["complete"]
-    made(rig, killed, count=8)
+    made(rig, killed, "--format", form, count=8)
     assert digests(whole) == digests(killed)
-    assert sorted(os.listdir(killed / "sequences")) == [f"{k:06d}.h5" for k in range(8)]
+    assert sorted(os.listdir(killed / "sequences")) == [f"{k:06d}.h5" if form == "h5" else f"{k:06d}" for k in range(8)]
+    files = [sorted(path.relative_to(folder) for path in folder.glob("sequences/**/*")) for folder in (whole, killed)]
+    assert files[0] == files[1]
 
 
 @pytest.mark.system
@@ -194,6 +297,9 @@ def test_another_data_set_does_not_go_into_the_folder(rig, folder):
         (("--truth", "pose"), "poses"),
         (("--truth", "depth,heat"), "heat"),
         (("--rate", "0"), "rate_hz"),
+        (("--format", "dsec", "--rate", "25"), "multiple of DSEC's 10 flows a second, got 25"),
+        (("--format", "dsec", "--truth", "flow,depth"), 'needs "flow" and "labels"'),
+        (("--format", "dsec", "--seconds", "5000"), "at most 4294 with --format dsec"),
         (("--count", "0"), "--count"),
         (("--seconds", "nan"), "--seconds"),
         (("--vary", "no.toml"), "no.toml"),

@@ -93,7 +93,7 @@ def test_each_value_of_a_list_is_a_slice():
 
 
 def test_without_salib_there_are_pawn_and_ranks(monkeypatch):
-    monkeypatch.setattr(module, "_salib", lambda: False)
+    monkeypatch.setattr(module, "find_spec", lambda _: None)
     rows = [{"a": float(k), "kind": "xy"[k % 2], "y": -float(k)} for k in range(40)]
     found = sensitivity(rows, [LAWS[0], OneOf("kind", values=("x", "y"))], "y", 10)
     assert "SALib" in found.method

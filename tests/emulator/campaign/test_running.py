@@ -12,7 +12,7 @@ from emulator.campaign.campaign import Campaign
 from emulator.campaign.loading import load_source
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.campaign.table import begin_folder, read_rows, rows_folder
-from emulator.campaign.workers import LocalWorkers, Part, WarmWorker, part_of, remaining, run_campaign
+from emulator.campaign.workers import LocalWorkers, WarmWorker, part_of, remaining, run_campaign
 from tests.emulator.campaign.processes import gone
 
 pytestmark = pytest.mark.system
@@ -123,12 +123,12 @@ def test_what_no_run_can_mend_ends_the_campaign(campaign_file, tmp_path):
 
 
 def test_parts_of_a_job_array_have_every_run_once():
-    parts = [Part(k, 3).indices(10) for k in (1, 2, 3)]
+    parts = [part_of(f"{k}/3", 10) for k in (1, 2, 3)]
     assert sorted(i for part in parts for i in part) == list(range(10))
-    assert part_of("3/10") == Part(3, 10)
+    assert part_of("3/10", 25) == range(2, 25, 10)
     for wrong in ("0/3", "4/3", "3", "a/b", "1/0", "-1/3"):
         with pytest.raises(ValueError, match="expected I/N"):
-            part_of(wrong)
+            part_of(wrong, 10)
 
 
 TERMINATOR = KILLER.replace(", 9)", ", 15); import time; time.sleep(60)")

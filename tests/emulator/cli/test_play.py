@@ -1,9 +1,17 @@
-"""`evstim play`: pictures in a terminal at their times, the end by a signal, and input that is refused."""
+"""`evstim play`: pictures in a terminal or window at their times, Ctrl-Z, the end by a signal, refused input."""
 
+import fcntl
 import json
+import os
+import pty
 import re
+import shlex
+import shutil
 import signal
+import struct
+import subprocess
 import sys
+import termios
 
 import numpy as np
 import pytest
@@ -227,3 +235,150 @@ def test_a_file_instead_of_a_terminal_is_that_of_picture(evstim, tmp_path, recor
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
     with Image.open(tmp_path / "a.gif") as movie:
         assert (movie.n_frames, movie.info["duration"]) == (6, 100)  # 0.9 s in steps of 0.2 s, and the end
+
+
+@pytest.mark.system
+def test_ctrl_z_gives_the_shell_its_screen_and_cursor_and_fg_takes_them_again(recording):
+    play = [sys.executable, "-c", "from emulator.cli import main; main()", "play", recording, "--speed", "0.001"]
+    ours, theirs = pty.openpty()
+    shell = subprocess.Popen(
+        ["bash", "--norc", "--noprofile", "--noediting", "-i"],
+        stdin=theirs, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm-256color"},
+        start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )  # fmt: skip
+    os.close(theirs)
+    seen = ""
+
+    def until(text, after):
+        nonlocal seen
+        while text not in seen[after:]:
+            seen += os.read(ours, 65536).decode(errors="replace")
+        return len(seen)
+
+    def state():
+        """(whether the cursor is shown, whether the screen is the shell's), as the last code of each leaves them."""
+        return seen.rfind("\x1b[?25h") > seen.rfind("\x1b[?25l"), seen.rfind("\x1b[?1049l") > seen.rfind("\x1b[?1049h")
+
+    try:
+        os.write(ours, shlex.join(map(str, play)).encode() + b"\n")
+        at = until("events of 0.04 ms", 0)
+        for _ in range(2):
+            assert state() == (False, False)
+            os.write(ours, b"\x1a")
+            at = until("Stopped", at)
+            assert state() == (True, True)
+            os.write(ours, b"fg\n")
+            at = until("\x1b[?1049h", at)
+            at = until("events of 0.04 ms", at)
+        os.write(ours, b"\x03")
+        until("s of stream time in", at)
+        assert state() == (True, True)
+    finally:
+        shell.kill()  # the end of the session hangs up on the player
+        shell.wait()
+        os.close(ours)
+
+
+@pytest.fixture(scope="module")
+def x_server(tmp_path_factory):
+    """Start an X server without a screen; return its name, and the file of its pixels.
+
+    It ends with this process: Tk keeps its connection, and ends the process if the server leaves first.
+    """
+    if shutil.which("Xvfb") is None:
+        (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)("there is no Xvfb: apt-get install xvfb")
+    tkinter = pytest.importorskip("tkinter")
+    folder, (ours, theirs) = tmp_path_factory.mktemp("x"), os.pipe()
+    options = ["-displayfd", str(theirs), "-screen", "0", "1024x768x24", "-fbdir", str(folder), "-terminate"]
+    in_background = ["sh", "-c", 'Xvfb "$@" >/dev/null 2>&1 &', "sh", *options, "-nolisten", "tcp"]
+    subprocess.run(in_background, pass_fds=[theirs], check=True)
+    os.close(theirs)
+    with os.fdopen(ours) as number:
+        name = f":{number.readline().strip()}"
+    holder = tkinter.Tk(screenName=name)  # without a client the server would end
+    holder.withdraw()
+    tkinter._default_root = None
+    yield name, folder / "Xvfb_screen0"
+    holder.destroy()
+
+
+@pytest.fixture
+def frame_buffer(x_server, monkeypatch):
+    """Set the display; return a function that returns its pixels (height, width, 3)."""
+    import tkinter
+
+    name, file = x_server
+    monkeypatch.setenv("DISPLAY", name)
+
+    def pixels():
+        tkinter._default_root.winfo_pointerxy()  # the server answers after it has drawn
+        content = file.read_bytes()  # X window dump, XWDFile.h
+        head = struct.unpack(">25I", content[:100])
+        size, width, height, line, colours = head[0], head[4], head[5], head[12], head[19]
+        rows = np.frombuffer(content, np.uint8, line * height, size + 12 * colours).reshape(height, line // 4, 4)
+        return rows[:, :width, 2::-1]
+
+    return pixels
+
+
+@pytest.fixture
+def keys():
+    """Functions that press a key of the open window, close it, or interrupt the player."""
+    import tkinter
+
+    def press(name):
+        tkinter._default_root.focus_force()
+        tkinter._default_root.event_generate(f"<{name}>")
+
+    return {
+        "q": lambda: press("q"),
+        "space": lambda: press("space"),
+        "close": lambda: tkinter._default_root.tk.call(tkinter._default_root.protocol("WM_DELETE_WINDOW")),
+        "signal": lambda: signal.raise_signal(signal.SIGINT),
+    }
+
+
+@pytest.mark.system
+def test_a_window_shows_the_pictures_at_their_times(evstim, clock, frame_buffer, recording):
+    shown = []
+    clock.at_sleep = lambda _: shown.append([np.count_nonzero((frame_buffer() == c).all(axis=2)) for c in (ON, OFF)])
+    done = evstim("play", recording, "--window", "--speed", "10", "--json")
+    assert (done.code, done.err) == (0, "")
+    # Four sleeps of 10 ms before each picture but the first, which needs some of them; a sensor's pixel is 2 x 2 here.
+    assert len(shown) == 12
+    assert shown[3::4] == [[0, 0], [8, 4], [0, 0]]
+    result = json.loads(done.out)
+    assert (result["pictures"], result["events"]) == (4, 4)
+    assert (result["stream_s"], result["wall_s"]) == (pytest.approx(0.9, abs=1e-5), pytest.approx(0.12))
+
+
+@pytest.mark.system
+def test_the_space_bar_stops_the_stream_until_it_is_pressed_again(evstim, clock, frame_buffer, keys, recording):
+    clock.at_sleep = lambda count: keys["space"]() if count in (6, 56) else None
+    result = json.loads(evstim("play", recording, "--window", "--speed", "10", "--json").out)
+    assert (result["pictures"], result["events"]) == (4, 4)
+    assert result["wall_s"] == pytest.approx(
+        0.56
+    )  # 6 sleeps of 10 ms, 50 in the pause; the last picture is due at once
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("key", ["q", "close", "signal"])
+@pytest.mark.parametrize("late_ms", [0, 100])
+def test_a_window_ends_with_the_summary_of_the_terminal(late_ms, key, evstim, clock, frame_buffer, keys, recording):
+    clock.late_ns = late_ms * 1_000_000
+    clock.at_sleep = lambda count: keys[key]() if count == 1 else None
+    interrupt_on_stop_signals()
+    done = evstim("play", recording, "--window", "--speed", "10")
+    assert (done.code, done.err) == (0, "")
+    assert re.fullmatch(r"a\.aedat4: 0 events in 1 pictures, 0\.00 s of stream time in 0\.00 s\n", done.out)
+
+
+@pytest.mark.parametrize(("lacking", "remedy"), [("display", "set DISPLAY"), ("tkinter", "apt-get install python3-tk")])
+def test_without_a_display_or_tk_a_window_is_refused_with_the_remedy(lacking, remedy, evstim, monkeypatch, recording):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    if lacking == "tkinter":
+        monkeypatch.setitem(sys.modules, "tkinter", None)
+    done = evstim("play", recording, "--window")
+    assert (done.code, done.out) == (3, "")
+    assert remedy in " ".join(done.err.split())
