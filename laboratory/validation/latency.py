@@ -30,8 +30,8 @@ _PROTOCOL = (
     f"our edges are jumps, and the irradiance becomes light by the preset's unit, {IMX636_W_M2} W/m2."
 )
 _LENS = (
-    "Behind a lens NIST states the same irradiance and no transmission: ours has no lens there, and the real latencies "
-    "are 8 % longer."
+    "Behind a lens NIST states the same irradiance, and does not state the transmission of the lens. We simulate no "
+    "lens; the real latencies are 8 % longer."
 )
 _OPEN = (
     "Not stated by NIST: rise and fall time of the LED, delay of the trigger, temperature. The camera is a SilkyEvCam "
@@ -134,11 +134,15 @@ def opposite(seed: int) -> Findings:
         "After an ON edge these are OFF events in the LED's light, after an OFF edge ON events in the dark. Some may "
         "be rebound after the step rather than noise.",
         "Noise and dark current of the preset were fitted to the counts of the bare sensor.",
-        "100 stands for 100 or more: NIST's map ends there.",
+        "100 stands for 100 or more: NIST's map ends there, and ours is cut there too. Counts near 100 and below 3 "
+        "agree easily and show little.",
         "Apart is the same camera with and without its lens. NIST's two cameras agree within x 1.03 in the middle, so "
         "that a bound of x 1.50 is far wider than the difference of two cameras.",
     )
-    protocol = _PROTOCOL + " Counted are the pixel keys, of 111, with an event of the other polarity."
+    protocol = _PROTOCOL + (
+        " NIST numbers 121 pixels by x + 10 y, which gives 111 numbers; counted are "
+        "those with an event of the other polarity."
+    )
     return Findings(
         "opposite", "Events of the other polarity", "imx636", protocol, (NIST,), data, remarks,
         partial(_draw, rows, data, 0.05, "pixels of 111"),

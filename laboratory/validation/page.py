@@ -11,26 +11,8 @@ from statistics import median
 from emulator.report.page import write_csv, write_json
 from laboratory.validation.findings import Datum, Findings
 
-_WORTH = """# What it is worth
-
-How close the simulated sensors are to real cameras: public measurements, repeated by `evstim validate --out docs`.
-First what is *predicted*: no value of a preset was chosen by these data. Then what was *fitted*: agreement shows that
-the model can follow a camera, no more. Counts are given for the worst and the best seed. [Validation](validation.md)
-has every value with its source, and [what could not be compared](validation.md#what-could-not-be-compared);
-[Accuracy](accuracy.md) and [Physics](physics.md) judge the solution of the model, [Speed](benchmarks.md) its cost.
-"""
-_INTRODUCTION = """# Validation
-
-How much the simulated sensors are like real cameras: every value behind [what it is worth](worth.md). First come the
-values outside their bounds. A seed is one simulated sensor, with mismatch and noise of its own; ours is the median over
-the seeds, with the least and the largest value. It stands in the column *fitted* where a value of the preset was chosen
-by that datum, else in *predicted*. A distance is the largest over the seeds. *Apart* is the distance between two real
-sensors, or two parts of one, where it is known: no simulated sensor can be expected within a bound below it. In a table
-of light and biases a cell is real/ours; in italics: fitted; bold: outside the bound with one seed at least. The
-[CSV](validation/validation.csv) and [JSON](validation/validation.json) have all of it; pictures show the first seed.
-"""
-
-_MISSING = Path(__file__).with_name("data") / "missing.md"
+_TEXTS = Path(__file__).with_name("data")
+"""Folder of `worth.md` and `introduction.md`, with which the pages begin, and `missing.md`."""
 _MOST_ROWS = 12  # data beyond which those of a full grid of conditions are shown as one
 
 
@@ -48,7 +30,7 @@ def write(found: Sequence[Findings], out: Path) -> list[Path]:
 
 
 def _worth(found: Sequence[Findings]) -> Iterable[str]:
-    yield _WORTH
+    yield (_TEXTS / "worth.md").read_text()
     for title, fitted in (("Predicted", False), ("Fitted", True)):
         yield from (f"## {title}", "", "| measurement | sensor | within the bound | of | median distance | largest |")
         yield "|---|---|---|---|---|---|"
@@ -89,8 +71,8 @@ def _disagreement(found: Sequence[Findings], fitted: bool) -> Iterable[str]:
 
 
 def _lines(found: Sequence[Findings], pictures: dict[str, list[Path]]) -> Iterable[str]:
-    yield _INTRODUCTION
-    yield from (*_disagreement(found, False), *_disagreement(found, True), _MISSING.read_text())
+    yield (_TEXTS / "introduction.md").read_text()
+    yield from (*_disagreement(found, False), *_disagreement(found, True), (_TEXTS / "missing.md").read_text())
     titles: dict[str, str] = {}
     for one in found:
         yield from _section(one, pictures.get(one.name, []), titles)
