@@ -169,9 +169,9 @@ class LitBodies:
         self._sharp = with_narrow_penumbras(parameters, world.meshes, LONGEST_PX * pixel_m)
         self._sides: dict[int, Sides] = {}
         casters = [world.as_seen(k) for k in bodies]
-        self._surfaces = [self._surface(k, casters) for k in bodies]
-        self._lighting = Lighting(parameters, pinhole, casters, self._surfaces, self._sharp, threads, self._sides)
-        self._placed = _in_groups(parameters, self._surfaces)
+        self.surfaces = [self._surface(k, casters) for k in bodies]
+        self._lighting = Lighting(parameters, pinhole, casters, self.surfaces, self._sharp, threads, self._sides)
+        self._placed = _in_groups(parameters, self.surfaces)
         self._poses = world.arrangement.poses_of({root for root, *_ in self._placed})
         self.topology = self._lighting.facets.on(_NO_FACETS, _NO_FACETS[:, 0])
         """Facets of the last view, the patches with shadows behind all others; the next view writes into it."""

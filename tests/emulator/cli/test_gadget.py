@@ -40,7 +40,10 @@ def test_a_machine_without_a_controller_lacks_that(machine, capsys):
 @pytest.mark.parametrize(
     ("tokens", "error"),
     [
-        (("--model", "triton2"), "no USB camera 'triton2'; there are: davis346, dvxplorer, dvxplorer_micro, "),
+        (
+            ("--model", "triton2"),
+            "no USB camera 'triton2'; there are: davis346, davis240c, dvxplorer, dvxplorer_micro, ",
+        ),
         (("--model", "evk4", "--serial", "xyz"), "hexadecimal"),
         (("--name", "a/b"), "a gadget's name"),
         (("--user", "nobody-of-this-name"), "no user"),

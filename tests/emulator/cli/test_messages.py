@@ -75,7 +75,7 @@ def test_a_folder_is_no_rig(tmp_path, capsys):
 def test_an_unknown_camera_is_answered_with_the_presets(tmp_path, capsys):
     code, error = error_of(["characterise", "nope", "--out", tmp_path / "out"], capsys)
     assert code == 2
-    assert "davis346, davis346_noisy, dvxplorer_micro, imx636" in error
+    assert "davis346, davis346_noisy, davis240c, dvxplorer_micro, imx636" in error
 
 
 @pytest.mark.parametrize(("threshold", "count"), [(0.3, 0), (2.0, 0), (2.5, 1)])

@@ -72,7 +72,9 @@ def test_presets_switch_on_what_recordings_show_and_nothing_else(preset):
     p, plain = PRESETS[preset], SensorParameters(width=1, height=1, threshold_on=0.2, threshold_off=0.2)
     on = {name for name in EFFECTS if getattr(p, name) != getattr(plain, name)}
     on |= {"background"} if p.background != plain.background else set()
-    chips = {name: {"noise"} for name in ("davis346", "davis346_noisy", "dvxplorer_micro")} | {"ideal": set()}
+    chips = {name: {"noise"} for name in ("davis346", "davis346_noisy", "davis240c", "dvxplorer_micro")} | {
+        "ideal": set()
+    }
     assert on == chips.get(preset, {"background", "jitter", "noise", "temperature"})  # all of Prophesee's have these
 
 

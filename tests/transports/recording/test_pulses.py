@@ -85,7 +85,7 @@ def sent(request):
     """Edges that a camera sends of ten pulses, (n,) EDGE in its own time."""
     model, edges_of = request.param
     edges = np.concatenate(list(edges_of(model)))
-    has_detector = edges_of is sent_by_usb and model in ("davis346", "ideal", "dvxplorer")
+    has_detector = edges_of is sent_by_usb and model in ("davis346", "davis240c", "ideal", "dvxplorer")
     assert pairs(edges) == (DETECTED if has_detector else LEVELS)
     return edges
 

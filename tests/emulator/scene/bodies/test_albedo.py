@@ -11,7 +11,7 @@ from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.mesh_files import PlateTableError, parse_wavefront
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.regolith import coarser, flat
+from emulator.scene.bodies.regolith import coarser
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.tables.typed_table import RigFile
 from emulator.trajectory.parameters import FixedPath
@@ -60,7 +60,7 @@ def test_the_light_of_facets_follows_their_albedo_in_the_renderer_and_in_the_ref
         np.testing.assert_allclose(right.mean() / left.mean(), 0.25, rtol=1e-4)
 
 
-def test_albedo_survives_dividing_flattening_and_gathering():
+def test_albedo_survives_dividing_and_gathering():
     table = parse_wavefront(BOX)
     mesh = build_mesh(table.vertices, table.facets, table.albedo)
 
@@ -70,7 +70,7 @@ def test_albedo_survives_dividing_flattening_and_gathering():
         return (areas * m.albedo.mean(axis=1)).sum() / areas.sum()
 
     assert mean(mesh) == pytest.approx(1 - 0.75 * 2 / 24)
-    for other in (subdivide(mesh, 0.3), flat(mesh), flat(subdivide(mesh, 0.5))):
+    for other in (subdivide(mesh, 0.3), subdivide(mesh, 0.5)):
         assert mean(other) == pytest.approx(mean(mesh))
     assert set(np.unique(lit_surface(mesh, smooth=False).albedo)) == {0.25, 1.0}
     globe = load_mesh(find_shape("globe"), 1.0)

@@ -246,7 +246,7 @@ def test_facets_follow_the_highlight_not_the_size_of_the_picture(shapes, size):
     shiny = dataclasses.replace(parameters.bodies[0], reflectance=Glossy(0.04, 0.25, 100.0))
     parameters = dataclasses.replace(parameters, bodies=(shiny, *parameters.bodies[1:]))
     with RasterBodies(parameters, Pinhole.of_field(size, 30.0)) as body:
-        plate = body._surfaces[0]
+        plate = body._lit.surfaces[0]
     sides = plate.vertices[plate.faces] - plate.vertices[np.roll(plate.faces, 1, axis=1)]
     angle = np.linalg.norm(sides, axis=2).max() / body._nearest_m(0)
     assert 100.0 * angle**2 / 32 <= 0.01
@@ -258,9 +258,9 @@ def test_a_body_that_throws_no_shadow_does_not_make_facets_small(shapes):
     parameters = station(shapes)
     far = BodyTable(shape=str(shapes / "box.obj"), path=FixedPath((0.0, 0.0, 4e4)), units_m=1e3, throws_shadow=False)
     with RasterBodies(parameters, CAMERA) as alone:
-        before = [len(surface.faces) for surface in alone._surfaces]
+        before = [len(surface.faces) for surface in alone._lit.surfaces]
     with RasterBodies(dataclasses.replace(parameters, bodies=(*parameters.bodies, far)), CAMERA) as both:
-        assert [len(surface.faces) for surface in both._surfaces][:-1] == before
+        assert [len(surface.faces) for surface in both._lit.surfaces][:-1] == before
 
 
 def test_a_facet_in_the_dark_gets_one_triangle(shapes):

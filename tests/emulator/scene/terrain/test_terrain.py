@@ -241,7 +241,7 @@ def test_a_path_that_cannot_be_used_is_a_scene_error():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"samples": 5}, "samples must be .*, got 5"),
+        ({"samples": 9}, "samples must be .*, got 9"),
         ({"sun_elevation_deg": 91.0}, "sun_elevation_deg must be .*, got 91"),
         ({"ambient_w_m2": math.nan}, "ambient_w_m2 must be .*, got nan"),
         ({"time_scale": 0.0}, "time_scale must be .*, got 0"),
