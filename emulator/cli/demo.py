@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -86,16 +89,19 @@ _START = _PATH + "from emulator.cli import main; main()"
 _DRIVER = _PATH + "from emulator.cli.driver_client import main; sys.exit(main(*sys.argv[1:]))"
 
 
-def start_reader(kind: str, address: str, record: Path, seconds: float) -> subprocess.Popen[bytes]:
-    """Start the reader of a camera on a link of this kind: for GigE Vision a third-party driver, if it works."""
+def start_reader(kind: str, address: str, record: Path) -> subprocess.Popen[bytes]:
+    """Start the reader of a camera on a link of this kind: for GigE Vision a third-party driver, if it works.
+
+    It reads until SIGINT.
+    """
     if kind == "gige" and driver_works():
         description, code = f"{DRIVER}, unmodified,", _DRIVER
-        arguments = [address.rpartition(":")[0], str(record), str(seconds)]
+        arguments = [address.rpartition(":")[0], str(record)]
     else:
         advice = "" if kind == "usbip" else f" (pip install {DRIVER} for a third-party driver)"
         description, code = f"evstim's own receiver{advice}", _START
         camera = ["--usbip", address] if kind == "usbip" else ["gige", address]
-        arguments = ["listen", *camera, "--seconds", str(seconds), "--record", str(record)]
+        arguments = ["listen", *camera, "--record", str(record)]
     status.print(f"the camera is at {address}; {description} attaches to it in a second process")
     command = [sys.executable, "-P", "-c", code, json.dumps(sys.path), *arguments]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
@@ -114,7 +120,7 @@ def demo(
     rig
         Rig file or name of a shipped rig, with a usbip or gige link; or `landing`: one from 500 m, guided by events.
     seconds
-        Time for which the second process reads.
+        Time for which the second process reads, from the first event that is sent to it.
     guidance
         With `landing`: FILE.py:NAME, a guidance law of your own that flies in the place of evstim's.
     report
@@ -155,17 +161,28 @@ def _on_a_free_port(rig: Rig) -> Rig:
 
 
 def _run(rig: Rig, files: Files, received: Path, seconds: float) -> RunResult:
-    """Start the receiver as soon as the camera has an address, and run until it ends."""
+    """Start the receiver as soon as the camera has an address, and run until it ends.
+
+    Its time starts with the first event that is sent to it: a slow machine may need longer than that to start.
+    """
     link = rig.links[0]
     receiver: subprocess.Popen[bytes] | None = None
+    end_s: float | None = None
 
     def follow(session: Session, now: RunStatus) -> None:
-        nonlocal receiver
-        address = now.links[link.name].address
-        if receiver is None and address is not None:
-            receiver = start_reader(link.kind, address, received, seconds)
-        elif receiver is not None and receiver.poll() is not None:
+        nonlocal receiver, end_s
+        report = now.links[link.name]
+        if receiver is None:
+            if report.address is not None:
+                receiver = start_reader(link.kind, report.address, received)
+        elif receiver.poll() is not None:
             session.stop()
+        elif end_s is None:
+            if report.delivered:
+                end_s = time.monotonic() + seconds
+        elif time.monotonic() > end_s:
+            receiver.send_signal(signal.SIGINT)
+            end_s = math.inf
 
     try:
         return run_with_files(rig, files, RunParts(follow=follow), show=False)[0]

@@ -6,9 +6,10 @@ The driver holds the interpreter's lock while it waits for the camera, so it nev
 from __future__ import annotations
 
 import importlib.util
+import signal
 import subprocess
 import sys
-import time
+import threading
 from pathlib import Path
 
 from firmware_protocol.events import EVENT
@@ -28,8 +29,8 @@ def driver_works() -> bool:
     return subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, check=False).returncode == 0
 
 
-def main(address: str, record: str, seconds: str) -> int:
-    """Read the camera at `address` for so many seconds into a record; returns 1 where the driver cannot open it."""
+def main(address: str, record: str) -> int:
+    """Read the camera at `address` until SIGINT into a record; returns 1 where the driver cannot open it."""
     import neuromorphic_drivers as nd
     from neuromorphic_drivers.generated.devices import lucid_triton
 
@@ -39,12 +40,14 @@ def main(address: str, record: str, seconds: str) -> int:
     except RuntimeError as error:
         sys.stderr.write(f"{DRIVER}: {error}\n")
         return 1
-    recorder, end_s = Recorder(Path(record)), time.monotonic() + float(seconds)
+    stopped = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: stopped.set())
+    recorder = Recorder(Path(record))
     with camera:
         for _, packet in camera:
             if packet is not None and packet.polarity_events is not None:
                 recorder.append(Part(packet.polarity_events.astype(EVENT)))
-            if time.monotonic() > end_s:
+            if stopped.is_set():
                 break
     recorder.close()
     return 0
