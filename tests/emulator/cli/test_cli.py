@@ -7,13 +7,14 @@ import signal
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
-from emulator.cli import doctor
+from emulator.cli import demo, doctor
 from emulator.cli.app import _main
 from emulator.cli.doctor import _sentence
 from emulator.cli.output import Failure
@@ -367,6 +368,24 @@ def test_a_demo_without_pillow_has_no_movie_and_is_good(tmp_path, capsys, monkey
     printed = capsys.readouterr().out
     assert "no movie of the received events: writing .gif needs pillow: pip install" in printed
     assert last_json(printed)["movie"] is None
+
+
+@pytest.mark.system
+@pytest.mark.socket
+def test_a_run_that_stands_still_at_its_start_leaves_the_demo_its_time(tmp_path, capsys, monkeypatch):
+    start = demo.start_reader
+
+    def start_and_stand_still(*arguments):
+        reader = start(*arguments)
+        with suppress(subprocess.TimeoutExpired):
+            reader.wait(6.0)  # longer than it needs to attach, and then half a second
+        return reader
+
+    monkeypatch.setattr(demo, "start_reader", start_and_stand_still)
+    (tmp_path / "demo.toml").write_text(DEMO)
+    command = ["demo", str(tmp_path / "demo.toml"), "--seconds", "0.5", "--report", str(tmp_path / "out"), "--json"]
+    assert _main(command) == 0, capsys.readouterr().out
+    assert last_json(capsys.readouterr().out)["comparison"]["received"] > 1000
 
 
 @pytest.mark.system
