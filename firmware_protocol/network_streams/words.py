@@ -58,13 +58,13 @@ class _EvtStream:
         from firmware_protocol.evt.evt2 import Evt2Encoder
         from firmware_protocol.evt.evt3 import Evt3Encoder
 
-        standalone, repeat = not facts.repeat_us, facts.repeat_us
+        repeat = facts.repeat_us
         self.coder: Coder
         if facts.form == "evt3":
-            self.coder = Evt3Encoder(standalone=standalone, width=facts.size[0], repeat_us=repeat)
+            self.coder = Evt3Encoder(standalone=not repeat, width=facts.size[0], repeat_us=repeat)
         else:
             form: Form = "evt21" if facts.form == "evt21" else "evt2"
-            self.coder = Evt2Encoder(form, standalone=standalone, repeat_us=repeat)
+            self.coder = Evt2Encoder(form, standalone=not repeat, repeat_us=repeat)
         self.restart()
 
     def restart(self) -> None:
@@ -129,7 +129,8 @@ class EvtDatagramCoder(DatagramCoder):
         at = at_edge = 0
         while at < len(events) or at_edge < len(edges):
             filled = self._stream.coder.fill(events[at:], edges[at_edge:], _DATAGRAM_OCTETS)
-            at, at_edge = at + filled.events, at_edge + filled.edges
+            at += filled.events
+            at_edge += filled.edges
             yield Datagram(filled.words, at)
 
     def restart(self) -> Iterator[Datagram]:
@@ -145,7 +146,8 @@ _SPIF_LIMIT_PX = (1 << 15, 1 << 15)
 
 def _spif_words(events: Events) -> npt.NDArray[np.uint32]:
     """Return a word for each of events (n,), without its time."""
-    words = events["x"].astype("<u4") << 16
+    words: npt.NDArray[np.uint32] = events["x"].astype("<u4")
+    words <<= 16
     words |= events["on"].astype("<u4") << 15
     words |= events["y"]
     words |= _NO_TIME

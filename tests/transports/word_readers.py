@@ -76,7 +76,7 @@ def by_the_document(path, form):
 READERS = {
     "evt2": (by_faery, by_evlib, by_expelliarmus),
     "evt21": (by_evlib, by_the_document),
-    "evt3": (by_faery, by_evt3, by_expelliarmus),
+    "evt3": (by_faery, by_evt3, by_evlib),  # expelliarmus 1.1.12 adds 4096 us whenever the low part goes back
 }
 
 

@@ -266,8 +266,10 @@ class SerialEndpoint(Endpoint):
         self._baud = BaudClock(self._line.baud, self._line.bits)
         self._coder: ConnectionCoder | None = None
         if self._line.sends_words:
-            form, capacity, camera = self._line.format, self._baud.bytes_per_s, factory.wiring.camera
-            facts = StreamFacts(camera.size, camera.model, form=form, repeat_us=repeat_us(form, capacity))
+            form = self._line.format
+            camera = factory.wiring.camera
+            period_us = repeat_us(form, self._baud.bytes_per_s)
+            facts = StreamFacts(camera.size, camera.model, form=form, repeat_us=period_us)
             self._coder = WORD_CONNECTION_CODERS[form](facts)
             instrument.takes_edges = self._coder.has_edges
         self._most_events = max(1, round(self._baud.bytes_per_s * _WORDS_S))
@@ -388,7 +390,8 @@ class SerialEndpoint(Endpoint):
 
     def _next_words(self, coder: ConnectionCoder) -> Frame[Outgoing] | None:
         """Return the next items as words, or in a silence the words of the time that are due."""
-        outgoing, data = self._instrument.next_items(self._most_events), b""
+        data = b""
+        outgoing = self._instrument.next_items(self._most_events)
         epoch_us = outgoing.epoch_us
         if epoch_us != self._epoch_us:
             self._epoch_us = epoch_us

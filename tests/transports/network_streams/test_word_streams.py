@@ -1,17 +1,21 @@
 """A sensor's words over TCP and UDP, read by programs of others: each of a million events, exactly."""
 
 import socket
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
 from firmware_protocol.evt.evt3 import Evt3Decoder
+from tests.free_ports import free_port
 from tests.transports.network_streams.stream_readers import udp_port
 from tests.transports.network_streams.test_real_clients import opened
-from tests.transports.word_readers import MANY, OCTETS, check_words, rows
+from tests.transports.word_readers import MANY, OCTETS, by_evt3, check_words, rows
 from transports.link.rings import FREE_RUNNING
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
@@ -110,3 +114,26 @@ def test_a_sensor_beyond_the_words_is_refused(kind, form):
             "a.toml",
             "a",
         )
+
+
+def printed(page, heading, language):
+    """Return the first block of a language below a heading of a page."""
+    section = (Path(__file__).parents[3] / "docs" / page).read_text(encoding="utf-8").partition(f"\n## {heading}\n")[2]
+    return section.partition(f"```{language}\n")[2].partition("```")[0]
+
+
+def test_the_program_of_the_page_reads_every_event(tmp_path):
+    pytest.importorskip("faery", reason="the `files` extra is not installed")
+    port, events = str(free_port()), rows(20_000)
+    table, program = (
+        printed("streams.md", "Words of a sensor", kind).replace("7777", port) for kind in ("toml", "python")
+    )
+    link = opened(table.replace("[[links]]", ""))
+    shown = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    await_clients(link, 1)
+    link.start(FREE_RUNNING)
+    link.push_all(events, int(events["t"][-1]) + 1)
+    assert link.stop(60.0).delivered == len(events)
+    assert "1" in shown.communicate(timeout=120)[0].split("]")[0].split()
+    assert shown.returncode == 0
+    np.testing.assert_array_equal(by_evt3(tmp_path / "camera.raw", "evt3"), events)
