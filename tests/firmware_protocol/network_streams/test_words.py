@@ -20,7 +20,8 @@ NO_EVENTS, NO_EDGES = empty_events(), empty_edges()
 
 forms = st.sampled_from(list(WRAP_US))
 gaps_us = st.lists(st.one_of(st.integers(0, 20), st.integers(0, 10_000), st.integers(0, 1 << 31)), max_size=30)
-pieces = st.lists(st.tuples(gaps_us, st.integers(0, 1 << 20)), min_size=1, max_size=5)
+silences_us = st.one_of(st.integers(0, 9), st.integers(0, 1 << 20))
+pieces = st.lists(st.tuples(gaps_us, silences_us), min_size=1, max_size=5)
 
 
 def facts_of(form, **more):
@@ -90,6 +91,15 @@ def test_each_datagram_is_read_alone(form, pieces):
             before = datagram.end
         same_but_for_turns(np.concatenate(seen), events, form)
         same_but_for_turns(np.concatenate(told), edges, form)
+
+
+@pytest.mark.parametrize("form", list(WRAP_US))
+def test_datagrams_of_one_moment_begin_with_its_time_and_row(form):
+    coder, events = WORD_DATAGRAM_CODERS[form](facts_of(form)), np.zeros(3000, EVENT)
+    events["t"], events["x"], events["y"] = 5000, np.arange(3000) * 40 % 346, 9
+    parts = [decoder_of(form).decode(datagram.data)[0] for datagram in coder.encode(events, NO_EDGES)]
+    assert len(parts) > 3
+    np.testing.assert_array_equal(np.concatenate(parts), events)
 
 
 @given(forms, st.integers(0, 1 << 40), st.integers(0, 1 << 20))
