@@ -368,8 +368,8 @@ class TcpEndpoint(Endpoint):
 
     def __init__(self, link: TcpLink, wiring: Wiring, device: PlainDevice, deliveries: Deliveries) -> None:
         camera = link.camera or wiring.camera.model.upper()
-        size, frame_us = wiring.camera.size, round(link.frame_ms * 1000)
-        facts = StreamFacts(size, camera, frame_us, link.compression, link.pictures, link.format)
+        frame_us = round(link.frame_ms * 1000)
+        facts = StreamFacts(wiring.camera.size, camera, frame_us, link.compression, link.pictures, link.format)
         self._link = link
         self._device = device
         self._deliveries = deliveries
