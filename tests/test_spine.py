@@ -84,7 +84,7 @@ FEATURES = {  # folders of what only some users need, and the modules that may i
     "ROS 2": (["firmware_protocol.ros2", "transports.ros2"], ["emulator.scene.video.ros2_images"]),
     "streams": (
         ["firmware_protocol.network_streams", "transports.network_streams"],
-        ["transports.ros2.endpoint", "transports.ros2.kind"],
+        [f"transports.{link}.{part}" for link in ("ros2", "serial_line") for part in ("endpoint", "kind")],
     ),
     "ground systems": (["firmware_protocol.ground"], ["emulator.cli.export"]),
     "FMUs": (["emulator.dynamics"], ["emulator.cli.dynamics"]),

@@ -43,6 +43,7 @@ def _gige_device(camera: Camera, link: Any, pulse_us: int) -> Callable[[], Event
         serial=camera.serial,
         start_delay_us=round(camera.start_delay_ms * 1000),
         block_us=link.block_us,
+        reserved_words=link.reserved_words,
         biases=camera.bias_model,
         ptp=link.ptp,
         ptp_domain=link.ptp_domain,

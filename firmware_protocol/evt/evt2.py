@@ -51,6 +51,7 @@ from firmware_protocol.evt.words import (
     is_left,
     next_high,
     next_time,
+    repeat,
     run_end,
     short_at,
     time_at,
@@ -100,6 +101,7 @@ def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Wo
         fault = fault_of(t, state)
         if fault:
             return fault
+        repeat(t, state)
         high = t >> LOW_BITS
         if high != state[HIGH_SENT] or state[MUST_OPEN]:
             if high != state[HIGH_SENT]:
@@ -222,9 +224,10 @@ class Evt2Encoder(Coder):
         rise within 32 columns from a multiple of 32 share a word.
     standalone : true if the words of each call begin with their time.
     origin_us : time of the records that is zero in the words.
+    repeat_us : period in which the high part is repeated, a power of two; 0: none.
     """
 
-    def __init__(self, form: Form, *, standalone: bool = False, origin_us: int = 0) -> None:
+    def __init__(self, form: Form, *, standalone: bool = False, origin_us: int = 0, repeat_us: int = 0) -> None:
         mask = _MASKS[form]
         beside = {NO_MASK: (), MASK_FIRST: (0,), MASK_LAST: (0,)}[mask]
 
@@ -236,7 +239,7 @@ class Evt2Encoder(Coder):
             np.uint32, LOW_BITS, HIGH_BITS,
             lambda events, edges, state, out: write_evt2(events, edges, mask, state, out), high_words,
         )  # fmt: skip
-        super().__init__(words, standalone=standalone, origin_us=origin_us)
+        super().__init__(words, standalone=standalone, origin_us=origin_us, repeat_us=repeat_us)
 
 
 class Evt2Decoder:

@@ -55,6 +55,7 @@ from firmware_protocol.evt.words import (
     next_time,
     put_short,
     put_time,
+    repeat,
     run_end,
     short_at,
     time_at,
@@ -84,7 +85,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
     ----------
     events, edges : (13 n,) and (12 m,) bytes of EVENT and EDGE records.
     width : columns of the sensor.
-    state : (8,) with the layout in `words`; on return the state after the last word.
+    state : (10,) with the layout in `words`; on return the state after the last word.
     out : (k,) room, k at least 8.
     """
     written = 0
@@ -94,6 +95,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
         fault = fault_of(t, state)
         if fault:
             return fault
+        repeat(t, state)
         high = t >> HIGH_BITS
         if high != state[HIGH_SENT] or state[MUST_OPEN]:
             written = _put_high(high, state, out, written)
@@ -206,15 +208,18 @@ class Evt3Encoder(Coder):
     standalone : true if the words of each call begin with their time and row, as messages and packets need it.
     width : of the sensor; no vector passes its last column. The default suits widths that are multiples of 32.
     origin_us : time of events and edges that is zero in the words; `advance` uses the time of the words.
+    repeat_us : period in which time and row are repeated, a power of two, such as 16 of an IMX636; 0: none.
     """
 
-    def __init__(self, *, standalone: bool = False, width: int = LIMIT_PX, origin_us: int = 0) -> None:
+    def __init__(
+        self, *, standalone: bool = False, width: int = LIMIT_PX, origin_us: int = 0, repeat_us: int = 0
+    ) -> None:
         form = Words(
             np.uint16, HIGH_BITS, HIGH_BITS,
             lambda events, edges, state, out: write_words(events, edges, width, state, out),
             lambda high: [HIGH << 12 | high & 0xFFF],
         )  # fmt: skip
-        super().__init__(form, standalone=standalone, origin_us=origin_us)
+        super().__init__(form, standalone=standalone, origin_us=origin_us, repeat_us=repeat_us)
 
     @staticmethod
     def max_bytes(n_events: int) -> int:

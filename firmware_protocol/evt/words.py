@@ -109,16 +109,22 @@ def put_short(data: _Bytes, at: int, value: int) -> None:
 _State = npt.NDArray[np.int64]
 
 # Content of a state: full high part, full time and row in the words so far (-1: none), the newest time given, the next
-# event and edge of this call, a flag for a high part that must be written although readers have it, and the time of the
-# records that is zero in the words. All other times are those of the words.
-HIGH_SENT, TIME_SENT, ROW_SENT, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN = range(8)
+# event and edge of this call, a flag for a high part that must be written although readers have it, the time of the
+# records that is zero in the words, and the bits of a time within a period of repetition and the last period, see
+# `repeat`. All other times are those of the words.
+HIGH_SENT, TIME_SENT, ROW_SENT, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN, REPEAT, PERIOD = range(10)
 BACKWARDS, TOO_LATE, OUTSIDE = -1, -2, -3
 LONGEST_GAP_US = 1 << 37  # 38 hours: 41 000 words
 
 
-def new_state(origin_us: int = 0) -> _State:
+_NEVER = 63  # bits of a period that has no end
+_MOST_REPEATS = 1024  # of a high part, in one call
+
+
+def new_state(origin_us: int = 0, repeat_us: int = 0) -> _State:
     """Return the state before the first word; records of the time `origin_us` have time zero."""
-    return np.array([-1, -1, -1, -1, 0, 0, 0, origin_us], np.int64)
+    bits = repeat_us.bit_length() - 1 if repeat_us else _NEVER
+    return np.array([-1, -1, -1, -1, 0, 0, 0, origin_us, bits, 0], np.int64)
 
 
 @kernel
@@ -144,6 +150,16 @@ def fault_of(t: int, state: _State) -> int:
 
 
 @kernel
+def repeat(t: int, state: _State) -> None:
+    """Begin again with time and row if `t` is the first time of a period of repetition."""
+    period = t >> state[REPEAT]
+    if period != state[PERIOD]:
+        state[PERIOD] = period
+        state[MUST_OPEN] = 1
+        state[TIME_SENT] = state[ROW_SENT] = -1
+
+
+@kernel
 def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
     """Return true if an edge comes next: edges come before events of the same time."""
     at = state[AT_EDGE] * EDGE_BYTES
@@ -155,8 +171,8 @@ def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
 
 @kernel
 def run_end(t: int, low_bits: int, edges: _Bytes, state: _State) -> int:
-    """Return the last time of events from `t` on with its high part and before the next edge."""
-    end = t | (1 << low_bits) - 1
+    """Return the last time of events from `t` on with its high part, in its period and before the next edge."""
+    end = t | (1 << min(low_bits, state[REPEAT])) - 1
     at = state[AT_EDGE] * EDGE_BYTES
     return int(min(end, time_at(edges, at) - state[ORIGIN] - 1)) if at < len(edges) else end
 
@@ -222,15 +238,30 @@ class Filled(NamedTuple):
 class Coder:
     """Encoder; each call continues where the last one ended, or with `standalone` begins with time and row.
 
+    With `repeat_us`, a power of two, so does each period of that length, in a silence too.
+
     The constructor compiles the kernels, or reads them from disk, so that no event has to wait for it.
     """
 
-    def __init__(self, words: Words, *, standalone: bool, origin_us: int = 0) -> None:
+    def __init__(self, words: Words, *, standalone: bool, origin_us: int = 0, repeat_us: int = 0) -> None:
         self._words = words
         self._standalone = standalone
-        self._state = new_state(origin_us)
+        self._new = new_state(origin_us, repeat_us)
+        self._state = self._new.copy()
         self._out = np.empty(_ROOM_BYTES // np.dtype(words.dtype).itemsize, words.dtype)
         self.encode(empty_events())
+
+    @property
+    def last_us(self) -> int:
+        """Newest time that was encoded or advanced to, -1 before the first."""
+        return int(self._state[LAST])
+
+    def begin(self, t_us: int) -> None:
+        """Begin a stream at `t_us`: readers get its high part first, without those from zero on."""
+        self._state = self._new.copy()
+        self._state[LAST] = t_us - 1
+        self._state[HIGH_SENT] = (t_us >> self._words.low_bits) - 1
+        self._state[PERIOD] = t_us >> int(self._state[REPEAT])
 
     def encode(self, events: Events, edges: Edges | None = None) -> bytes:
         """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and not before the time already sent.
@@ -262,21 +293,28 @@ class Coder:
     def advance(self, t_us: int) -> bytes:
         """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.
 
-        Empty if no high part is due, or if a later time has been sent already. Raises ValueError for a gap of more than
-        38 hours.
+        Empty if no high part is due (with `repeat_us` one in each period), or if a later time has been sent already.
+        Raises ValueError for a gap of more than 38 hours.
         """
         state, format_ = self._state, self._words
         if t_us - state[LAST] > LONGEST_GAP_US:
             raise ValueError(_COMPLAINTS[TOO_LATE])
         if t_us <= state[LAST]:
             return b""
-        words, written = list[int](), int(state[HIGH_SENT])
-        target_high = t_us >> format_.low_bits
-        while written < target_high:
-            written = next_high(written, target_high, format_.high_bits)
-            words += format_.high_words(written)
+        words, written, shift = list[int](), int(state[HIGH_SENT]), int(state[REPEAT])
+        period = t_us >> shift
+        begun = range(max(int(state[PERIOD]) + 1, period - _MOST_REPEATS), period + 1)
+        for time in [k << shift for k in begun] if shift < _NEVER else [t_us]:
+            high = time >> format_.low_bits
+            words += format_.high_words(high) if begun and high == written else []
+            while written < high:
+                written = next_high(written, high, format_.high_bits)
+                words += format_.high_words(written)
         state[LAST] = t_us
         state[HIGH_SENT] = written
+        if begun:
+            state[PERIOD] = period
+            state[TIME_SENT] = state[ROW_SENT] = -1
         return np.array(words, format_.dtype).tobytes()
 
     def _begun(self) -> _State:

@@ -6,6 +6,14 @@
 The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at zero and ignores a first time that is
 8.4 s or more ahead.
 
+A block of the real camera has reserved EVT3 words, which carry no event:
+
+    time high | 0xE0FF, "other" of subtype 0x0FF | ... | 0x9999, padding
+
+Sources: of 0xE0FF, a published capture of a TRT009S-E (octets 8E 8A FF E0), in the tests of viva-genicam; of 0x9999,
+LUCID's reply in event_camera_renderer, issue 8. The amount of padding is not public: here up to a multiple of
+8 octets, as a block of the capture has (824).
+
 `RangeSelection` holds the ranges of rows and columns and the rate control that a host writes, and applies them.
 """
 
@@ -67,6 +75,9 @@ _MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256
 _SENT_BLOCKS = 256
 _MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; events that need more octets go into the next block
+_OTHER = b"\xff\xe0"
+_PADDING = b"\x99\x99"
+_PADDED_OCTETS = 8
 _MOST_EDGES = 1 << 16
 _SILENCE_US = 1_000_000
 _LAST_NS = (1 << 64) - 1
@@ -104,6 +115,7 @@ class BlockOutflow(Outflow[Outgoing]):
         encoder = Evt3Encoder(standalone=True, width=settings.size[0], origin_us=epoch_us)
         super().__init__(encoder, epoch_us, OutflowLimits(settings.capacity, _MOST_EDGES, _SILENCE_US))
         self._block_us = settings.block_us
+        self._has_reserved = settings.reserved_words
         self._sent_blocks: deque[Block] = deque(maxlen=_SENT_BLOCKS)
         self.number = number
         self.shift_ns: int | None = None
@@ -138,7 +150,7 @@ class BlockOutflow(Outflow[Outgoing]):
         events = self._taken(first_us + LONGEST_GAP_US, _MOST_EVENTS)
         full = len(events) == _MOST_EVENTS
         edges = self._due_edges(int(events["t"][-1]) if full else min(now_us, first_us + LONGEST_GAP_US))
-        words, used, used_edges = self._encoder.fill(events, edges, BLOCK_OCTETS)
+        words, used, used_edges = self._encoder.fill(events, edges, BLOCK_OCTETS - _PADDED_OCTETS)
         self._put_back(events[used:])
         events, edges = events[:used], edges[:used_edges]
         self._reach(events, edges)
@@ -146,9 +158,17 @@ class BlockOutflow(Outflow[Outgoing]):
 
     def _numbered(self, words: bytes, time_us: int, packet_size: int) -> Block:
         self.number += 1
+        if self._has_reserved:
+            words = with_reserved_words(words)
         block = Block(self.number, self.stamp_ns(time_us), words, packet_size)
         self._sent_blocks.append(block)
         return block
+
+
+def with_reserved_words(words: bytes) -> bytes:
+    """Return the words of a block, the first of them a time high, with the reserved words of the real camera."""
+    padding = -(len(words) + len(_OTHER)) % _PADDED_OCTETS // len(_PADDING)
+    return words[:2] + _OTHER + words[2:] + _PADDING * padding
 
 
 class Triton2(PropheseeCamera[BlockOutflow]):

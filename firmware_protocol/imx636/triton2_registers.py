@@ -67,6 +67,7 @@ class Triton2Settings:
     start_delay_us
         Silence after AcquisitionStart: a host with the stock socket buffer begins to read some 0.1 s later.
     block_us : age at which a block is closed, unless it is full before.
+    reserved_words : True if blocks have the reserved words of the real camera; see `triton2.with_reserved_words`.
     capacity : most events that wait; further ones are dropped and counted.
     biases : effect of the biases on the sensor.
     ptp : True if the camera can follow a master of the Precision Time Protocol; a host switches that on.
@@ -80,6 +81,7 @@ class Triton2Settings:
     user_name: str = ""
     start_delay_us: int = 300_000
     block_us: int = 1000
+    reserved_words: bool = True
     capacity: int = 1 << 20
     biases: BiasModel = field(default_factory=BiasModel)
     ptp: bool = False

@@ -234,6 +234,13 @@ class EdgePath:
         message = Message(MessageKind.EDGES, block, self._time.of(int(edges["t"][0])))
         return Outgoing(edges=edges, epoch_us=self._time.epoch_us, message=message)
 
+    def take_until(self, until_us: int) -> Edges:
+        """Remove and return the edges (m,) not later than `until_us`, sorted, for a link that packs them itself."""
+        ordered = self._waiting[np.argsort(self._waiting["t"], kind="stable")]
+        count = int(np.searchsorted(ordered["t"], np.uint64(max(0, until_us)), side="right"))
+        self._waiting = ordered[count:]
+        return ordered[:count]
+
     def clear(self) -> None:
         """Drop what waits; the next block reports the edges that are missing."""
         self._unreported += len(self._waiting)

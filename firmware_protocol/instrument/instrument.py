@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -143,6 +144,7 @@ __all__ = ["Instrument", "Outgoing"]
 
 _MOST_EXECUTED = 256  # between two calls of take_commands, a millisecond apart at most
 _NO_LIMIT = 1 << 30
+_NO_MESSAGE = Message(MessageKind.EVENTS, b"", 0)
 
 
 class Instrument(EventDevice, HostAdjusted, HasClockInput):
@@ -156,6 +158,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
     Attributes
     ----------
     frames_refused : damaged frames that the link received; the link sets it, housekeeping reports it.
+    takes_edges : True if its link carries edges; if not, they are ignored.
     """
 
     set_by = "telecommand"
@@ -175,6 +178,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
         self._biases: SensorBiases = biases or DavisBiases()
         self._settings_version = 0
         self.frames_refused = 0
+        self.takes_edges = True
 
     @property
     def now_us(self) -> int:
@@ -242,7 +246,9 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
 
     def offer_edges(self, edges: Edges) -> None:
         """Apply edges to the external input, while the camera runs."""
-        seen = self.streaming and not (edges["t"].astype(np.int64) + self._time.offset_us < 0).any()
+        seen = (
+            self.streaming and self.takes_edges and not (edges["t"].astype(np.int64) + self._time.offset_us < 0).any()
+        )
         (self._edges.put if seen else self._edges.ignore)(edges)
 
     def advance(self, now_us: int) -> None:
@@ -320,6 +326,15 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
     def next_events(self, limit: int) -> Outgoing | None:
         """Hand out up to `limit` events for a link that packs them itself; otherwise as `next_message`."""
         return self._taken(self._path.take_unpacked(limit))
+
+    def next_items(self, limit: int) -> Outgoing:
+        """Hand out up to `limit` events and the edges before the next one, perhaps none, for a link that packs both."""
+        taken = self._path.take_unpacked(limit) or Outgoing(epoch_us=self.epoch_us, message=_NO_MESSAGE)
+        next_us = self._path.oldest_us
+        edges = self._edges.take_until(self._time.now_us if next_us is None else next_us)
+        outgoing = replace(taken, edges=edges)
+        self._fates.take(outgoing)
+        return outgoing
 
     def command(self, received: ReceivedCommand) -> None:
         """Execute a telecommand, and answer as PUS service 1 does."""

@@ -20,15 +20,12 @@ jAER reports a gap in the numbers to its user and continues. docs/streams.md lis
 
 Source: jAER, AEUnicastOutput.java, AEUnicastInput.java, AENetworkInterfaceConstants.java.
 
-AEStream and faery: datagrams of events only, without a number, little-endian.
+faery: datagrams of events only, without a number, little-endian.
 
-    spif                 u32: bit 31 = 1 no time, 30..16 x, 15 ON, 14..0 y      at most 128 in a datagram
     t64_x16_y16_on8      u64 us   u16 x   u16 y   u8 ON                         at most 100
     t32_x16_y15_on1      u32 us   u16 x   u16: bits 15..1 y, bit 0 ON           at most 100
 
-AEStream's receiver reads 512 bytes of a datagram, every four of them as an event, and ignores polarity.
-
-Sources: aestream, `dvs_to_udp.cpp`, and aestream 0.6.4 as a receiver; faery 0.7.1 as a sender and a receiver.
+Source: faery 0.7.1 as a sender and a receiver.
 
 The streams of dv-processing network servers: events or triggers as packets of AEDAT 4.0, little-endian.
 
@@ -124,6 +121,8 @@ class StreamFacts:
     frame_us : stream time of an image, if the stream is one of images.
     compression : "none" or "lz4", if the format has it.
     pictures : content of the images, if the stream is one of images.
+    form : name of the format, for coders of several.
+    repeat_us : period of repeated times, if a receiver may join at any word; see `network_streams.words`.
     """
 
     size: tuple[int, int]
@@ -131,6 +130,8 @@ class StreamFacts:
     frame_us: int = 20_000
     compression: str = "none"
     pictures: PictureSettings = field(default_factory=PictureSettings)
+    form: str = ""
+    repeat_us: int = 0
 
 
 @dataclass(frozen=True)
@@ -157,9 +158,9 @@ class ConnectionCoder(ABC):
         self.facts = facts
 
     @property
-    @abstractmethod
     def greeting(self) -> bytes:
-        """Bytes that a client gets first."""
+        """Bytes that a client gets first; empty if the format has no header."""
+        return b""
 
     @abstractmethod
     def encode(self, events: Events, edges: Edges) -> bytes | bytearray:
@@ -314,21 +315,8 @@ def _events_before(events: Events, edges: Edges) -> np.ndarray | None:
     return np.concatenate(([0], np.cumsum(is_event[order])))
 
 
-_NO_TIME = np.uint32(1 << 31)
 _SHORT = np.dtype([("t", "<u4"), ("x", "<u2"), ("y_on", "<u2")])
-_SPIF_EVENTS = 128
 _FAERY_EVENTS = 100
-
-
-class SpifCoder(DatagramCoder):
-    """Coder of events for AEStream, spiffer and SPIF boards; times are left out: an event has its time of arrival."""
-
-    limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
-
-    def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
-        """Yield datagrams of the events; edges are left out."""
-        words = (events["x"].astype("<u4") << 16) | (events["on"].astype("<u4") << 15) | events["y"] | _NO_TIME
-        yield from _cut(words.astype("<u4"), _SPIF_EVENTS)
 
 
 class FaeryLongCoder(DatagramCoder):
@@ -338,7 +326,7 @@ class FaeryLongCoder(DatagramCoder):
 
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
         """Yield datagrams of the events; edges are left out."""
-        yield from _cut(events.view(f"V{EVENT.itemsize}"), _FAERY_EVENTS)
+        yield from cut(events.view(f"V{EVENT.itemsize}"), _FAERY_EVENTS)
 
 
 class FaeryShortCoder(DatagramCoder):
@@ -352,10 +340,11 @@ class FaeryShortCoder(DatagramCoder):
         records["t"] = events["t"] & np.uint64(0xFFFFFFFF)
         records["x"] = events["x"]
         records["y_on"] = (events["y"] << 1) | events["on"]
-        yield from _cut(records, _FAERY_EVENTS)
+        yield from cut(records, _FAERY_EVENTS)
 
 
-def _cut(records: np.ndarray, events_at_most: int) -> Iterator[Datagram]:
+def cut(records: np.ndarray, events_at_most: int) -> Iterator[Datagram]:
+    """Yield datagrams of at most so many of records (n,), one an event."""
     data, size = memoryview(records.tobytes()), records.dtype.itemsize
     for first in range(0, len(records), events_at_most):
         end = min(first + events_at_most, len(records))

@@ -130,11 +130,6 @@ class _PictureCoder(ConnectionCoder):
         super().__init__(facts)
         self._frames = frames_for(facts.size, facts.frame_us, facts.pictures)
 
-    @property
-    def greeting(self) -> bytes:
-        """Empty: each image is complete in itself."""
-        return b""
-
     def encode(self, events: Events, edges: Edges) -> bytes:
         """Return the images that these events complete."""
         return self._joined(self._frames.add(events))

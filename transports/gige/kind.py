@@ -29,6 +29,8 @@ class GigeLink(LinkParameters):
     segmentation : True: the kernel or the network card divides blocks into packets (UDP segmentation). On loopback and
         veth, programs that read raw sockets, such as Aravis run by root, see undivided blocks.
     block_us : age at which a block is closed and sent, if it was not full before.
+    reserved_words : True: blocks have the words without events that the real camera sends: 0xE0FF after the first time,
+        and 0x9999 as padding.
     ptp : True: the host can have the camera follow a PTP master (IEEE 1588; feature PtpEnable). Needs UDP ports 319 and
         320 (root or CAP_NET_BIND_SERVICE).
     ptp_domain : domain of that protocol.
@@ -42,6 +44,7 @@ class GigeLink(LinkParameters):
     mbit_s: Annotated[float, Meta(ge=1, le=100_000)] = 1000.0
     segmentation: bool = False
     block_us: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
+    reserved_words: bool = True
     ptp: bool = False
     ptp_domain: Annotated[int, Meta(ge=0, le=127)] = 0
     name: str = "gige"

@@ -190,3 +190,10 @@ def check_region(parameters: InstrumentLink, camera: CameraFacts) -> None:
         parameters.instrument.selection(camera.size)
     except ValueError as error:
         raise Unsuitable(str(error), "instrument", "region") from error
+
+
+def check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> None:
+    """Raise Unsuitable if the sensor has more columns or rows than a format can number."""
+    if camera.size[0] > limit_px[0] or camera.size[1] > limit_px[1]:
+        limit, size = (f"{width} x {height}" for width, height in (limit_px, camera.size))
+        raise Unsuitable(f"{form} numbers {limit} pixels, not {size}", "format")

@@ -19,10 +19,10 @@ from firmware_protocol.network_streams.coders import (
     FaeryShortCoder,
     JaerCoder,
     PictureSettings,
-    SpifCoder,
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Port, Unsuitable
+from firmware_protocol.network_streams.words import WORD_CONNECTION_CODERS, WORD_DATAGRAM_CODERS
+from transports.link.kind import LinkKind, LinkParameters, Port, check_size
 from transports.needs import Need, package
 from transports.network import DatagramRate, DestinationPort, check_allow, check_destination
 
@@ -34,7 +34,7 @@ class TcpLink(LinkParameters):
     Attributes
     ----------
     format : "dv": AEDAT 4.0 packets of dv-processing. "caer": AEDAT 3.1 packets of cAER. "event_image": numpy arrays.
-        "display": coloured pictures (PPM). See docs/streams.md.
+        "display": coloured pictures (PPM). "evt2", "evt21", "evt3", "spif": a sensor's words. See docs/streams.md.
     host, port : address to listen on; port 0: a free one. Without authentication: any permitted client gets the events.
     allow : addresses and networks that may connect; required if other machines can reach `host`.
     buffer_mib : limit of the data that wait for one client; a paced run drops what has no room.
@@ -48,7 +48,7 @@ class TcpLink(LinkParameters):
     """
 
     kind: ClassVar[str] = "tcp"
-    format: Literal["dv", "caer", "event_image", "display"] = "dv"
+    format: Literal["dv", "caer", "event_image", "display", "evt2", "evt21", "evt3", "spif"] = "dv"
     host: str = "127.0.0.1"
     port: Port = 7777
     allow: tuple[str, ...] = ()
@@ -77,6 +77,10 @@ class TcpLink(LinkParameters):
         """Return the address, unless any free port is suitable."""
         return (self.host, self.port) if self.port else None
 
+    def sends_evt(self) -> bool:
+        """Return true if the format is one of EVT words."""
+        return self.format.startswith("evt")
+
     def needs(self) -> tuple[Need, ...]:
         """Return the package that compresses."""
         return (package("lz4"),) if self.compression == "lz4" else ()
@@ -88,7 +92,8 @@ class UdpLink(LinkParameters):
 
     Attributes
     ----------
-    format : "jaer", "caer", "spif" (AEStream), or faery's "t64_x16_y16_on8" or "t32_x16_y15_on1". See docs/streams.md.
+    format : "jaer", "caer", faery's "t64_x16_y16_on8" or "t32_x16_y15_on1", or a sensor's words: "spif" (AEStream),
+        "evt2", "evt21", "evt3". See docs/streams.md.
     host, port : address of the receiver. jAER listens on 8991.
     elsewhere : must be true if `host` is not on this machine, which then gets events even unrequested.
     mbit_s : highest rate, Mbit/s of payload: receivers lose data that arrive faster than they read. At 8 bytes an
@@ -97,7 +102,7 @@ class UdpLink(LinkParameters):
     """
 
     kind: ClassVar[str] = "udp"
-    format: Literal["jaer", "caer", "spif", "t64_x16_y16_on8", "t32_x16_y15_on1"] = "jaer"
+    format: Literal["jaer", "caer", "spif", "t64_x16_y16_on8", "t32_x16_y15_on1", "evt2", "evt21", "evt3"] = "jaer"
     host: str = "127.0.0.1"
     port: DestinationPort = 8991
     elsewhere: bool = False
@@ -108,39 +113,37 @@ class UdpLink(LinkParameters):
         check_bounds(self)
         check_destination(self.host, elsewhere=self.elsewhere)
 
+    def sends_evt(self) -> bool:
+        """Return true if the format is one of EVT words."""
+        return self.format.startswith("evt")
+
 
 CONNECTION_CODERS: Mapping[str, type[ConnectionCoder]] = {
     "dv": DvCoder,
     "caer": CaerConnectionCoder,
     "event_image": EventImageCoder,
     "display": DisplayCoder,
+    **WORD_CONNECTION_CODERS,
 }
 DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
     "jaer": JaerCoder,
     "caer": CaerDatagramCoder,
-    "spif": SpifCoder,
     "t64_x16_y16_on8": FaeryLongCoder,
     "t32_x16_y15_on1": FaeryShortCoder,
+    **WORD_DATAGRAM_CODERS,
 }
-
-
-def _check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> None:
-    if camera.size[0] > limit_px[0] or camera.size[1] > limit_px[1]:
-        raise Unsuitable(
-            f"{form} numbers {limit_px[0]} x {limit_px[1]} pixels, not {camera.size[0]} x {camera.size[1]}", "format"
-        )
 
 
 TCP = LinkKind(
     TcpLink,
     serves="plain",
     endpoint="transports.network_streams.tcp:TcpEndpoint",
-    check=lambda link, camera: _check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera),
+    check=lambda link, camera: check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera),
 )
 
 UDP = LinkKind(
     UdpLink,
     serves="plain",
     endpoint="transports.network_streams.udp:UdpEndpoint",
-    check=lambda link, camera: _check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera),
+    check=lambda link, camera: check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera),
 )

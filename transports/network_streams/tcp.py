@@ -368,7 +368,8 @@ class TcpEndpoint(Endpoint):
 
     def __init__(self, link: TcpLink, wiring: Wiring, device: PlainDevice, deliveries: Deliveries) -> None:
         camera = link.camera or wiring.camera.model.upper()
-        facts = StreamFacts(wiring.camera.size, camera, round(link.frame_ms * 1000), link.compression, link.pictures)
+        frame_us = round(link.frame_ms * 1000)
+        facts = StreamFacts(wiring.camera.size, camera, frame_us, link.compression, link.pictures, link.format)
         self._link = link
         self._device = device
         self._deliveries = deliveries

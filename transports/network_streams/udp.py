@@ -27,7 +27,8 @@ class UdpEndpoint(Endpoint):
     def __init__(self, link: UdpLink, wiring: Wiring, device: PlainDevice, deliveries: Deliveries) -> None:
         self._device = device
         self._clock = deliveries.clock
-        self._coder = DATAGRAM_CODERS[link.format](StreamFacts(wiring.camera.size, wiring.camera.model.upper()))
+        facts = StreamFacts(wiring.camera.size, wiring.camera.model.upper(), form=link.format)
+        self._coder = DATAGRAM_CODERS[link.format](facts)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
         self._batch = _OpenItems(device, deliveries)
         self._datagrams: Iterator[Datagram] = iter(())

@@ -3,6 +3,10 @@
     instrument.next_message -> profile.wrap -> transmitter -> _write -> port
     instrument.command <- unwrapper <- _receive <- port
 
+With the words of a sensor (`network_streams.words`), a few events at a time become words, and nothing is received:
+
+    instrument.next_items -> coder.encode -> transmitter -> _write -> port
+
 Messages in transit are lost with a port that disappears, and are counted; the instrument then counts new events as not
 running until the port is back. The tick never waits for the port: blocking calls are made in a thread.
 
@@ -32,7 +36,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
+from firmware_protocol.network_streams.coders import ConnectionCoder, StreamFacts
+from firmware_protocol.network_streams.words import WORD_CONNECTION_CODERS, repeat_us
 from firmware_protocol.packets.profile import Profile
 from transports.faults.faulty_line import FaultyLine
 from transports.link.deliveries import Deliveries
@@ -219,6 +226,7 @@ class Transmitter(Generic[_Tag]):
 
 _AHEAD_NS = 600_000  # a little more than a tick of the link
 _RETRY_NS = 500_000_000
+_WORDS_S = 0.25e-3  # time of the events of a frame, at one byte an event: about a tick at four
 _PULL_NS = 50_000_000
 _PULL_LOOKS = 10  # the kernel moves bytes of a pty with a delay, and shows none in between
 _CLOSE_S = 0.5
@@ -256,6 +264,16 @@ class SerialEndpoint(Endpoint):
         self._profile = Profile(self._line.profile)
         self._commands = self._profile.command_unwrapper()
         self._baud = BaudClock(self._line.baud, self._line.bits)
+        self._coder: ConnectionCoder | None = None
+        if self._line.sends_words:
+            form = self._line.format
+            camera = factory.wiring.camera
+            period_us = repeat_us(form, self._baud.bytes_per_s)
+            facts = StreamFacts(camera.size, camera.model, form=form, repeat_us=period_us)
+            self._coder = WORD_CONNECTION_CODERS[form](facts)
+            instrument.takes_edges = self._coder.has_edges
+        self._most_events = max(1, round(self._baud.bytes_per_s * _WORDS_S))
+        self._epoch_us = 0
         self._out: Transmitter[Outgoing] = Transmitter(self._baud, self._next_frame, self._left, _AHEAD_NS)
         self.faulty = FaultyLine(factory.wiring.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
         self._counts: Counter[str] = Counter()
@@ -329,7 +347,7 @@ class SerialEndpoint(Endpoint):
         return f"{self._line.baud} baud on {self._port.address}"
 
     def report(self) -> EndpointReport:
-        """Return the port, evstim's own receiver while no program reads it, the load of the line, and counts."""
+        """Return the port, evstim's own receiver while no program reads telemetry, the load of the line, and counts."""
         counts = {
             "telecommands": self._commands.counters.packets,
             "damaged_frames": self._instrument.frames_refused,
@@ -340,7 +358,8 @@ class SerialEndpoint(Endpoint):
         use = LineUse(self._baud.carried, self._baud.share(self._clock.now_ns()), self._baud.busiest_share)
         if self._port is None:
             return EndpointReport(use=use, counts=counts)
-        attach = "" if self._has_reader else f"evstim listen serial {self._port.address}{self._other_options}"
+        has_receiver = self._has_reader or self._coder is not None
+        attach = "" if has_receiver else f"evstim listen serial {self._port.address}{self._other_options}"
         return EndpointReport(self._port.address, attach, use, counts)
 
     @property
@@ -356,7 +375,7 @@ class SerialEndpoint(Endpoint):
 
     def _receive(self, data: bytes) -> None:
         """Process bytes of the other side; the only input."""
-        if not data:
+        if not data or self._coder is not None:
             return
         for received in self._commands.push(data):
             self._instrument.command(received)
@@ -364,8 +383,24 @@ class SerialEndpoint(Endpoint):
         self._instrument.frames_refused = sum(counters.frames.refused.values()) + sum(counters.refused.values())
 
     def _next_frame(self) -> Frame[Outgoing] | None:
+        if self._coder is not None:
+            return self._next_words(self._coder)
         outgoing = self._instrument.next_message()
         return None if outgoing is None else Frame(self._profile.wrap(outgoing.message), outgoing)
+
+    def _next_words(self, coder: ConnectionCoder) -> Frame[Outgoing] | None:
+        """Return the next items as words, or in a silence the words of the time that are due."""
+        data = b""
+        outgoing = self._instrument.next_items(self._most_events)
+        epoch_us = outgoing.epoch_us
+        if epoch_us != self._epoch_us:
+            self._epoch_us = epoch_us
+            coder.restart()
+        if outgoing.numbers.total:
+            data = bytes(coder.encode(own_time(outgoing.events, epoch_us), own_time(outgoing.edges, epoch_us)))
+        elif not self._instrument.waiting_items:  # events that a rate limit holds still have to follow
+            data = coder.advance(self._instrument.own_us)
+        return Frame(data, outgoing) if data else None
 
     def _left(self, outgoing: Outgoing) -> None:
         self._instrument.sent(outgoing)
@@ -386,6 +421,8 @@ class SerialEndpoint(Endpoint):
             self.faulty.drop()
             for outgoing in self._out.drop():
                 self._instrument.lost(outgoing)
+            if self._coder is not None:
+                self._coder.restart()
             self._instrument.disconnected()
 
     def _pull_out(self) -> None:

@@ -1,14 +1,19 @@
 """Events into a camera, blocks out: exact, each with one fate."""
 
+import faery
 import numpy as np
 import pytest
+from evt3_streams import by_evt3
 from gige_host import Host, steady
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.evt.evt3 import Evt3Decoder
+from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.gige.gvcp import Command, Resend
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS
+from firmware_protocol.imx636.triton2 import with_reserved_words
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_STOP, COLUMNS, INVERTED, ROWS, Erc
 
 
@@ -17,7 +22,7 @@ def test_blocks_of_a_busy_stream_are_full():
     host.start()
     host.camera.offer(steady(60_000))
     sizes = [len(outgoing.block.data) for outgoing in host.blocks()]
-    assert min(sizes[:-1]) > BLOCK_OCTETS - 16
+    assert min(sizes[:-1]) > BLOCK_OCTETS - 24  # a turn of the loop, and the padding of eight octets
 
 
 @pytest.mark.parametrize("step_us", [0, 1, 700, 20_000, 3_000_000])
@@ -55,7 +60,35 @@ def test_blocks_begin_anew_so_that_a_lost_one_harms_only_itself():
     for block in blocks:
         kinds = np.frombuffer(block.data[:8], "<u2") >> 12
         assert kinds[0] == 8
-        assert kinds[kinds != 8][:2].tolist() == [6, 0]
+        assert kinds[kinds != 8][:2].tolist() == [14, 6]
+
+
+def test_a_block_has_the_reserved_words_of_the_real_camera():
+    """A capture begins with 8E 8A FF E0: a time high, then "other" of subtype 0x0FF. Padding fills eight octets."""
+    words = bytes.fromhex("8e8a 0160 0500 0428")
+    assert with_reserved_words(words) == bytes.fromhex("8e8a ffe0 0160 0500 0428 9999 9999 9999")
+    assert with_reserved_words(words[:6]) == bytes.fromhex("8e8a ffe0 0160 0500")
+
+
+def by_faery(data, folder):
+    path = folder / "a.raw"
+    path.write_bytes(evt3_header((1280, 720)) + data)
+    return np.concatenate(list(faery.events_stream_from_file(path)))
+
+
+@pytest.mark.parametrize("reserved", [True, False])
+def test_readers_skip_the_reserved_words(reserved, tmp_path):
+    host = Host(reserved_words=reserved, block_us=1)
+    host.start()
+    data = []
+    for part in np.array_split(steady(100_000), 60):
+        host.camera.offer(part)
+        data += [outgoing.block.data for outgoing in host.blocks()]
+    words, events = np.frombuffer(b"".join(data), "<u2"), steady(100_000)
+    assert [int((words == word).sum()) > 20 for word in (0xE0FF, 0x9999)] == [reserved, reserved]
+    assert not reserved or all(len(block) % 8 == 0 for block in data)
+    for seen in (Evt3Decoder().decode(b"".join(data))[0], by_evt3(b"".join(data)), by_faery(b"".join(data), tmp_path)):
+        assert all((seen[name] == events[name]).all() for name in events.dtype.names)
 
 
 def test_a_silence_is_told_by_blocks_of_time():

@@ -15,9 +15,9 @@ from firmware_protocol.network_streams.coders import (
     FaeryLongCoder,
     FaeryShortCoder,
     JaerCoder,
-    SpifCoder,
     StreamFacts,
 )
+from firmware_protocol.network_streams.words import SpifCoder, SpifConnectionCoder
 from tests.transports.network_streams.stream_readers import (
     CaerDatagrams,
     JaerDecoder,
@@ -70,6 +70,7 @@ def test_spif_words_are_the_places_and_polarities():
     events = some_events(300)
     decoded = [event for datagram in SpifCoder(FACTS).encode(events, NO_EDGES) for event in spif_events(datagram.data)]
     assert decoded == [(x, y, on) for _, x, y, on in events.tolist()]
+    assert spif_events(SpifConnectionCoder(FACTS).encode(events, NO_EDGES)) == decoded
 
 
 @pytest.mark.parametrize("coder", DATAGRAM_CODERS)
