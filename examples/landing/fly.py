@@ -22,7 +22,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -30,15 +29,14 @@ import msgspec
 from flight_computer import Settings
 from links import Connection, Fault, Faults, opened_bus
 from pilot import DELAY_S, LAW_FAILED, NAVIGATIONS, GivenLaw, LawFailed
-from real_time import STEP_S, RealTimeSpacecraft, latencies
+from real_time import RealTimeSpacecraft, latencies
 from report import judgement, reasons, rows_of, verdict, write_page
 from sensors import SensorErrors, Sensors
-from spacecraft import ANSWER_S, LONGEST_S, PICTURE_S, Mission, Spacecraft, TouchDown, fly_without_camera
+from spacecraft import ANSWER_S, LONGEST_S, Mission, Spacecraft, TouchDown, fly_without_camera
 from vehicle import Height, Record, State
 
 from emulator.report.page import ChartsLacking
 from emulator.rig.loading import RigError, load_rig
-from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import build_ground
 
 _WRONG_USE, _LACKING = 2, 3  # exit codes
@@ -46,29 +44,15 @@ _HERE = Path(__file__).parent
 _READY_S, _END_S = 600.0, 60.0
 _COLUMNS = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s,thrust_n,mass_kg,qw,qx,qy,qz"
 
-
-@dataclass(frozen=True)
-class Ends:
-    """Addresses of the links: the bus's TCP port, the UDP port of poses, the serial line."""
-
-    can_port: int
-    pose_port: int
-    serial: str
-
-    @classmethod
-    def free(cls, out: Path) -> Ends:
-        """Return free ports, and a serial line in a folder."""
-        with socket.create_server(("127.0.0.1", 0)) as bus, socket.socket(type=socket.SOCK_DGRAM) as poses:
-            poses.bind(("127.0.0.1", 0))
-            return cls(bus.getsockname()[1], poses.getsockname()[1], str(out / "serial"))
+Ends = tuple[int, int, str]
+"""Addresses of the links: the bus's TCP port, the UDP port of poses, the serial line."""
 
 
-class NotStarted(RuntimeError):
-    """A process did not start; `code` is the exit code by cause."""
-
-    def __init__(self, text: str, code: int) -> None:
-        super().__init__(text)
-        self.code = code
+def free_ends(out: Path) -> Ends:
+    """Return free ports, and a serial line in a folder."""
+    with socket.create_server(("127.0.0.1", 0)) as bus, socket.socket(type=socket.SOCK_DGRAM) as poses:
+        poses.bind(("127.0.0.1", 0))
+        return bus.getsockname()[1], poses.getsockname()[1], str(out / "serial")
 
 
 @contextmanager
@@ -77,7 +61,8 @@ def running(
 ) -> Iterator[Callable[[], str]]:
     """Run a Python program until the block ends; it has started when the file `ready` is there.
 
-    Gives a function that returns "" while it runs, then a sentence about its end; raises NotStarted.
+    Gives a function that returns "" while it runs, then a sentence about its end. Raises SystemExit, with the exit code
+    by cause, where it does not start.
     """
     ready.unlink(missing_ok=True)
     with subprocess.Popen([sys.executable, *map(str, arguments)], stdout=output) as process:
@@ -91,8 +76,8 @@ def running(
             end_s = time.monotonic() + _READY_S
             while not ready.exists():
                 if process.poll() is not None or time.monotonic() > end_s:
-                    code = _WRONG_USE if process.poll() == _WRONG_USE else _LACKING
-                    raise NotStarted(f"{name} has not started, see above", code)
+                    print(f"\nfly.py: {name} has not started, see above", file=sys.stderr)
+                    raise SystemExit(_WRONG_USE if process.poll() == _WRONG_USE else _LACKING)
                 time.sleep(0.05)
             yield ended
         finally:
@@ -104,13 +89,12 @@ def running(
 
 
 def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faults: Faults) -> TouchDown:
-    """Fly a landing; return its end. Its files are in `out`, the rig among them. Raises NotStarted."""
-    given, seed = options.navigation == "given", options.seed
+    """Fly a landing; return its end. Its files are in `out`, the rig among them."""
+    given, seed, (can_port, pose_port, serial) = options.navigation == "given", options.seed, ends
     mission = (Mission.with_given_attitude if given else Mission.drawn)(options.height, seed)
     settings = Settings(
-        can_port=ends.can_port, serial=ends.serial, folder=str(out), seed=seed, known=mission.known,
-        navigation=options.navigation, guidance=options.guidance, delay_s=options.delay_s, real_time=options.real_time,
-        attitude_s=STEP_S if options.real_time else PICTURE_S, **faults.of_computer(),
+        can_port, serial, seed, mission.known, options.navigation, options.guidance, options.delay_s,
+        options.real_time, tuple(options.fault),
     )  # fmt: skip
     (out / "computer.json").write_bytes(msgspec.json.encode(settings))
     failed = out / LAW_FAILED
@@ -123,7 +107,7 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
             run += ["--ready-file", out / "ready", *(["--record", options.record] if options.record else [])]
             summary = stack.enter_context((out / "summary.json").open("w"))
             processes.append(stack.enter_context(running("evstim", run, out / "ready", summary)))
-        bus = stack.enter_context(opened_bus(ends.can_port))
+        bus = stack.enter_context(opened_bus(can_port))
         computer = [_HERE / "flight_computer.py", out / "computer.json"]
         processes.append(stack.enter_context(running("the flight computer", computer, out / "computer.ready")))
         record = stack.enter_context(_recorded(out / "truth.csv", ground))
@@ -132,7 +116,7 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
             sentences = [sentence for ended in processes if (sentence := ended())]
             return failed.read_text() if sentences and failed.exists() else "; ".join(sentences)
 
-        connection = Connection(bus, ends.pose_port, trouble, faults)
+        connection = Connection(bus, pose_port, trouble, faults)
         if options.real_time:
             vehicle = RealTimeSpacecraft(mission.lander, mission.state, connection, options.longest_s)
         else:
@@ -140,7 +124,7 @@ def fly(options: argparse.Namespace, out: Path, ends: Ends, ground: Height, faul
             waits_s = options.answer_s, options.longest_s
             vehicle = Spacecraft(mission.lander, mission.state, connection, sensors, options.delay_s, *waits_s)
         end = vehicle.land(ground, record)
-    if isinstance(vehicle, RealTimeSpacecraft) and (rows := rows_of(out)):
+    if options.real_time and (rows := rows_of(out)):
         (out / "latency.json").write_text(json.dumps(latencies(vehicle.origin_ns, vehicle.commands, rows)))
     return end
 
@@ -161,10 +145,8 @@ def _recorded(file: Path, ground: Height) -> Iterator[Record]:
 
 
 def ground_of(rig: Path) -> Height:
-    """Return the height of a rig's ground under a place; off its map that of the middle."""
-    scene = load_rig(str(rig)).scene
-    assert isinstance(scene, TerrainParameters), "landing.toml is a terrain"
-    ground = build_ground(scene)
+    """Return the height of a rig's ground, a terrain, under a place; off its map that of the middle."""
+    ground = build_ground(load_rig(str(rig)).scene)
     return lambda x_m, y_m: ground.height_m(x_m, y_m) or 0.0
 
 
@@ -177,23 +159,26 @@ def main() -> int:
         return _WRONG_USE
     out = (options.out or Path(tempfile.mkdtemp(prefix="landing-"))).resolve()
     out.mkdir(parents=True, exist_ok=True)
-    ends = Ends.free(out)
+    ends = free_ends(out)
     if options.attach:
         can_port, pose_port, serial = options.attach
-        ends = Ends(int(can_port), int(pose_port), serial)
+        ends = int(can_port), int(pose_port), serial
     (out / "landing.toml").write_text(_rig_text(options, ends))
     faults = Faults(options.fault, options.seed)
     try:
         ground = ground_of(out / "landing.toml")
-        end = fly(options, out, ends, ground, faults)
-    except (RigError, NotStarted) as error:
-        print(f"\nfly.py: {error}", file=sys.stderr)
-        return error.code if isinstance(error, NotStarted) else _WRONG_USE
+    except RigError as error:
+        print(f"fly.py: {error}", file=sys.stderr)
+        return _WRONG_USE
+    end = fly(options, out, ends, ground, faults)
     judged = verdict(end, out, faults.frames_lost)
     if options.navigation != "given":
         judged |= judgement(end, ground)
     if options.navigation != "given" and options.compare:
-        judged["others"] = {name: _other(name, options, ground) for name in ("blind", "altimeter")}
+        judged["others"] = {}
+        for name in ("blind", "altimeter"):  # the same start, without a camera
+            other = fly_without_camera(options.height, options.seed, name, ground, options.delay_s)
+            judged["others"][name] = {"touched": other.touched, "t_s": other.t_s} | judgement(other, ground)
     return _report(end, judged, options, out)
 
 
@@ -214,20 +199,14 @@ def _wrong_use(options: argparse.Namespace) -> str:
     return ""
 
 
-def _other(navigation: str, options: argparse.Namespace, ground: Height) -> dict[str, object]:
-    """Return the judgement of the same start flown with another navigation, without a camera."""
-    end = fly_without_camera(options.height, options.seed, navigation, ground, options.delay_s)
-    return {"touched": end.touched, "t_s": end.t_s} | judgement(end, ground)
-
-
 def _rig_text(options: argparse.Namespace, ends: Ends) -> str:
     """Return the rig of a flight, with its links' addresses."""
     file = options.rig or _HERE / ("landing-realtime.toml" if options.real_time else "landing.toml")
     text = re.sub(r"(?m)^seed = 8$", f"seed = {options.terrain}", file.read_text())
     if options.lead_us:
         text = re.sub(r"(?m)^lead_us = \d+", f"lead_us = {options.lead_us}", text)
-    text = text.replace("29536", str(ends.can_port)).replace("10364", str(ends.pose_port))
-    text = text.replace("/tmp/evstim-landing", ends.serial)
+    for name, end in zip(("29536", "10364", "/tmp/evstim-landing"), ends, strict=True):
+        text = text.replace(name, str(end))
     return "\n".join([text, *(table.read_text() for table in options.table)])
 
 

@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from divergence import Motion
@@ -63,15 +62,6 @@ def window_s(down_1_s: float, east_1_s: float, south_1_s: float) -> float:
     return float(np.clip(WINDOW_PX / speed_px_s, *WINDOW_S))
 
 
-class _Sent(NamedTuple):
-    """A command: when it acts, its acceleration upwards, and the height at its turn."""
-
-    acts_s: float
-    up_m_s2: float
-    turn_s: float
-    height_m: float
-
-
 class Guidance:
     """Turns motions into accelerations, predicted for the time at which the next command acts.
 
@@ -89,8 +79,9 @@ class Guidance:
         east, north, up = velocity_m_s.tolist()
         self.motion = Motion(east / height_m, -north / height_m, -up / height_m, math.inf, 0.0, 0)
         self._delay_s, self._attitude_s = delay_s, attitude_s
-        self._attitudes = deque([(-1.0, NO_TURN)], maxlen=200)  # upright, before the first one comes
-        self._sent: deque[_Sent] = deque(maxlen=100)
+        self._attitudes = deque([(-2.0, NO_TURN), (-1.0, NO_TURN)], maxlen=200)  # upright, before the first one comes
+        # Of each command: the time at which it acts, its acceleration upwards, time and height of its turn.
+        self._sent: deque[tuple[float, float, float, float]] = deque(maxlen=100)
         self._accepted_s = self._now_s = 0.0
         self.begins_s = -math.inf  # events before it do not count
         self._sink_m_s = -up
@@ -146,12 +137,8 @@ class Guidance:
         steady = wanted**2 * self.height_m * (self.height_m > FINAL_M)
         self._up_m_s2 = steady + gain * (down - wanted) + GRAVITY_M_S2
         acts_s = now_s + self._delay_s + ENGINE_S
-        self._sent.append(_Sent(acts_s, self._up_m_s2, now_s, self.height_m))
+        self._sent.append((acts_s, self._up_m_s2, now_s, self.height_m))
         return np.array([*self._sideways_m_s2(now_s), self._up_m_s2])
-
-    def frames(self) -> list[tuple[int, bytes]]:
-        """Return frames that are sent before a command: none."""
-        return []
 
     def took(self, seconds: float) -> None:
         """Report the time of the last command from its turn until it was sent."""
@@ -163,17 +150,19 @@ class Guidance:
 
     def row(self, now_s: float) -> dict[str, object]:
         """Return what belongs into the log of a turn."""
-        seen = self.motion
-        return seen.row() | {"height_m": self.height_m, "lost": self.lost(now_s)}
+        return self.motion.row() | {"height_m": self.height_m, "lost": self.lost(now_s)}
 
     def expected(self, end_s: float) -> float:
         """Return the divergence that is predicted for a time from the last motion on."""
-        t_s = self.motion.at_s
-        height_m = self._height_m(t_s)
+        t_s, height_m = self.motion.at_s, self.height_m
+        if self._sent:
+            _, _, turns_s, heights_m = zip(*self._sent, strict=True)
+            height_m = float(np.interp(t_s, turns_s, heights_m))
         sink_m_s = self.motion.down * height_m
         while t_s < end_s:
             step_s = min(_STEP_S, end_s - t_s)
-            sink_m_s += (GRAVITY_M_S2 - self._up(t_s) + self._drift_m_s2) * step_s
+            acting = [up_m_s2 for acts_s, up_m_s2, _, _ in self._sent if acts_s <= t_s] or [GRAVITY_M_S2]
+            sink_m_s += (GRAVITY_M_S2 - acting[-1] + self._drift_m_s2) * step_s
             height_m = max(height_m - sink_m_s * step_s, _LEAST_M)
             t_s += step_s
         return sink_m_s / height_m
@@ -192,14 +181,3 @@ class Guidance:
         sideways = _SIDEWAYS_1_S * self.height_m * np.array([-self.motion.east, self.motion.south])
         tilt = _MOST_TILT * min(1.0, _TILT_M / self.height_m)
         return sideways * min(1.0, tilt * max(self._up_m_s2, 0.0) / max(float(np.hypot(*sideways)), 1e-9))
-
-    def _height_m(self, t_s: float) -> float:
-        """Return the height that was reckoned for a time."""
-        if not self._sent:
-            return self.height_m
-        return float(np.interp(t_s, [sent.turn_s for sent in self._sent], [sent.height_m for sent in self._sent]))
-
-    def _up(self, t_s: float) -> float:
-        """Return the acceleration of the command that acted at a time."""
-        acting = [sent.up_m_s2 for sent in self._sent if sent.acts_s <= t_s]
-        return acting[-1] if acting else GRAVITY_M_S2

@@ -34,7 +34,6 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import can
 import numpy as np
@@ -58,7 +57,7 @@ class Fault:
 
     kind: str
     at_s: float
-    for_s: float = math.inf
+    for_s: float = 1e9
     share: float = 1.0
 
     @classmethod
@@ -67,7 +66,7 @@ class Fault:
         found = _TEXT.fullmatch(text)
         if found is None or found["kind"] not in KINDS:
             raise ValueError(f"{text!r}: a fault is KIND@AT[+FOR][=SHARE], KIND one of {', '.join(KINDS)}")
-        return cls(found["kind"], float(found["at"]), float(found["for"] or "inf"), float(found["share"] or 1))
+        return cls(found["kind"], float(found["at"]), float(found["for"] or 1e9), float(found["share"] or 1))
 
     def on(self, t_s: float) -> bool:
         """Return True while the fault lasts."""
@@ -102,10 +101,6 @@ class Faults:
         self.frames_lost += lost
         return lost
 
-    def of_computer(self) -> dict[str, float]:
-        """Return the settings of the flight computer that make it fail."""
-        return {f"{fault.kind}_at_s": fault.at_s for fault in self._faults if fault.kind in ("crash", "hang")}
-
 
 @contextmanager
 def opened_bus(port: int) -> Iterator[can.BusABC]:
@@ -122,6 +117,7 @@ def _send(bus: can.BusABC, identifier: int, data: bytes) -> None:
 
 _LOOKING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])  # body from camera
 _POLL_S = 0.5
+_MOST_COUNTER = 240  # of a SYNC
 
 
 class Connection:
@@ -138,14 +134,14 @@ class Connection:
     def __init__(self, bus: can.BusABC, pose_port: int, trouble: Callable[[], str], faults: Faults) -> None:
         self._bus, self._poses, self.trouble, self.faults = bus, ("127.0.0.1", pose_port), trouble, faults
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._counter = 0
+        self._poses_sent = self._syncs = 0
         self._estimate = b""
 
     def pose(self, t_s: float, state: State) -> None:
         """Send the pose of the camera at a stream time."""
         q = product(state.attitude, _LOOKING_DOWN)
-        message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._counter)
-        self._counter += 1
+        message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._poses_sent)
+        self._poses_sent += 1
         if (data := self.faults.datagram(message, t_s)) is not None:
             self._socket.sendto(data, self._poses)
 
@@ -154,14 +150,16 @@ class Connection:
         if not self.faults.loses_frame(t_s):
             _send(self._bus, identifier, data)
 
-    def sync(self, counter: bytes = b"") -> None:
-        """Send a SYNC."""
-        _send(self._bus, SYNC, counter)
+    def sync(self) -> int:
+        """Send a SYNC; return its counter."""
+        self._syncs = self._syncs % _MOST_COUNTER + 1
+        _send(self._bus, SYNC, bytes([self._syncs]))
+        return self._syncs
 
-    def answer(self, t_s: float, limit_s: float) -> tuple[Vector, int, bytes] | None:
-        """Return the next command, the turn that it answers and the newest estimate; None when the bus lost it.
+    def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[Vector, bytes] | None:
+        """Return the command that answers a turn, and the newest estimate; None when the bus lost it.
 
-        Raises TimeoutError when none comes within `limit_s` of wall time, or when there is trouble.
+        Raises TimeoutError, with the cause, when none comes within `limit_s` of wall time, or when there is trouble.
         """
         end_s = time.monotonic() + limit_s
         while (left_s := end_s - time.monotonic()) > 0 and not self.trouble():
@@ -169,9 +167,12 @@ class Connection:
             if message is not None and message.arbitration_id == ESTIMATE:
                 self._estimate = bytes(message.data)
             if message is not None and message.arbitration_id == COMMAND:
-                command, turn = unpack_command(bytes(message.data))
-                return None if self.faults.loses_frame(t_s) else (command, turn, self._estimate)
-        raise TimeoutError
+                command, answered = unpack_command(bytes(message.data))
+                if self.faults.loses_frame(t_s):
+                    return None
+                if answered == turn % (1 << 16):
+                    return command, self._estimate
+        raise TimeoutError(self.trouble() or f"the flight computer did not answer within {limit_s:g} s")
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame of the bus, if one comes in time."""
@@ -181,22 +182,6 @@ class Connection:
 _REQUEST_S = 0.5
 _PATIENCE_S = 10.0  # longest wait for missing events, wall time: the line is stalled
 _STANDS_S = 5.0  # longest wait for a camera whose time stands still, wall time: it receives no SYNC
-
-
-class Edge(NamedTuple):
-    """A SYNC among the events: its time and its counter on the bus."""
-
-    t_us: int
-    counter: int
-
-
-class Arrival(NamedTuple):
-    """Some events that came at one instant: that of CLOCK_MONOTONIC, the oldest and the newest event, their number."""
-
-    at_ns: int
-    oldest_us: int
-    newest_us: int
-    events: int
 
 
 class Links:
@@ -215,8 +200,9 @@ class Links:
         self._port: int | None = None
         self._receiver = SerialReceiver("ccsds-cobs")
         self._received = 0
-        self.edges: list[Edge] = []
-        self.arrivals: list[Arrival] = []
+        self.edges: list[tuple[int, int]] = []  # SYNCs among the events: time, us, and counter on the bus
+        # Instant of a read, CLOCK_MONOTONIC, ns; times of its oldest and newest event, us; number of its events.
+        self.arrivals: list[tuple[int, int, int, int]] = []
         self.syncs = self.lost = 0
         self._open()
 
@@ -230,13 +216,15 @@ class Links:
         first = self._report(until_us, end_s)
         if first is None:
             return
-        requested_s = time.monotonic()
-        while self._port is not None and self._received + self.lost < first.events.sent and time.monotonic() < end_s:
-            self.receive(0.01)
-            if time.monotonic() > requested_s + _REQUEST_S:
-                if self._report(0, end_s) is not None:
-                    self.lost = max(self.lost, first.events.sent - self._received)
-                requested_s = time.monotonic()
+        self.wait(lambda: self._received + self.lost >= first.events.sent, _REQUEST_S)
+        if self._received + self.lost < first.events.sent and self._report(0, end_s) is not None:
+            self.lost = max(self.lost, first.events.sent - self._received)
+
+    def wait(self, done: Callable[[], bool], seconds: float) -> None:
+        """Receive until something is done, at most so long, wall time."""
+        end_s = time.monotonic() + seconds
+        while not done() and time.monotonic() < end_s:
+            self.receive(0.001)
 
     def receive(self, timeout_s: float) -> None:
         """Take what has come; wait for the serial line, or for a line that is not there."""
@@ -300,7 +288,6 @@ class Links:
         events, edges = self._receiver.take_events(), self._receiver.take_edges()
         if len(events):
             self._received += len(events)
-            oldest_us, newest_us = int(events["t"][0]), int(events["t"][-1])
-            self.arrivals.append(Arrival(time.monotonic_ns(), oldest_us, newest_us, len(events)))
+            self.arrivals.append((time.monotonic_ns(), int(events["t"][0]), int(events["t"][-1]), len(events)))
             self._window.add_events(events)
-        self.edges += [Edge(*pair) for pair in zip(edges["t"].tolist(), edges["seq"].tolist(), strict=True)]
+        self.edges += zip(edges["t"].tolist(), edges["seq"].tolist(), strict=True)

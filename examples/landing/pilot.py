@@ -79,7 +79,7 @@ class GivenLaw:
 
     def _within(self, seconds: float, call: Callable[[], Result]) -> Result:
         """Return the result of a call; raises LawFailed for any exception of it, and when it takes longer."""
-        results: list[Result | LawFailed] = []
+        results: list[Result | LawFailed] = [LawFailed(f"did not return within {seconds:g} s")]
 
         def work() -> None:
             try:
@@ -93,11 +93,9 @@ class GivenLaw:
         thread.start()
         for _ in range(2):  # a machine that stands still may take away one half
             thread.join(seconds / 2)
-        if not results:
-            raise LawFailed(f"did not return within {seconds:g} s")
-        if isinstance(results[0], LawFailed):
-            raise results[0]
-        return results[0]
+        if isinstance(results[-1], LawFailed):
+            raise results[-1]
+        return results[-1]
 
     def _described(self, error: BaseException) -> str:
         """Return kind and message of an error, and the line of the law's file that it came from."""
@@ -181,13 +179,14 @@ class Pilot:
         self._seen_s = self.begins_s
 
     def take_frame(self, identifier: int, data: bytes) -> None:
-        """Take a frame of the bus; raises ValueError for one of a wrong length."""
+        """Take a frame of the bus; raises struct.error for one of a wrong length."""
         newest = self.filter.newest
         if identifier == sensors.TURN:
-            self._turn, _ = sensors.unpack_vector(data, sensors.TURN_RAD)
+            words, _ = sensors.unpack_words(data)
+            self._turn = words * sensors.TURN_RAD
         elif identifier == sensors.PUSH:
-            push, number = sensors.unpack_vector(data, sensors.PUSH_M_S)
-            self.filter.sample(nearest_number(number, newest), self._turn, push)
+            words, number = sensors.unpack_words(data)
+            self.filter.sample(nearest_number(number, newest), self._turn, words * sensors.PUSH_M_S)
         elif identifier == sensors.STAR:
             q, number = sensors.unpack_attitude(data)
             self.filter.measure(nearest_number(number, newest), of_star(q, self.filter.errors))
@@ -202,7 +201,7 @@ class Pilot:
     def attitudes(self, since_s: float) -> list[tuple[float, Vector]]:
         """Return times, s, and attitudes, world from body, from a time until the newest sample, every second one."""
         first = max(round(since_s / PERIOD_S) - 2, 0)
-        numbers = range(self.filter.newest, max(first, self.filter.oldest) - 1, -2)
+        numbers = range(self.filter.newest, first - 1, -2)
         return [(k * PERIOD_S, self.filter.at(k).attitude) for k in reversed(numbers)]
 
     def guess(self, at_s: float) -> Motion:
@@ -238,9 +237,9 @@ class Pilot:
         self._sent.append((acts_s, command))
         return command
 
-    def frames(self) -> list[tuple[int, bytes]]:
-        """Return what is sent before a command: the newest attitude, for the attitude control."""
-        return [(sensors.ESTIMATE, sensors.pack_attitude(self.filter.now.attitude, self.filter.newest))]
+    def estimate(self) -> bytes:
+        """Return the data of the newest attitude, which is sent before a command: for the attitude control."""
+        return sensors.pack_attitude(self.filter.now.attitude, self.filter.newest)
 
     def row(self, now_s: float) -> dict[str, object]:
         """Return what belongs into the log of a turn."""

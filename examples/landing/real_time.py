@@ -24,18 +24,15 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from links import Connection
-from sensors import ATTITUDE, COMMAND, EDGE, pack_attitude, unpack_command, unpack_edge
+from sensors import COMMAND, EDGE, STEP_S, unpack_command, unpack_edge
 from spacecraft import LONGEST_S, Spacecraft
 from vehicle import Lander, State
 
-STEP_S = 0.01
 _STEPS_A_TURN = 20
-_SYNCS, _SYNC_S, _LONGEST_SYNCHRONISING_S = 20, 0.1, 60.0
+_SYNCS, _SYNC_NS, _LONGEST_SYNCHRONISING_NS = 20, 100_000_000, 60_000_000_000
 _STANDING_STEPS = 100  # the camera's change to the start makes events that show no motion
 _SILENT_S = 2.0
-_MOST_COUNTER = 240
 _LATE_NS = 1_000_000_000  # for an edge: a camera that is later does not keep up
 _NO_CAMERA = "the descent did not begin: the camera is silent, or more than half a second late"
 
@@ -63,9 +60,8 @@ class RealTimeSpacecraft(Spacecraft):
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         super().__init__(lander, state, connection, longest_s=longest_s)
-        self._connection, self._now_ns = connection, now_ns
+        self._now_ns = now_ns
         self._period_s, self._periods = STEP_S, _STEPS_A_TURN
-        self._counter = 0
         self._received: list[tuple[int, int]] = []  # counter and time of commands that no pose has shown yet
         self._received_ns = 0
         self.origin_ns = 0
@@ -74,27 +70,26 @@ class RealTimeSpacecraft(Spacecraft):
     def _begins(self) -> bool:
         """Find when the stream began, and show the start to the camera; return whether it is in time."""
         if not self._synchronise():
-            self._why.append(self._connection.trouble() or _NO_CAMERA)
+            self._why.append(self._links.trouble() or _NO_CAMERA)
             return False
         for _ in range(_STANDING_STEPS):
             self._receive(self._due_ns(self._number + 1))
             self._number += 1
-            self._connection.pose(self.t_s, self.state)
+            self._links.pose(self.t_s, self.state)
         self._start_s, self._received_ns = self.t_s, self._now_ns()
-        self._end_s = self.t_s + self._longest_s
+        self._end_s += self.t_s
         return True
 
     def _synchronise(self) -> bool:
         """Find when the stream began; False when no edges come."""
         sent: dict[int, int] = {}
         origins: list[int] = []
-        end_ns = self._now_ns() + round(_LONGEST_SYNCHRONISING_S * 1e9)
-        while len(origins) < _SYNCS and self._now_ns() < end_ns and not self._connection.trouble():
-            self._sync()
-            sent[self._counter] = self._now_ns()
-            until_ns = sent[self._counter] + round(_SYNC_S * 1e9)
-            while (left_ns := until_ns - self._now_ns()) > 0:
-                message = self._connection.receive(left_ns * 1e-9)
+        end_ns = self._now_ns() + _LONGEST_SYNCHRONISING_NS
+        while len(origins) < _SYNCS and self._now_ns() < end_ns and not self._links.trouble():
+            counter, sent_ns = self._links.sync(), self._now_ns()
+            sent[counter] = sent_ns
+            while (left_ns := sent_ns + _SYNC_NS - self._now_ns()) > 0:
+                message = self._links.receive(left_ns * 1e-9)
                 if message is not None and message.arbitration_id == EDGE:
                     counter, t_us = unpack_edge(bytes(message.data))
                     if counter in sent and self._now_ns() - sent[counter] < _LATE_NS:
@@ -119,9 +114,9 @@ class RealTimeSpacecraft(Spacecraft):
         """Take commands until an instant, and those that have come already in any case."""
         while True:
             left_ns = due_ns - self._now_ns()
-            message = self._connection.receive(max(left_ns, 0) * 1e-9)
+            message = self._links.receive(max(left_ns, 0) * 1e-9)
             is_command = message is not None and message.arbitration_id == COMMAND
-            if is_command and not self._connection.faults.loses_frame(self.t_s):
+            if is_command and not self._links.faults.loses_frame(self.t_s):
                 command, counter = unpack_command(bytes(message.data))
                 self._commands = [(0.0, command)]
                 self._received_ns = self._now_ns()
@@ -133,61 +128,44 @@ class RealTimeSpacecraft(Spacecraft):
         """Send pose and attitude, unless a newer one is due already."""
         if self._now_ns() >= self._due_ns(self._number + 1) and self._number % _STEPS_A_TURN:
             return
-        self._connection.pose(self.t_s, self.state)
-        self._connection.frame(self.t_s, ATTITUDE, pack_attitude(self.state.attitude, self._number))
+        super()._send(before)
         now_ns = self._now_ns()
         self.commands += [CommandTimes(counter, received_ns, now_ns) for counter, received_ns in self._received]
         self._received = []
 
-    def _sync(self) -> None:
-        self._counter = self._counter % _MOST_COUNTER + 1
-        self._connection.sync(bytes([self._counter]))
-
     def _take_answer(self) -> None:
         """Record once that commands no longer come: they are taken as they come."""
         silent_s = (self._now_ns() - self._received_ns) * 1e-9
-        trouble = self._connection.trouble()
+        trouble = self._links.trouble()
         if not self._why and (trouble or silent_s > _SILENT_S):
             self._goes_alone(trouble or f"the flight computer has sent nothing for {silent_s:.1f} s")
 
 
-Floats = npt.NDArray[np.float64]
 Row = dict[str, Any]
+_PARTS = "turn begins", "estimate", "command on bus", "shown by a pose"
 
 
 def latencies(origin_ns: int, commands: Sequence[CommandTimes], rows: Sequence[Row]) -> dict[str, object]:
-    """Return the delays for latency.json, from the times of a flight's spacecraft and the log of its computer."""
-    parts, events = _parts(origin_ns, commands, rows), _event_delays_s(rows, origin_ns)
-    parts_ms = {name: _statistics(values_s * 1e3) for name, values_s in (parts | {"event on the link": events}).items()}
+    """Return the delays for latency.json, from the times of a flight's spacecraft and the log of its computer.
+
+    The delay of an event is that of the oldest or the newest of its read, for half of them each.
+    """
+    instants = []
+    for command in commands:
+        # Counters restart after 240: the newest row before.
+        ended = [row for row in rows if row["counter"] == command.counter and row["ended_ns"] < command.received_ns]
+        for row in ended[-1:]:
+            edge_ns = origin_ns + row["t_s"] * 1e9
+            instants.append((edge_ns, row["began_ns"], row["ended_ns"], command.received_ns, command.shown_ns))
+    parts_ns = dict(zip(_PARTS, np.diff(np.reshape(instants, (-1, len(_PARTS) + 1))).T, strict=True))
+    arrivals = np.array([arrival for row in rows for arrival in row["arrivals"]], np.int64).reshape(-1, 4)
+    at_ns, oldest_us, newest_us, events = arrivals.T
+    late_ns = [at_ns - origin_ns - us * 1000 for us in (oldest_us, newest_us)]
+    parts_ns["event on the link"] = np.repeat(np.concatenate(late_ns), np.tile((events + 1) // 2, 2))
+    parts_ms = {name: _statistics(values_ns * 1e-6) for name, values_ns in parts_ns.items()}
     return {"parts_ms": parts_ms, "window_s": _statistics(np.array([row["window_s"] for row in rows]))}
 
 
-def _parts(origin_ns: int, commands: Sequence[CommandTimes], rows: Sequence[Row]) -> dict[str, Floats]:
-    """Return the parts of each command that a pose showed, s."""
-    ends = {row["ended_ns"]: row for row in rows if row["counter"]}
-    ended_ns = np.array(sorted(ends))
-    names = ("turn begins", "estimate", "command on bus", "shown by a pose")
-    out = []
-    for command in commands:
-        k = int(np.searchsorted(ended_ns, command.received_ns)) - 1
-        while k >= 0 and ends[ended_ns[k]]["counter"] != command.counter:
-            k -= 1  # counters restart after 240: the newest row before
-        if k >= 0:
-            row = ends[ended_ns[k]]
-            edge_ns = origin_ns + row["t_s"] * 1e9
-            instants = (edge_ns, row["began_ns"], row["ended_ns"], command.received_ns, command.shown_ns)
-            out.append(np.diff(instants) * 1e-9)
-    return dict(zip(names, np.array(out).reshape(-1, len(names)).T, strict=True))
-
-
-def _event_delays_s(rows: Sequence[Row], origin_ns: int) -> Floats:
-    """Return the delay of each event, s: that of the oldest and newest of a read, for half of it each."""
-    arrivals = np.array([arrival for row in rows for arrival in row["arrivals"]], np.int64).reshape(-1, 4)
-    at_ns, oldest_us, newest_us, events = arrivals.T
-    late = [(at_ns - origin_ns - us * 1000) * 1e-9 for us in (oldest_us, newest_us)]
-    return np.repeat(np.concatenate(late), np.tile((events + 1) // 2, 2))
-
-
-def _statistics(values: Floats) -> dict[str, float | None]:
+def _statistics(values: np.ndarray) -> dict[str, float | None]:
     low, high = np.percentile(values, [50, 95]).round(3).tolist() if len(values) else (None, None)
     return {"median": low, "p95": high, "n": len(values)}

@@ -18,8 +18,10 @@ from pilot import DELAY_S, Pilot
 from sensors import (
     ATTITUDE,
     PERIOD_S,
+    PICTURE_S,
     SensorErrors,
     Sensors,
+    nearest_number,
     pack_attitude,
     pack_command,
     turn_of,
@@ -28,7 +30,8 @@ from sensors import (
 )
 from vehicle import GRAVITY_M_S2, NO_TURN, Height, Lander, Record, State, Vector, advance, product
 
-PICTURE_S = 0.04
+from emulator.geometry.attitude import conjugate
+
 ANSWER_S, LONGEST_S = 120.0, 600.0
 _FOOT_M = 2.0  # height of the camera when the feet stand
 _LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
@@ -129,8 +132,7 @@ class Spacecraft:
         longest_s: float = LONGEST_S,
     ) -> None:
         self._lander, self.state, self._links = lander, state, links
-        self._answer_s, self._longest_s = answer_s, longest_s
-        self._sensors, self._delay_s = sensors, delay_s if sensors else 0.0
+        self._sensors, self._delay_s, self._answer_s = sensors, delay_s if sensors else 0.0, answer_s
         self._period_s, self._periods = (PERIOD_S, 10) if sensors else (PICTURE_S, 5)  # so many in a turn
         self._full_kg = state.mass_kg
         self._number = self._turn = 0
@@ -147,28 +149,7 @@ class Spacecraft:
 
     def land(self, ground_m: Height, record: Record) -> TouchDown:
         """Fly to the ground, whose height depends on the place; `record` receives time and state of each turn."""
-        if not self._begins():
-            return self._end(touched=False)
-        while self.t_s < self._end_s:
-            for _ in range(self._periods):
-                state = self._advanced()
-                if not np.isfinite(state.packed()).all():
-                    self._why.append(f"the dynamics gave no numbers at {self.t_s:.2f} s")
-                    return self._end(touched=False)
-                before, self.state = self.state, state
-                self._number += 1
-                x, y, z = self.state.position_m.tolist()
-                if z - ground_m(x, y) <= _FOOT_M:
-                    return self._end(touched=True)
-                self._send(before)
-            self._turn += 1
-            self._sync()
-            record(self.t_s, self.state)
-            self._take_answer()
-        self._why.append(f"still flying after {self.t_s - self._start_s:.0f} s")
-        return self._end(touched=False)
-
-    def _end(self, *, touched: bool) -> TouchDown:
+        touched = self._begins() and self._touches(ground_m, record)
         fuel_kg = self._full_kg - self.state.mass_kg
         return TouchDown(self.t_s - self._start_s, self.state, touched, fuel_kg, tuple(self._why))
 
@@ -179,9 +160,30 @@ class Spacecraft:
             self._links.frame(0.0, ATTITUDE, pack_attitude(self.state.attitude, 0))
         return True
 
+    def _touches(self, ground_m: Height, record: Record) -> bool:
+        """Fly on; return whether that ends on the ground."""
+        while self.t_s < self._end_s:
+            for _ in range(self._periods):
+                state = self._advanced()
+                if not np.isfinite(state.packed()).all():
+                    self._why.append(f"the dynamics gave no numbers at {self.t_s:.2f} s")
+                    return False
+                before, self.state = self.state, state
+                self._number += 1
+                x, y, z = self.state.position_m.tolist()
+                if z - ground_m(x, y) <= _FOOT_M:
+                    return True
+                self._send(before)
+            self._turn += 1
+            self._links.sync()
+            record(self.t_s, self.state)
+            self._take_answer()
+        self._why.append(f"still flying after {self.t_s - self._start_s:.0f} s")
+        return False
+
     def _advanced(self) -> State:
         """Return the state a period later."""
-        error = product(self.state.attitude * (1, -1, -1, -1), self._attitude) if self._sensors else NO_TURN
+        error = product(conjugate(self.state.attitude), self._attitude) if self._sensors else NO_TURN
         acting = [command for acts_s, command in self._commands if acts_s <= self.t_s + 1e-9][-1]
         return advance(self._lander, self.state, acting, self._period_s, error)
 
@@ -193,38 +195,29 @@ class Spacecraft:
             return
         self._turns.append(turn_of(self._sensors.turn_rad(self._number, before, self.state)))
         self._attitude = product(self._attitude, self._turns[-1])
-        self._sensors.take(self._number, before, self.state)
-        for identifier, data in self._sensors.due(self._number):
+        for identifier, data in self._sensors.frames(self._number, before, self.state):
             self._links.frame(self.t_s, identifier, data)
         if self._number % 2 == 0:
             self._links.pose(self.t_s, self.state)
-
-    def _sync(self) -> None:
-        self._links.sync()
 
     def _take_answer(self) -> None:
         """Take the answer to this turn's SYNC; without one the last command holds."""
         if self._why:
             return
         try:
-            while (answer := self._links.answer(self.t_s, self._answer_s)) is not None:
-                command, turn, estimate = answer
-                if turn == self._turn % (1 << 16):
-                    self._commands = [*self._commands[-3:], (self.t_s + self._delay_s, command)]
-                    self._correct(estimate)
-                    return
-        except TimeoutError:
-            text = f"the flight computer did not answer within {self._answer_s:g} s"
-            self._goes_alone(self._links.trouble() or text)
-
-    def _correct(self, estimate: bytes) -> None:
-        """Start the attitude control anew from an estimate, turned by the gyroscope since its time."""
-        if not estimate:
+            answer = self._links.answer(self.t_s, self._turn, self._answer_s)
+        except TimeoutError as error:
+            self._goes_alone(str(error))
             return
-        q, number = unpack_attitude(estimate)
-        for turn in self._turns[self._number - (self._number - number) % (1 << 16) + 1 :]:
-            q = product(q, turn)
-        self._attitude = q / np.linalg.norm(q)
+        if answer is None:
+            return
+        command, estimate = answer
+        self._commands = [*self._commands[-3:], (self.t_s + self._delay_s, command)]
+        if estimate:  # the attitude control starts anew from it, turned by the gyroscope since its time
+            q, number = unpack_attitude(estimate)
+            for turn in self._turns[nearest_number(number, self._number) + 1 :]:
+                q = product(q, turn)
+            self._attitude = q / np.linalg.norm(q)
 
     def _goes_alone(self, cause: str) -> None:
         """Record that commands no longer come; the last one holds."""
@@ -234,10 +227,10 @@ class Spacecraft:
 
 
 class WithoutCamera:
-    """Links of a spacecraft whose pilot is in the same program."""
+    """Links of a spacecraft whose pilot is in the same program; poses and SYNCs go nowhere."""
 
     def __init__(self, pilot: Pilot) -> None:
-        self._pilot, self._turn = pilot, 0
+        self._pilot = pilot
 
     def pose(self, t_s: float, state: State) -> None:
         """Send nothing: no camera."""
@@ -247,18 +240,12 @@ class WithoutCamera:
         self._pilot.take_frame(identifier, data)
 
     def sync(self) -> None:
-        """Begin the next turn."""
-        self._turn += 1
+        """Send nothing: no camera."""
 
-    def trouble(self) -> str:
-        """Nothing ends by itself."""
-        return ""
-
-    def answer(self, t_s: float, limit_s: float) -> tuple[Vector, int, bytes]:
+    def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[Vector, bytes]:
         """Return the pilot's answer, as it would come over the bus."""
-        command, turn = unpack_command(pack_command(self._pilot.command_m_s2(t_s, 0.0), self._turn))
-        ((_, estimate),) = self._pilot.frames()
-        return command, turn, estimate
+        command, _ = unpack_command(pack_command(self._pilot.command_m_s2(t_s, 0.0), turn))
+        return command, self._pilot.estimate()
 
 
 def fly_without_camera(

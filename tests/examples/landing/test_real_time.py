@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections import deque
 
 import can
@@ -96,6 +97,7 @@ class Ends:
         self.poses: list[tuple[float, float, State]] = []
         self.stall_s = 0.0
         self.late_ns_more = 0
+        self.syncs = 0
         self.faults = Faults()
 
     def trouble(self) -> str:
@@ -111,14 +113,16 @@ class Ends:
         assert identifier == ATTITUDE
         assert unpack_attitude(data)[1] * STEP_S == pytest.approx(t_s)
 
-    def sync(self, counter: bytes) -> None:
+    def sync(self) -> int:
         """Answer a SYNC with its edge and a command, a little later."""
-        late_ns = 1_000_000 * (1 + counter[0] % 4)
+        self.syncs = counter = self.syncs % 240 + 1
+        late_ns = 1_000_000 * (1 + counter % 4)
         edge_us = (self.wall.ns + late_ns - self.wall.ORIGIN_NS) // 1000
-        self.frames.append((self.wall.ns + 2 * late_ns + self.late_ns_more, EDGE, pack_edge(counter[0], edge_us)))
+        self.frames.append((self.wall.ns + 2 * late_ns + self.late_ns_more, EDGE, pack_edge(counter, edge_us)))
         if self.answers:
             command = np.array([0.0, 0.0, GRAVITY_M_S2])
-            self.frames.append((self.wall.ns + 33_000_000, COMMAND, pack_command(command, counter[0])))
+            self.frames.append((self.wall.ns + 33_000_000, COMMAND, pack_command(command, counter)))
+        return counter
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame that is there in time; else let the time pass."""
@@ -203,7 +207,7 @@ def test_dynamics_that_give_no_numbers_end_the_flight() -> None:
 def test_the_time_of_an_edge_is_carried() -> None:
     """All 48 bits."""
     assert unpack_edge(pack_edge(240, (1 << 48) - 1)) == (240, (1 << 48) - 1)
-    with pytest.raises(ValueError, match="3 bytes"):
+    with pytest.raises(struct.error, match="8 bytes"):
         unpack_edge(b"abc")
     assert EDGE not in (ATTITUDE, COMMAND)
 
