@@ -23,19 +23,13 @@ from typing import Any
 import numpy as np
 from fly import ground_of
 from pilot import NAVIGATIONS
-from report import BOUNDS, SITE_BOUNDS, judgement
+from report import BOUNDS, FIGURES, SITE_BOUNDS, judgement
 from scipy.stats import binomtest
 from spacecraft import fly_without_camera
 
 _HERE = Path(__file__).parent
 _GROUNDS = (8, 3, 5, 11)
 _MOST_WALL_S = 1800
-_FIGURES = {
-    "vertical_m_s": "down, m/s",
-    "horizontal_m_s": "along the ground, m/s",
-    "tilt_deg": "tilt, degrees",
-    "place_m": "from the site, m",
-}
 _ALL = "--navigation given --height 20 --seed 3 --longest-s 32 --answer-s 60"
 _TABLES = ["lost_bytes", "bit_flips", "unplugged", "stuck", "stuck_low", "storm", "babbling", "dead_bus"]
 FAULTS = {
@@ -98,7 +92,7 @@ def row_of(navigation: str, height_m: float, seed: int, folder: Path) -> Row:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the table of all navigations in the rows; quantiles are of the flights that touched down."""
-    lines = [["navigation", "good", "95 % interval", *_FIGURES.values(), "beyond a bound", "bad site"]]
+    lines = [["navigation", "good", "95 % interval", *FIGURES.values(), "beyond a bound", "bad site"]]
     lines.append(["---"] * len(lines[0]))
     for navigation in NAVIGATIONS:
         flights = [row for row in rows if row["navigation"] == navigation]
@@ -108,10 +102,10 @@ def table(rows: Sequence[Row]) -> str:
         interval = binomtest(good, len(flights)).proportion_ci(0.95, "exact")
         landed = [row for row in flights if row["touched"]]
         cells = [f"{good} of {len(flights)}", f"{100 * interval.low:.0f} to {100 * interval.high:.0f} %"]
-        for name in _FIGURES:
+        for name in FIGURES:
             quantiles = np.quantile([row[name] for row in landed], [0.5, 0.9, 1.0]) if landed else []
             cells.append(" / ".join(f"{quantile:.2f}" for quantile in quantiles))
-        beyond = {name.partition("_")[0]: sum(name in row["beyond"] for row in landed) for name in _FIGURES}
+        beyond = {name.partition("_")[0]: sum(name in row["beyond"] for row in landed) for name in FIGURES}
         beyond["not landed"] = len(flights) - len(landed)
         bad_sites = sum(not row["site_good"] for row in landed)
         words = ", ".join(f"{name} {count}" for name, count in beyond.items() if count)

@@ -168,13 +168,7 @@ class Lens:
 
 
 class Window:
-    """The events of the last five seconds.
-
-    Parameters
-    ----------
-    lens : of the camera.
-    seed : of the choice among very many events, and of the places within their pixels.
-    """
+    """The events of the last five seconds; the seed is of their places within pixels, and of a choice among many."""
 
     def __init__(self, lens: Lens, seed: int) -> None:
         self._lens = lens

@@ -52,7 +52,6 @@ class Settings:
     known: Known  # state from navigation at the start
     navigation: str  # a name of pilot.NAVIGATIONS, or "given"
     guidance: str = ""  # FILE.py:NAME of a law in the place of the pilot's
-    delay_s: float = DELAY_S  # of a command, with the vehicle's own sensors
     real_time: bool = False
     faults: tuple[Fault, ...] = ()
 
@@ -69,7 +68,7 @@ class FlightComputer:
             self.pilot = Guidance(known.position_m[2], np.array(known.velocity_m_s), delay_s, attitude_s)
         else:
             law = GivenLaw(settings.guidance) if settings.guidance else None
-            self.pilot = Pilot(known, settings.navigation, law, settings.delay_s)
+            self.pilot = Pilot(known, settings.navigation, law)
         t = np.linspace(0, 1, 100)
         still = Rays(t, 0 * t, 0 * t, 0 * t + 1, (-1.0, 1.0, -1.0, 1.0))
         estimate(still, Motion(0.0, 0.0, 0.1, 1.0, 0.0, 0), 0.1, _LENS.focal_px, _REACH_PX)  # compiles it

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from divergence import Motion
@@ -62,23 +62,20 @@ def window_s(down_1_s: float, east_1_s: float, south_1_s: float) -> float:
     return float(np.clip(WINDOW_PX / speed_px_s, *WINDOW_S))
 
 
+@dataclass
 class Guidance:
-    """Turns motions into accelerations, predicted for the time at which the next command acts.
+    """Turns motions into accelerations, predicted for the time at which the next command acts."""
 
-    Parameters
-    ----------
-    height_m, velocity_m_s : from navigation, at the start; (east, north, up).
-    delay_s : time from a turn until its command acts, first estimate; `took` corrects it.
-    attitude_s : time between two numbers of attitudes.
-    """
-
+    height_m: float  # from navigation, at the start; later reckoned
+    velocity_m_s: Vector  # the same, (east, north, up)
+    delay_s: float = 0.1  # from a turn until its command acts, first estimate; `took` corrects it
+    attitude_s: float = 0.04  # between two numbers of attitudes
     uses_events = True
 
-    def __init__(self, height_m: float, velocity_m_s: Vector, delay_s: float = 0.1, attitude_s: float = 0.04) -> None:
-        self.height_m = height_m
-        east, north, up = velocity_m_s.tolist()
+    def __post_init__(self) -> None:
+        east, north, up = self.velocity_m_s.tolist()
+        height_m = self.height_m
         self.motion = Motion(east / height_m, -north / height_m, -up / height_m, math.inf, 0.0, 0)
-        self._delay_s, self._attitude_s = delay_s, attitude_s
         self._attitudes = deque([(-2.0, NO_TURN), (-1.0, NO_TURN)], maxlen=200)  # upright, before the first one comes
         # Of each command: the time at which it acts, its acceleration upwards, time and height of its turn.
         self._sent: deque[tuple[float, float, float, float]] = deque(maxlen=100)
@@ -97,8 +94,8 @@ class Guidance:
         """Take a frame of the bus: an attitude."""
         if identifier == ATTITUDE:
             q, number = unpack_attitude(data)
-            newest = round(max(self._attitudes[-1][0], 0.0) / self._attitude_s)
-            self._attitudes.append((nearest_number(number, newest) * self._attitude_s, q))
+            newest = round(max(self._attitudes[-1][0], 0.0) / self.attitude_s)
+            self._attitudes.append((nearest_number(number, newest) * self.attitude_s, q))
 
     def complete(self, now_s: float) -> bool:
         """Return True when the attitudes until a time have come."""
@@ -136,13 +133,13 @@ class Guidance:
         wanted, gain = wanted_1_s(self.height_m), self._gain_1_s(now_s) * self.height_m
         steady = wanted**2 * self.height_m * (self.height_m > FINAL_M)
         self._up_m_s2 = steady + gain * (down - wanted) + GRAVITY_M_S2
-        acts_s = now_s + self._delay_s + ENGINE_S
+        acts_s = now_s + self.delay_s + ENGINE_S
         self._sent.append((acts_s, self._up_m_s2, now_s, self.height_m))
         return np.array([*self._sideways_m_s2(now_s), self._up_m_s2])
 
     def took(self, seconds: float) -> None:
         """Report the time of the last command from its turn until it was sent."""
-        self._delay_s += _DELAY_SHARE * (seconds - self._delay_s)
+        self.delay_s += _DELAY_SHARE * (seconds - self.delay_s)
 
     def lost(self, now_s: float) -> bool:
         """Return True when the last motion is too old to hold."""
@@ -169,10 +166,10 @@ class Guidance:
 
     def _seen(self, now_s: float) -> float:
         """Return the divergence of the time at which the next command acts."""
-        return self.expected(now_s + self._delay_s + ENGINE_S)
+        return self.expected(now_s + self.delay_s + ENGINE_S)
 
     def _gain_1_s(self, now_s: float) -> float:
-        delay_s = now_s + self._delay_s + ENGINE_S - self.motion.at_s
+        delay_s = now_s + self.delay_s + ENGINE_S - self.motion.at_s
         return min(GAIN_1_S, _GAIN_DELAY / max(delay_s, 1e-3))
 
     def _sideways_m_s2(self, now_s: float) -> Vector:

@@ -120,19 +120,16 @@ _POLL_S = 0.5
 _MOST_COUNTER = 240  # of a SYNC
 
 
+@dataclass
 class Connection:
-    """The spacecraft's side of its links.
+    """The spacecraft's side of its links."""
 
-    Parameters
-    ----------
-    bus : the CAN bus.
-    pose_port : UDP port at which the camera receives poses.
-    trouble : returns a text that names the process that has ended; "" while all run.
-    faults : injected faults.
-    """
+    bus: can.BusABC
+    pose_port: int  # UDP port at which the camera receives poses
+    trouble: Callable[[], str]  # returns a text that names the process that has ended; "" while all run
+    faults: Faults
 
-    def __init__(self, bus: can.BusABC, pose_port: int, trouble: Callable[[], str], faults: Faults) -> None:
-        self._bus, self._poses, self.trouble, self.faults = bus, ("127.0.0.1", pose_port), trouble, faults
+    def __post_init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._poses_sent = self._syncs = 0
         self._estimate = b""
@@ -143,17 +140,17 @@ class Connection:
         message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._poses_sent)
         self._poses_sent += 1
         if (data := self.faults.datagram(message, t_s)) is not None:
-            self._socket.sendto(data, self._poses)
+            self._socket.sendto(data, ("127.0.0.1", self.pose_port))
 
     def frame(self, t_s: float, identifier: int, data: bytes) -> None:
         """Send an attitude or a sample."""
         if not self.faults.loses_frame(t_s):
-            _send(self._bus, identifier, data)
+            _send(self.bus, identifier, data)
 
     def sync(self) -> int:
         """Send a SYNC; return its counter."""
         self._syncs = self._syncs % _MOST_COUNTER + 1
-        _send(self._bus, SYNC, bytes([self._syncs]))
+        _send(self.bus, SYNC, bytes([self._syncs]))
         return self._syncs
 
     def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[Vector, bytes] | None:
@@ -176,7 +173,7 @@ class Connection:
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame of the bus, if one comes in time."""
-        return self._bus.recv(timeout_s)
+        return self.bus.recv(timeout_s)
 
 
 _REQUEST_S = 0.5
@@ -184,26 +181,25 @@ _PATIENCE_S = 10.0  # longest wait for missing events, wall time: the line is st
 _STANDS_S = 5.0  # longest wait for a camera whose time stands still, wall time: it receives no SYNC
 
 
+@dataclass
 class Links:
     """The flight computer's side of its two links, read in one thread without waiting for either.
 
-    Parameters
-    ----------
-    port : path of the serial line.
-    bus : the CAN bus.
-    window : receives events.
-    take_frame : receives identifier and data of each frame of the bus.
+    `edges` are SYNCs among the events: time, us, and counter on the bus. `arrivals` are reads of events: instant on
+    CLOCK_MONOTONIC, ns, times of the oldest and the newest, us, and number.
     """
 
-    def __init__(self, port: str, bus: can.BusABC, window: Window, take_frame: Callable[[int, bytes], None]) -> None:
-        self._path, self._bus, self._window, self._take_frame = port, bus, window, take_frame
+    path: str  # of the serial line
+    bus: can.BusABC
+    window: Window  # receives events
+    take_frame: Callable[[int, bytes], None]  # receives identifier and data of each frame of the bus
+
+    def __post_init__(self) -> None:
         self._port: int | None = None
         self._receiver = SerialReceiver("ccsds-cobs")
-        self._received = 0
-        self.edges: list[tuple[int, int]] = []  # SYNCs among the events: time, us, and counter on the bus
-        # Instant of a read, CLOCK_MONOTONIC, ns; times of its oldest and newest event, us; number of its events.
+        self._received = self.syncs = self.lost = 0
+        self.edges: list[tuple[int, int]] = []
         self.arrivals: list[tuple[int, int, int, int]] = []
-        self.syncs = self.lost = 0
         self._open()
 
     def complete(self, until_us: int = 0) -> None:
@@ -233,13 +229,13 @@ class Links:
         elif self._port is not None:
             select.select([self._port], [], [], timeout_s)
             self._read_serial()
-        while (message := self._bus.recv(0)) is not None:
+        while (message := self.bus.recv(0)) is not None:
             self.syncs += message.arbitration_id == SYNC
-            self._take_frame(message.arbitration_id, bytes(message.data))
+            self.take_frame(message.arbitration_id, bytes(message.data))
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send a frame."""
-        _send(self._bus, identifier, data)
+        _send(self.bus, identifier, data)
 
     def _report(self, until_us: int, end_s: float) -> Housekeeping | None:
         """Return the next report of the camera in which no event waits; None when none comes."""
@@ -264,7 +260,7 @@ class Links:
     def _open(self) -> bool:
         """Open the serial line; return whether it is there."""
         try:
-            self._port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self._port = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             tty.setraw(self._port, termios.TCSANOW)
         except (OSError, termios.error):
             self._unplug()
@@ -289,5 +285,5 @@ class Links:
         if len(events):
             self._received += len(events)
             self.arrivals.append((time.monotonic_ns(), int(events["t"][0]), int(events["t"][-1]), len(events)))
-            self._window.add_events(events)
+            self.window.add_events(events)
         self.edges += zip(edges["t"].tolist(), edges["seq"].tolist(), strict=True)

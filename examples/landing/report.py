@@ -1,4 +1,4 @@
-"""Verdict of a flight, verdict.json, and its page, page.html.
+"""Verdict of a flight, verdict.json, its page, page.html, and its delays in real time, latency.json.
 
 The page contains the verdict and its reasons, the track, velocities and divergence beside the truth, and the last
 events that the flight computer received. It needs no network and no script; charts are drawn by matplotlib.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,10 @@ _BEFORE_S = (2.0, 1.0, 0.0)  # pictures of the page, before the newest event
 _MOST_1_S = 0.3  # of a divergence that is drawn: at touchdown that of the truth grows beyond bounds
 
 
+Row = dict[str, Any]
+"""A turn of the flight computer, from its log."""
+
+
 def judgement(end: TouchDown, ground_m: Height) -> dict[str, object]:
     """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and touched).
 
@@ -73,7 +77,7 @@ def judgement(end: TouchDown, ground_m: Height) -> dict[str, object]:
     return figures | site | {"site_good": site_good, "beyond": beyond, "soft": bool(end.touched and not beyond)}
 
 
-def rows_of(folder: Path) -> list[dict[str, Any]]:
+def rows_of(folder: Path) -> list[Row]:
     """Return the turns of the flight computer."""
     log = folder / "computer.jsonl"
     return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
@@ -149,7 +153,7 @@ def reasons(judged: dict[str, Any]) -> Iterator[str]:
         yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {BOUNDS[name]:g}"
 
 
-def _of_computer(rows: list[dict[str, Any]]) -> Iterator[str]:
+def _of_computer(rows: list[Row]) -> Iterator[str]:
     """Yield sentences from the turns of the flight computer."""
     if not rows:
         yield "the flight computer answered no SYNC"
@@ -180,6 +184,45 @@ def _of_camera(file: Path) -> Iterator[str]:
     for rule in found["rules"]:
         if not rule["good"]:
             yield f"the camera's run was not good: {rule['rule']}: {rule['told']}"
+
+
+_PARTS = "turn begins", "estimate", "command on bus", "shown by a pose"
+
+
+def latencies(
+    origin_ns: int, commands: Sequence[tuple[int, int, int]], rows: Sequence[dict[str, Any]]
+) -> dict[str, object]:
+    """Return the parts of the loop's delay for latency.json, of a flight's spacecraft and the log of its computer.
+
+    Of each command, on CLOCK_MONOTONIC, t the time of the edge whose SYNC it answers (the end of its window of events):
+
+        turn begins        from t until the estimate begins: SYNC, edge and events on the links, end of the last one
+        estimate           until the command is decided
+        command on bus     until the spacecraft has it
+        shown by a pose    until a pose that it changed is sent: the rest of a step of the dynamics
+        event on the link  from an event's time until it is at the computer: that of the oldest or the newest of a
+                           read, for half of its events each
+
+    Apart: the estimator's window, half of which delays the estimate.
+    """
+    instants = []
+    for counter, received_ns, shown_ns in commands:
+        ended = [row for row in rows if row["counter"] == counter and row["ended_ns"] < received_ns]
+        for row in ended[-1:]:  # counters restart after 240: the newest of them
+            edge_ns = origin_ns + row["t_s"] * 1e9
+            instants.append((edge_ns, row["began_ns"], row["ended_ns"], received_ns, shown_ns))
+    parts_ns = dict(zip(_PARTS, np.diff(np.reshape(instants, (-1, len(_PARTS) + 1))).T, strict=True))
+    arrivals = np.array([arrival for row in rows for arrival in row["arrivals"]], np.int64).reshape(-1, 4)
+    at_ns, oldest_us, newest_us, events = arrivals.T
+    late_ns = [at_ns - origin_ns - us * 1000 for us in (oldest_us, newest_us)]
+    parts_ns["event on the link"] = np.repeat(np.concatenate(late_ns), np.tile((events + 1) // 2, 2))
+    parts_ms = {name: _statistics(values_ns * 1e-6) for name, values_ns in parts_ns.items()}
+    return {"parts_ms": parts_ms, "window_s": _statistics(np.array([row["window_s"] for row in rows]))}
+
+
+def _statistics(values: np.ndarray) -> dict[str, float | None]:
+    low, high = np.percentile(values, [50, 95]).round(3).tolist() if len(values) else (None, None)
+    return {"median": low, "p95": high, "n": len(values)}
 
 
 def write_page(folder: Path) -> Path:

@@ -28,6 +28,7 @@ import math
 import struct
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from vehicle import Height, Lander, State, Vector, matrix, product
@@ -36,11 +37,13 @@ from emulator.geometry.attitude import conjugate
 
 SYNC, COMMAND, ATTITUDE, EDGE = 0x080, 0x210, 0x211, 0x212
 ESTIMATE, RANGE, STAR, TURN, PUSH = 0x20F, 0x213, 0x214, 0x215, 0x216
-TURN_RAD, PUSH_M_S = 1e-6, 1e-5
-"""Units of the words of a turn and a push."""
+TURN_RAD, PUSH_M_S, RANGE_M = 1e-6, 1e-5, 1e-3
+"""Units of turn, push and range."""
 
-_WORDS, _RANGE, _EDGE = struct.Struct("<hhhH"), struct.Struct("<IHxx"), struct.Struct("<HIH")
-_MM, _UNIT, _RANGE_M = 1000.0, 32767.0, 1e-3
+RANGE_FRAME = struct.Struct("<IHxx")  # in RANGE_M
+
+_WORDS, _EDGE = struct.Struct("<hhhH"), struct.Struct("<HIH")
+_MM, _UNIT = 1000.0, 32767.0
 _NUMBERS = 1 << 16
 
 
@@ -89,17 +92,6 @@ def unpack_edge(data: bytes) -> tuple[int, int]:
     return counter, low | high << 32
 
 
-def pack_range(range_m: float, number: int) -> bytes:
-    """Return the data of a range."""
-    return _RANGE.pack(round(range_m / _RANGE_M), number % _NUMBERS)
-
-
-def unpack_range(data: bytes) -> tuple[float, int]:
-    """Return range, m, and number."""
-    words, number = _RANGE.unpack(data)
-    return words * _RANGE_M, number
-
-
 def nearest_number(number: int, newest: int) -> int:
     """Return the full number of one that was sent modulo 65 536: the nearest to the newest known."""
     return number + _NUMBERS * round((newest - number) / _NUMBERS)
@@ -117,8 +109,6 @@ _RANGE_EVERY, _RANGE_DELAY = 5, 2
 _ARC_S = math.pi / 648_000
 _CHUNK = 512
 _RANGE_ROUNDS = 4
-
-Frame = tuple[int, bytes]
 
 
 @dataclass(frozen=True)
@@ -148,29 +138,23 @@ class SensorErrors:
     longest_range_m: float = 3000.0
 
 
-class Draws:
-    """Normal numbers of a flight's seed and a purpose, a number for each use; three for each sample."""
+@cache
+def _chunk(seed: int, purpose: int, number: int) -> Vector:
+    key = np.array([seed, purpose], np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, number])).standard_normal((_CHUNK, 3))
 
-    def __init__(self, seed: int, purpose: int) -> None:
-        self._key = np.array([seed, purpose], np.uint64)
-        self._chunks: dict[int, Vector] = {}
 
-    def normal(self, sample: int) -> Vector:
-        """Return the numbers of a sample, (3,)."""
-        chunk = sample // _CHUNK
-        if chunk not in self._chunks:
-            generator = np.random.Generator(np.random.Philox(key=self._key, counter=[0, 0, 0, chunk]))
-            self._chunks[chunk] = generator.standard_normal((_CHUNK, 3))
-        return self._chunks[chunk][sample % _CHUNK]
+def normal(seed: int, purpose: int, sample: int) -> Vector:
+    """Return three normal numbers of a sample; `purpose` is another number for each use."""
+    return _chunk(seed, purpose, sample // _CHUNK)[sample % _CHUNK]
 
 
 class _Triad:
     """A gyroscope or an accelerometer: errors of the integral over a period."""
 
     def __init__(self, errors: Inertial, seed: int, purpose: int) -> None:
-        self._errors = errors
-        self._white, self._fresh, constant = (Draws(seed, purpose + k) for k in range(3))
-        self._bias = errors.bias * constant.normal(0)
+        self._errors, self._seed, self._purpose = errors, seed, purpose
+        self._bias = errors.bias * normal(seed, purpose + 2, 0)
         self._drifts: list[Vector] = []  # of variance 1, from the first sample on
 
     def error(self, sample: int) -> Vector:
@@ -178,25 +162,26 @@ class _Triad:
         errors, drifts = self._errors, self._drifts
         decay = math.exp(-PERIOD_S / errors.correlation_s)
         while sample >= len(drifts):
-            fresh = self._fresh.normal(len(drifts))
+            fresh = normal(self._seed, self._purpose + 1, len(drifts))
             share = math.sqrt(1 - decay**2) if drifts else 1 - decay
             drifts.append(decay * (drifts[-1] if drifts else fresh) + share * fresh)
         bias = self._bias + errors.drift * drifts[sample]
-        return bias * PERIOD_S + errors.white * math.sqrt(PERIOD_S) * self._white.normal(sample)
+        white = normal(self._seed, self._purpose, sample)
+        return bias * PERIOD_S + errors.white * math.sqrt(PERIOD_S) * white
 
 
 class Sensors:
     """All sensors of one vehicle, with the errors of a seed; `ground_m` is the height of the ground by place."""
 
     def __init__(self, errors: SensorErrors, lander: Lander, seed: int, ground_m: Height) -> None:
-        self._errors, self._gravity, self._ground_m = errors, np.array(lander.gravity_m_s2), ground_m
+        self._errors, self._seed, self._ground_m = errors, seed, ground_m
+        self._gravity = np.array(lander.gravity_m_s2)
         self._turns, self._pushes = _Triad(errors.gyroscope, seed, 10), _Triad(errors.accelerometer, seed, 20)
-        self._stars, self._ranges = Draws(seed, 30), Draws(seed, 40)
-        self._misalignment = errors.misalignment_rad * Draws(seed, 31).normal(0)
-        self._scale = 1 + errors.range_scale * float(Draws(seed, 41).normal(0)[0])
-        self._waiting: dict[int, list[Frame]] = defaultdict(list)  # by the period in which they are sent
+        self._misalignment = errors.misalignment_rad * normal(seed, 31, 0)
+        self._scale = 1 + errors.range_scale * float(normal(seed, 41, 0)[0])
+        self._waiting: dict[int, list[tuple[int, bytes]]] = defaultdict(list)  # by the period in which they are sent
 
-    def frames(self, number: int, before: State, after: State) -> list[Frame]:
+    def frames(self, number: int, before: State, after: State) -> list[tuple[int, bytes]]:
         """Sample the period that ends at `number`, between two true states; return the frames that are sent then.
 
         The accelerometer's is the last of them: the others have waited longer.
@@ -205,7 +190,8 @@ class Sensors:
             star = pack_attitude(self.attitude(number, after), number)
             self._waiting[number + _STAR_DELAY].append((STAR, star))
         if number % _RANGE_EVERY == 0 and (range_m := self.range_m(number, after)) > 0:
-            self._waiting[number + _RANGE_DELAY].append((RANGE, pack_range(range_m, number)))
+            data = RANGE_FRAME.pack(round(range_m / RANGE_M), number % _NUMBERS)
+            self._waiting[number + _RANGE_DELAY].append((RANGE, data))
         turn = pack_words(self.turn_rad(number, before, after) / TURN_RAD, number)
         push = pack_words(self.push_m_s(number, before, after) / PUSH_M_S, number)
         self._waiting[number + _IMU_DELAY] += [(TURN, turn), (PUSH, push)]
@@ -224,7 +210,7 @@ class Sensors:
 
     def attitude(self, number: int, state: State) -> Vector:
         """Return the star tracker's attitude, a unit quaternion world from body."""
-        white = np.array(self._errors.star_white_rad) * self._stars.normal(number)
+        white = np.array(self._errors.star_white_rad) * normal(self._seed, 30, number)
         return product(state.attitude, turn_of(self._misalignment + white))
 
     def range_m(self, number: int, state: State) -> float:
@@ -234,7 +220,7 @@ class Sensors:
         for _ in range(_RANGE_ROUNDS):  # the ground is nearly level beside the height
             x, y, _ = state.position_m + down * true_m
             true_m = max((state.position_m[2] - self._ground_m(float(x), float(y))) / -down[2], 0.0)
-        white = self._ranges.normal(number)
+        white = normal(self._seed, 40, number)
         measured_m = self._scale * true_m + errors.range_white_m * white[0]
         measured_m += errors.range_white_scale * true_m * white[1]
         return max(float(measured_m), 0.0) if true_m <= errors.longest_range_m else 0.0

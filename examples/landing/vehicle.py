@@ -63,9 +63,6 @@ class State:
 Height = Callable[[float, float], float]
 """Height of the ground, m, by the place east and north, m."""
 
-Record = Callable[[float, State], None]
-"""Takes stream time, s, and state of each turn."""
-
 
 def matrix(q: Vector) -> Vector:
     """Return the matrix of a unit quaternion, (3, 3): world from body."""

@@ -12,8 +12,9 @@ import pytest
 from divergence import Motion
 from guidance import GAIN_1_S, Guidance, wanted_1_s
 from links import Faults
-from real_time import STEP_S, CommandTimes, RealTimeSpacecraft, latencies
-from sensors import ATTITUDE, COMMAND, EDGE, pack_command, pack_edge, unpack_attitude, unpack_edge
+from report import latencies
+from sensors import ATTITUDE, COMMAND, EDGE, STEP_S, pack_command, pack_edge, unpack_attitude, unpack_edge
+from spacecraft import RealTimeSpacecraft
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 
 
@@ -158,7 +159,7 @@ def test_dynamics_follow_the_wall_and_poses_bear_the_streams_time() -> None:
     assert np.abs(late_s).max() < 0.002  # sent at its own time
     assert np.diff([t_s for t_s, _, _ in ends.poses]) == pytest.approx(STEP_S, rel=1e-6)
     assert len(spacecraft.commands) > 50
-    assert all(0 < times.shown_ns - times.received_ns <= 10_000_000 for times in spacecraft.commands)
+    assert all(0 < shown_ns - received_ns <= 10_000_000 for _, received_ns, shown_ns in spacecraft.commands)
 
 
 def test_a_machine_that_stands_still_loses_poses_not_time() -> None:
@@ -220,7 +221,7 @@ def test_the_parts_of_the_loop_add_up() -> None:
         times = np.cumsum([edge_ns, 7_000_000, 21_000_000, 300_000, 5_000_000]).tolist()
         row = {"t_s": 0.2 * k, "counter": k % 240 + 1, "window_s": 0.5, "began_ns": times[1], "ended_ns": times[2]}
         rows.append(row | {"arrivals": [[edge_ns, 200_000 * k - 3000, 200_000 * k - 1000, 10]]})
-        commands.append(CommandTimes(k % 240 + 1, times[3], times[4]))
+        commands.append((k % 240 + 1, times[3], times[4]))
     found = latencies(origin_ns, commands, rows)
     assert {name: part["median"] for name, part in found["parts_ms"].items()} == {
         "turn begins": 7.0, "estimate": 21.0, "command on bus": 0.3, "shown by a pose": 5.0, "event on the link": 2.0,

@@ -23,10 +23,8 @@ from sensors import (
     SensorErrors,
     Sensors,
     nearest_number,
-    pack_range,
     pack_words,
     turn_of,
-    unpack_range,
     unpack_words,
     vector_of,
 )
@@ -114,9 +112,16 @@ def test_frames_of_sensors_carry_what_was_put_in() -> None:
     words, number = unpack_words(pack_words(np.array([12345.6, -1.0, 9e6]), 70_001))
     assert words.tolist() == [12346, -1, 32767]
     assert nearest_number(number, 70_000) == 70_001
-    assert unpack_range(pack_range(1499.9996, 9)) == (1500.0, 9)
     with pytest.raises(struct.error, match="8 bytes"):
-        unpack_range(b"ab")
+        unpack_words(b"ab")
+
+
+def test_a_range_is_sent_in_millimetres() -> None:
+    """The true one, rounded, with the number of its time."""
+    exact = SensorErrors(range_white_m=0.0, range_white_scale=0.0, range_scale=0.0)
+    unit, level = Sensors(exact, Lander(), 1, lambda x, y: 0.0), State(np.array([0.0, 0.0, 1499.9996]), np.zeros(3))
+    sent = [frame for number in (5, 7) for frame in unit.frames(number, level, level) if frame[0] == RANGE]
+    assert sent == [(RANGE, (1_500_000).to_bytes(4, "little") + (5).to_bytes(4, "little"))]
 
 
 KNOWN = Known((0.0, 0.0, 100.0), (0.0, 0.0, -8.0), 5.0, 5.0, 0.7)
