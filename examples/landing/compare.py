@@ -146,11 +146,10 @@ def main() -> None:
     for seed in range(1, options.flights + 1):
         for navigation in options.navigation:
             if (navigation, seed, options.height) not in flights:
-                row = row_of(navigation, options.height, seed, folder)
+                rows.append(row := row_of(navigation, options.height, seed, folder))
                 with file.open("a") as more:
                     print(json.dumps(row), file=more)
                 print(f"{navigation} {seed}: {'good' if row['soft'] else row['beyond']}", file=sys.stderr, flush=True)
-    rows = [json.loads(line) for line in file.read_text().splitlines()]
     print(f"From {options.height:g} m; median / 90 % / most of each figure; bounds: {BOUNDS | SITE_BOUNDS}")
     print(table([row for row in rows if row["height_m"] == options.height]))
 

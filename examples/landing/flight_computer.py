@@ -28,11 +28,12 @@ import can
 import msgspec
 import numpy as np
 from divergence import Lens, Motion, Rays, Window, estimate
+from frames import COMMAND, EDGE, ESTIMATE, pack_command, pack_edge
 from guidance import Guidance
 from links import Fault, Links, opened_bus
 from navigation import Known
 from pilot import DELAY_S, LAW_FAILED, TURN_S, GivenLaw, LawFailed, Pilot
-from sensors import COMMAND, EDGE, ESTIMATE, PICTURE_S, STEP_S, pack_command, pack_edge
+from sensors import PICTURE_S, STEP_S
 
 _LENS, _REACH_PX = Lens(), (346 / 2 + 60.0, 260 / 2 + 60.0)  # with a margin for a tilt of 10 degrees
 _LEAST_EVENTS = 500

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from divergence import Motion
-from sensors import ATTITUDE, nearest_number, unpack_attitude
+from frames import ATTITUDE, nearest_number, unpack_attitude
 from vehicle import GRAVITY_M_S2, NO_TURN, Vector
 
 DIVERGENCE_1_S, FASTEST_M_S2 = 0.08, 1.2  # wanted; less at heights where it needs more than this acceleration

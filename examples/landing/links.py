@@ -38,7 +38,7 @@ from dataclasses import dataclass
 import can
 import numpy as np
 from divergence import Window
-from sensors import COMMAND, ESTIMATE, SYNC, unpack_command
+from frames import COMMAND, ESTIMATE, SYNC, unpack_command
 from vehicle import State, Vector, product
 
 from evstim import SerialReceiver

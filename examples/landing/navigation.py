@@ -118,10 +118,9 @@ class Filter:
         sigma += [_ATTITUDE_RAD] * 3 + [bias] * 3 + [math.hypot(gyroscope.bias, gyroscope.drift)] * 3
         place, velocity, no_bias = np.array(known.position_m), np.array(known.velocity_m_s), np.zeros(3)
         self._before = {0: Estimate(place, velocity, NO_TURN, no_bias, no_bias, np.diag(np.square(sigma)))}
-        self._after: dict[int, Estimate] = {}
         self._samples: dict[int, tuple[Vector, Vector]] = {}
         self._measured: dict[int, list[Measurement]] = {}
-        self._from = 0
+        self._from = 0  # period whose estimate, and all later ones, are out of date
         growth = np.zeros(15)  # of the variances, in a period
         rounding = np.array([1e-5, 1e-6]) ** 2 / 12  # of push and turn on the bus
         growth[_V] = accelerometer.white**2 * PERIOD_S + rounding[0]
@@ -133,23 +132,23 @@ class Filter:
     @property
     def now(self) -> Estimate:
         """Estimate at the newest sample, with all measurements."""
-        self._replay()
-        return self._after[self.newest]
+        return self.at(self.newest)
 
     def at(self, number: int) -> Estimate:
-        """Return the estimate of a period that is still stored."""
-        self._replay()
-        return self._after[min(max(number, min(self._after)), self.newest)]
+        """Return the estimate of a period that is still stored, with all measurements until then."""
+        for k in range(self._from, self.newest):
+            self._before[k + 1] = self._stepped(self._after(k), *self._samples[k + 1])
+        self._from = self.newest
+        return self._after(min(max(number, min(self._before)), self.newest))
 
     def sample(self, number: int, turn_rad: Vector, push_m_s: Vector) -> None:
         """Take the next sample of the IMU; where the bus lost some, this one stands for them."""
         while self.newest < number:
-            self._replay()
-            self.newest += 1
+            last = self.now
+            self.newest = self._from = self.newest + 1
             self._samples[self.newest] = turn_rad, push_m_s
-            self._before[self.newest] = self._stepped(self._after[self.newest - 1], turn_rad, push_m_s)
-            self._from = self.newest
-            for table in (self._before, self._after, self._samples, self._measured):
+            self._before[self.newest] = self._stepped(last, turn_rad, push_m_s)
+            for table in (self._before, self._samples, self._measured):
                 table.pop(self.newest - _KEPT, None)
 
     def measure(self, number: int, measurement: Measurement) -> bool:
@@ -180,16 +179,12 @@ class Filter:
             covariance=step @ last.covariance @ step.T + self._growth,
         )
 
-    def _replay(self) -> None:
-        """Bring the estimates of all periods from the oldest new measurement on up to date."""
-        for k in range(self._from, self.newest + 1):
-            now = self._before[k]
-            for measurement in self._measured.get(k, ()):
-                now = _corrected(now, measurement)
-            self._after[k] = now
-            if k < self.newest:
-                self._before[k + 1] = self._stepped(now, *self._samples[k + 1])
-        self._from = self.newest + 1
+    def _after(self, number: int) -> Estimate:
+        """Return the estimate of a period with its own measurements."""
+        now = self._before[number]
+        for measurement in self._measured.get(number, ()):
+            now = _corrected(now, measurement)
+        return now
 
 
 def _corrected(now: Estimate, measurement: Measurement) -> Estimate:

@@ -23,12 +23,12 @@ from pathlib import Path
 from threading import Thread
 from typing import TypeVar
 
+import frames
 import numpy as np
-import sensors
 from divergence import Motion
 from guidance import DIVERGENCE_1_S, ENGINE_S, FINAL_M, GAIN_1_S, wanted_1_s, window_s
 from navigation import Filter, Known, of_events, of_range, of_star
-from sensors import PERIOD_S, SensorErrors, nearest_number
+from sensors import PERIOD_S, SensorErrors
 from vehicle import GRAVITY_M_S2, Vector
 
 LAW_FAILED = "law_failed.txt"
@@ -100,8 +100,8 @@ class GivenLaw:
 
     def _described(self, error: BaseException) -> str:
         """Return kind and message of an error, and the line of the law's file that it came from."""
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if frame.filename == str(self._path)]
+        calls = traceback.extract_tb(error.__traceback__)
+        lines = [call.lineno for call in calls if call.filename == str(self._path)]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         message = " ".join(str(error).split())[:_MOST_TEXT]
         return f"{type(error).__name__}: {message}" + (f", in line {line} of {self._path.name}" if line else "")
@@ -177,19 +177,19 @@ class Pilot:
     def take_frame(self, identifier: int, data: bytes) -> None:
         """Take a frame of the bus; raises struct.error for one of a wrong length."""
         newest = self.filter.newest
-        if identifier == sensors.TURN:
-            words, _ = sensors.unpack_words(data)
-            self._turn = words * sensors.TURN_RAD
-        elif identifier == sensors.PUSH:
-            words, number = sensors.unpack_words(data)
-            self.filter.sample(nearest_number(number, newest), self._turn, words * sensors.PUSH_M_S)
-        elif identifier == sensors.STAR:
-            q, number = sensors.unpack_attitude(data)
-            self.filter.measure(nearest_number(number, newest), of_star(q, self.filter.errors))
-        elif identifier == sensors.RANGE and "altimeter" in self._used:
-            words, number = sensors.RANGE_FRAME.unpack(data)
-            measured = of_range(words * sensors.RANGE_M, self.filter.errors, _RELIEF_M)
-            self.filter.measure(nearest_number(number, newest), measured)
+        if identifier == frames.TURN:
+            words, _ = frames.unpack_words(data)
+            self._turn = words * frames.TURN_RAD
+        elif identifier == frames.PUSH:
+            words, number = frames.unpack_words(data)
+            self.filter.sample(frames.nearest_number(number, newest), self._turn, words * frames.PUSH_M_S)
+        elif identifier == frames.STAR:
+            q, number = frames.unpack_attitude(data)
+            self.filter.measure(frames.nearest_number(number, newest), of_star(q, self.filter.errors))
+        elif identifier == frames.RANGE and "altimeter" in self._used:
+            words, number = frames.RANGE_FRAME.unpack(data)
+            measured = of_range(words * frames.RANGE_M, self.filter.errors, _RELIEF_M)
+            self.filter.measure(frames.nearest_number(number, newest), measured)
 
     def complete(self, now_s: float) -> bool:
         """Return True when the samples of the turn that began at a time have come."""
@@ -236,7 +236,7 @@ class Pilot:
 
     def estimate(self) -> bytes:
         """Return the data of the newest attitude, which is sent before a command: for the attitude control."""
-        return sensors.pack_attitude(self.filter.now.attitude, self.filter.newest)
+        return frames.pack_attitude(self.filter.now.attitude, self.filter.newest)
 
     def row(self, now_s: float) -> dict[str, object]:
         """Return what belongs into the log of a turn."""

@@ -18,28 +18,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import frames
 import numpy as np
 from guidance import wanted_1_s
 from links import Connection
 from navigation import Known
 from pilot import DELAY_S, Pilot
-from sensors import (
-    ATTITUDE,
-    COMMAND,
-    EDGE,
-    PERIOD_S,
-    PICTURE_S,
-    STEP_S,
-    SensorErrors,
-    Sensors,
-    nearest_number,
-    pack_attitude,
-    pack_command,
-    turn_of,
-    unpack_attitude,
-    unpack_command,
-    unpack_edge,
-)
+from sensors import PERIOD_S, PICTURE_S, STEP_S, SensorErrors, Sensors, turn_of
 from vehicle import GRAVITY_M_S2, NO_TURN, Height, Lander, State, Vector, advance, product
 
 from emulator.geometry.attitude import conjugate
@@ -164,7 +149,7 @@ class Spacecraft:
         """Send the start; return whether the descent begins."""
         self.links.pose(0.0, self.state)
         if self.sensors is None:
-            self.links.frame(0.0, ATTITUDE, pack_attitude(self.state.attitude, 0))
+            self.links.frame(0.0, frames.ATTITUDE, frames.pack_attitude(self.state.attitude, 0))
         return True
 
     def _touches(self, ground_m: Height, record: Callable[[float, State], None]) -> bool:
@@ -198,7 +183,7 @@ class Spacecraft:
         """Send what belongs to the end of a period: pose and attitude; or samples, and each second time the pose."""
         if self.sensors is None:
             self.links.pose(self.t_s, self.state)
-            self.links.frame(self.t_s, ATTITUDE, pack_attitude(self.state.attitude, self._number))
+            self.links.frame(self.t_s, frames.ATTITUDE, frames.pack_attitude(self.state.attitude, self._number))
             return
         self._turns.append(turn_of(self.sensors.turn_rad(self._number, before, self.state)))
         self._attitude = product(self._attitude, self._turns[-1])
@@ -221,8 +206,8 @@ class Spacecraft:
         command, estimate = answer
         self._commands = [*self._commands[-3:], (self.t_s + (DELAY_S if self.sensors else 0.0), command)]
         if estimate:  # the attitude control starts anew from it, turned by the gyroscope since its time
-            q, number = unpack_attitude(estimate)
-            for turn in self._turns[nearest_number(number, self._number) + 1 :]:
+            q, number = frames.unpack_attitude(estimate)
+            for turn in self._turns[frames.nearest_number(number, self._number) + 1 :]:
                 q = product(q, turn)
             self._attitude = q / np.linalg.norm(q)
 
@@ -251,16 +236,18 @@ class WithoutCamera:
 
     def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[Vector, bytes]:
         """Return the pilot's answer, as it would come over the bus."""
-        command, _ = unpack_command(pack_command(self._pilot.command_m_s2(t_s, 0.0), turn))
+        command, _ = frames.unpack_command(frames.pack_command(self._pilot.command_m_s2(t_s, 0.0), turn))
         return command, self._pilot.estimate()
 
 
 def fly_without_camera(height_m: float, seed: int, navigation: str, ground_m: Height) -> TouchDown:
     """Return the end of a flight without a camera."""
     mission = Mission.drawn(height_m, seed)
-    sensors = Sensors(SensorErrors(), mission.lander, seed, ground_m)
-    links = WithoutCamera(Pilot(mission.known, navigation))
-    return Spacecraft(mission.lander, mission.state, links, sensors).land(ground_m, lambda t_s, state: None)
+    unit, links = (
+        Sensors(SensorErrors(), mission.lander, seed, ground_m),
+        WithoutCamera(Pilot(mission.known, navigation)),
+    )
+    return Spacecraft(mission.lander, mission.state, links, unit).land(ground_m, lambda t_s, state: None)
 
 
 @dataclass
@@ -303,8 +290,8 @@ class RealTimeSpacecraft(Spacecraft):
             sent[counter] = sent_ns
             while (left_ns := sent_ns + _SYNC_NS - self.now_ns()) > 0:
                 message = self.links.receive(left_ns * 1e-9)
-                if message is not None and message.arbitration_id == EDGE:
-                    counter, t_us = unpack_edge(bytes(message.data))
+                if message is not None and message.arbitration_id == frames.EDGE:
+                    counter, t_us = frames.unpack_edge(bytes(message.data))
                     if counter in sent and self.now_ns() - sent[counter] < _LATE_NS:
                         origins.append(sent[counter] - t_us * 1000)
         if len(origins) < _SYNCS:
@@ -328,9 +315,9 @@ class RealTimeSpacecraft(Spacecraft):
         while True:
             left_ns = due_ns - self.now_ns()
             message = self.links.receive(max(left_ns, 0) * 1e-9)
-            is_command = message is not None and message.arbitration_id == COMMAND
+            is_command = message is not None and message.arbitration_id == frames.COMMAND
             if is_command and not self.links.faults.loses_frame(self.t_s):
-                command, counter = unpack_command(bytes(message.data))
+                command, counter = frames.unpack_command(bytes(message.data))
                 self._commands = [(0.0, command)]
                 self._received_ns = self.now_ns()
                 self._received.append((counter, self._received_ns))

@@ -10,8 +10,8 @@ import guidance as guidance_module
 import numpy as np
 import pytest
 from divergence import Lens, Motion, Rays, Window, estimate
+from frames import pack_attitude, pack_command, unpack_attitude, unpack_command
 from guidance import Guidance
-from sensors import pack_attitude, pack_command, unpack_attitude, unpack_command
 from vehicle import GRAVITY_M_S2, Lander, State, advance, matrix
 
 UP = np.array([1.0, 0.0, 0.0, 0.0])

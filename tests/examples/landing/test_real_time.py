@@ -10,10 +10,11 @@ import can
 import numpy as np
 import pytest
 from divergence import Motion
+from frames import ATTITUDE, COMMAND, EDGE, pack_command, pack_edge, unpack_attitude, unpack_edge
 from guidance import GAIN_1_S, Guidance, wanted_1_s
 from links import Faults
 from report import latencies
-from sensors import ATTITUDE, COMMAND, EDGE, STEP_S, pack_command, pack_edge, unpack_attitude, unpack_edge
+from sensors import STEP_S
 from spacecraft import RealTimeSpacecraft
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 

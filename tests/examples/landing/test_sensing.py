@@ -10,24 +10,12 @@ import numpy as np
 import pytest
 from compare import table
 from divergence import Motion
+from frames import PUSH, RANGE, STAR, nearest_number, pack_words, unpack_words
 from navigation import Filter, Known, of_events, of_range, of_star
 from pilot import Pilot
 from report import judgement
 from scipy.stats import chi2
-from sensors import (
-    PERIOD_S,
-    PUSH,
-    RANGE,
-    STAR,
-    Inertial,
-    SensorErrors,
-    Sensors,
-    nearest_number,
-    pack_words,
-    turn_of,
-    unpack_words,
-    vector_of,
-)
+from sensors import PERIOD_S, Inertial, SensorErrors, Sensors, turn_of, vector_of
 from spacecraft import Mission, Spacecraft, TouchDown, WithoutCamera
 from vehicle import GRAVITY_M_S2, Lander, State, advance, product
 
