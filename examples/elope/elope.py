@@ -35,7 +35,7 @@ import numpy as np
 import evstim
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "landing"))
-from divergence import Lens, Motion, MotionEstimator, Window
+from divergence import Lens, Motion, Window, estimate
 
 SIZE = 200, 200
 LENS = Lens(100 / math.tan(math.radians(30)), SIZE)
@@ -172,7 +172,7 @@ def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
     attitudes = [(t, body_attitude(row[6:9])) for t, row in zip(times.tolist(), sequence.traj, strict=True)]
     upright = np.array([1 - 2 * (q[1] ** 2 + q[2] ** 2) for _, q in attitudes])  # cosine of the tilt
     heights = np.interp(times, *ranges.T) * upright
-    estimator = MotionEstimator(LENS.focal_px, (SIZE[0] / 2 + 20, SIZE[1] / 2 + 20))
+    reach_px = SIZE[0] / 2 + 20, SIZE[1] / 2 + 20
     seen: list[tuple[float, np.ndarray]] = []
     aside = np.zeros(2)
     for t_s in times.tolist():
@@ -186,11 +186,10 @@ def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
         first, last = np.searchsorted(events["t"], [int(since_s * 1e6), int(until_s * 1e6)])
         window = Window(LENS, 1)
         window.add_events(events[first:last])
-        window.replace_attitudes(attitudes)
-        rays = window.rays(since_s, until_s)
-        if len(rays) < LEAST_EVENTS:
+        rays = window.rays(since_s, until_s, attitudes)
+        if len(rays.t_s) < LEAST_EVENTS:
             continue
-        found = estimator.estimate(rays, guess, 0.01 + 0.5 * abs(guess.down))
+        found = estimate(rays, guess, 0.01 + 0.5 * abs(guess.down), LENS.focal_px, reach_px)
         agrees = abs(found.down - guess.down) < 0.5 * abs(guess.down)
         aside = np.array([found.east, found.south]) if found.reliable and agrees else 0.5 * aside
         if found.reliable and agrees:

@@ -18,13 +18,15 @@ Three choices keep F from preferring a motion that is too small (docs/landing.md
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 from vehicle import matrix
+
+from evstim import EVENT
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
@@ -69,72 +71,43 @@ class Rays:
     sign: Floats  # +1 for ON, -1 for OFF
     seen: tuple[float, float, float, float]  # part in view all the time: least and most x, least and most y
 
-    def __len__(self) -> int:
-        return len(self.t_s)
 
-    def common(self, theta: Floats, spread: float) -> Floats:
-        """Return the part of `seen` whose ground is in view all the time, if it moves by theta at the middle time.
+def estimate(rays: Rays, guess: Motion, spread: float, focal_px: float, reach_px: tuple[float, float]) -> Motion:
+    """Return the motion that fits events best.
 
-        The divergence may be up to `spread` more. Least and most x, least and most y, (4,).
-        """
-        half_s = (self.t_s[-1] - self.t_s[0]) / 2
-        scale = max(1 - (abs(theta[2]) + spread) * half_s, 0.3)
-        across, along = abs(theta[0]) * half_s, abs(theta[1]) * half_s
-        return np.array(self.seen) * scale + np.array([across, -across, along, -along])
-
-
-class MotionEstimator:
-    """Finds the motion of one window of events after the other, from the last one on.
+    The divergence is looked for within `spread` (1/s) around the guess, the other two from the guess on.
 
     Parameters
     ----------
-    focal_px : focal length.
-    reach_px : half the size of the picture made of the events, (across, along).
+    focal_px, reach_px : focal length; half the size of the picture made of the events, (across, along).
     """
+    size = tuple(int(2 * reach / _CELL_PX) + 9 for reach in reversed(reach_px))
+    pictures = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    first_s, last_s = float(rays.t_s[0]), float(rays.t_s[-1])
+    middle_s, half_s = (first_s + last_s) / 2, (last_s - first_s) / 2
+    theta = np.array([guess.east, guess.south, guess.down])
+    scale = max(1 - (abs(theta[2]) + spread) * half_s, 0.3)
+    across, along = np.abs(theta[:2]) * half_s
+    part = np.array(rays.seen) * scale + np.array([across, -across, along, -along])  # in view all the time
+    scene = (rays.t_s - middle_s, rays.x, rays.y, rays.sign, part * focal_px / _CELL_PX)
 
-    def __init__(self, focal_px: float, reach_px: tuple[float, float]) -> None:
-        self._focal_px = focal_px
-        size = tuple(int(2 * reach / _CELL_PX) + 9 for reach in reversed(reach_px))
-        self._pictures = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    def contrast(trial: Floats) -> float:
+        return float(_contrast(scene, trial, focal_px / _CELL_PX, pictures, _TAPS))
 
-    def estimate(self, rays: Rays, guess: Motion, spread: float) -> Motion:
-        """Return the motion that fits events best.
-
-        The divergence is looked for within `spread` (1/s) around the guess, the other two from the guess on.
-        """
-        first_s, last_s = float(rays.t_s[0]), float(rays.t_s[-1])
-        middle_s = (first_s + last_s) / 2
-        theta = np.array([guess.east, guess.south, guess.down])
-        part = rays.common(theta, spread) * self._focal_px / _CELL_PX
-        scene = (rays.t_s - middle_s, rays.x, rays.y, rays.sign, part)
-        still = self._contrast(scene, np.zeros(3))
-        trials = [np.array([*theta[:2], down]) for down in theta[2] + np.linspace(-spread, spread, _GRID)]
-        theta = max(trials, key=lambda trial: self._contrast(scene, trial))
-        size = 2 * _CELL_PX / (max(last_s - first_s, 1e-3) * self._focal_px)  # a cell at the edge
-        theta, best = self._climb(scene, theta, np.array([size, size, 2 * size]))
-        return Motion(*theta.tolist(), gain=best / max(still, 1e-9), at_s=middle_s, events=len(rays))
-
-    def _contrast(self, scene: Scene, theta: Floats) -> float:
-        return float(_contrast(scene, theta, self._focal_px / _CELL_PX, self._pictures, _TAPS))
-
-    def _climb(self, scene: Scene, theta: Floats, size: Floats) -> tuple[Floats, float]:
-        """Return the top and its contrast: parabolas along each unknown, with smaller steps each round."""
-        best = self._contrast(scene, theta)
-        for _ in range(_ROUNDS):
-            for k in (2, 0, 1):
-                theta, best = self._along(scene, theta, best, k, size[k])
-            size = size * 0.6
-        return theta, best
-
-    def _along(self, scene: Scene, theta: Floats, best: float, k: int, size: float) -> tuple[Floats, float]:
-        offset = np.zeros(3)
-        offset[k] = size
-        below, above = self._contrast(scene, theta - offset), self._contrast(scene, theta + offset)
-        bend = below - 2 * best + above
-        shift = np.clip((below - above) / (2 * bend), -1, 1) if bend < 0 else np.sign(above - below)
-        trial = theta + shift * offset
-        value = self._contrast(scene, trial)
-        return (trial, value) if value > best else (theta, best)
+    theta = max((np.array([*theta[:2], down]) for down in theta[2] + np.linspace(-spread, spread, _GRID)), key=contrast)
+    best = contrast(theta)
+    cell_1_s = 2 * _CELL_PX / (max(last_s - first_s, 1e-3) * focal_px)  # at the edge
+    steps = np.diag([cell_1_s, cell_1_s, 2 * cell_1_s])
+    for _ in range(_ROUNDS):
+        for step in steps[[2, 0, 1]]:  # to the top of a parabola along each unknown
+            below, above = contrast(theta - step), contrast(theta + step)
+            bend = below - 2 * best + above
+            shift = np.clip((below - above) / (2 * bend), -1, 1) if bend < 0 else np.sign(above - below)
+            trial = theta + shift * step
+            if (value := contrast(trial)) > best:
+                theta, best = trial, value
+        steps = steps * 0.6
+    return Motion(*theta.tolist(), gain=best / max(contrast(np.zeros(3)), 1e-9), at_s=middle_s, events=len(rays.t_s))
 
 
 @njit(cache=True, fastmath=True)
@@ -195,19 +168,12 @@ class Lens:
 
 
 class Window:
-    """The events of the last five seconds, and the attitudes in them.
-
-    Parameters
-    ----------
-    lens : of the camera.
-    seed : of the choice among very many events, and of the places within their pixels.
-    """
+    """The events of the last five seconds; the seed is of their places within pixels, and of a choice among many."""
 
     def __init__(self, lens: Lens, seed: int) -> None:
         self._lens = lens
         self._draw = np.random.default_rng(seed)
         self._events: list[npt.NDArray[np.void]] = []
-        self._attitudes: list[tuple[float, Floats]] = [(-1.0, np.eye(3))]  # upright, before the first one comes
 
     @property
     def newest_s(self) -> float:
@@ -217,9 +183,7 @@ class Window:
     @property
     def events(self) -> npt.NDArray[np.void]:
         """Events of the last five seconds, (n,) EVENT, in the order in which they came."""
-        if not self._events:
-            return np.zeros(0, [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
-        return np.concatenate(self._events)
+        return np.concatenate([np.zeros(0, EVENT), *self._events])
 
     def add_events(self, events: npt.NDArray[np.void]) -> None:
         """Take the next events."""
@@ -228,52 +192,44 @@ class Window:
         while self._events and self._events[0]["t"][-1] + _KEPT_US < self._events[-1]["t"][-1]:
             del self._events[0]
 
-    def replace_attitudes(self, attitudes: Iterable[tuple[float, Floats]]) -> None:
-        """Take times, s, and attitudes, world from body, in the place of all earlier ones."""
-        self._attitudes = [(t_s, matrix(q)) for t_s, q in attitudes]
+    def rays(self, since_s: float, until_s: float, attitudes: Sequence[tuple[float, Floats]]) -> Rays:
+        """Return the events from one time to another: a fair choice of them, not more than the estimator needs.
 
-    def rays(self, since_s: float, until_s: float) -> Rays:
-        """Return the events from one time to another."""
-        events = self._between(since_s, until_s)
+        `attitudes` are two or more times, s, and attitudes, world from body.
+        """
+        events = self.events
+        first, last = np.searchsorted(events["t"], [since_s * 1e6, until_s * 1e6])
+        events = events[first:last]
+        events = events[np.lexsort((events["x"], events["y"], events["t"]))]  # the line's blocks change those of a tick
+        if len(events) > _MOST_EVENTS:
+            events = events[np.sort(self._draw.choice(len(events), _MOST_EVENTS, replace=False))]
         t_s = events["t"] * 1e-6
         x, y = (
             (events[name] + self._draw.random(len(events)) - side / 2) / self._lens.focal_px
             for name, side in zip("xy", self._lens.size, strict=True)
         )
-        east, south = _level(self._turned(t_s), x, y)
-        return Rays(t_s, east, south, np.where(events["on"], 1.0, -1.0), self._seen(since_s, until_s))
+        east, south = _level(_turned(attitudes, t_s), x, y)
+        seen = self._seen(_turned(attitudes, np.linspace(since_s, until_s, _CORNER_TIMES)))
+        return Rays(t_s, east, south, np.where(events["on"], 1.0, -1.0), seen)
 
-    def _seen(self, since_s: float, until_s: float) -> tuple[float, float, float, float]:
-        """Return the part of the level plane that the whole picture held all the time."""
+    def _seen(self, turned: Floats) -> tuple[float, float, float, float]:
+        """Return the part of the level plane that the whole picture holds at all attitudes, (n, 3, 3)."""
         right, bottom = (side / 2 / self._lens.focal_px for side in self._lens.size)
-        turned = self._turned(np.linspace(since_s, until_s, _CORNER_TIMES))
-        one = np.ones(_CORNER_TIMES)
+        one = np.ones(len(turned))
         corners = [(across * right, along * bottom) for across in (-1, 1) for along in (-1, 1)]
         (a, b, c, d) = (_level(turned, x * one, y * one) for x, y in corners)  # left top, left bottom, right top, ...
         west, east = max(a[0].max(), b[0].max()), min(c[0].min(), d[0].min())
         north, south = max(a[1].max(), c[1].max()), min(b[1].min(), d[1].min())
         return float(west), float(east), float(north), float(south)
 
-    def _between(self, since_s: float, until_s: float) -> npt.NDArray[np.void]:
-        """Return a fair choice of the events of a stretch of time, not more than the estimator needs."""
-        events = self.events
-        first, last = np.searchsorted(events["t"], [since_s * 1e6, until_s * 1e6])
-        events = events[first:last]
-        place = events["y"].astype(np.uint64) * np.uint64(self._lens.size[0]) + events["x"]
-        events = events[np.lexsort((place, events["t"]))]  # of one tick, the order depends on the line's blocks
-        if len(events) <= _MOST_EVENTS:
-            return events
-        return events[np.sort(self._draw.choice(len(events), _MOST_EVENTS, replace=False))]
 
-    def _turned(self, t_s: Floats) -> Floats:
-        """Return the matrices world from body at some times, (n, 3, 3), on straight lines between those known."""
-        known_s = np.array([t for t, _ in self._attitudes])
-        matrices = np.array([one for _, one in self._attitudes])
-        if len(known_s) == 1:
-            return np.broadcast_to(matrices, (len(t_s), 3, 3))
-        after = np.clip(np.searchsorted(known_s, t_s), 1, len(known_s) - 1)
-        part = ((t_s - known_s[after - 1]) / (known_s[after] - known_s[after - 1]))[:, None, None]
-        return matrices[after - 1] * (1 - part) + matrices[after] * part
+def _turned(attitudes: Sequence[tuple[float, Floats]], t_s: Floats) -> Floats:
+    """Return the matrices world from body at some times, (n, 3, 3), on straight lines between those known."""
+    known_s = np.array([t for t, _ in attitudes])
+    matrices = np.array([matrix(q) for _, q in attitudes])
+    after = np.clip(np.searchsorted(known_s, t_s), 1, len(known_s) - 1)
+    part = ((t_s - known_s[after - 1]) / (known_s[after] - known_s[after - 1]))[:, None, None]
+    return matrices[after - 1] * (1 - part) + matrices[after] * part
 
 
 def _level(turned: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:

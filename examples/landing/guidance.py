@@ -23,12 +23,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from divergence import Motion
-from sensors import ATTITUDE, nearest_number, unpack_attitude
+from frames import ATTITUDE, nearest_number, unpack_attitude
 from vehicle import GRAVITY_M_S2, NO_TURN, Vector
 
 DIVERGENCE_1_S, FASTEST_M_S2 = 0.08, 1.2  # wanted; less at heights where it needs more than this acceleration
@@ -63,34 +62,23 @@ def window_s(down_1_s: float, east_1_s: float, south_1_s: float) -> float:
     return float(np.clip(WINDOW_PX / speed_px_s, *WINDOW_S))
 
 
-class _Sent(NamedTuple):
-    """A command: when it acts, its acceleration upwards, and the height at its turn."""
-
-    acts_s: float
-    up_m_s2: float
-    turn_s: float
-    height_m: float
-
-
+@dataclass
 class Guidance:
-    """Turns motions into accelerations, predicted for the time at which the next command acts.
+    """Turns motions into accelerations, predicted for the time at which the next command acts."""
 
-    Parameters
-    ----------
-    height_m, velocity_m_s : from navigation, at the start; (east, north, up).
-    delay_s : time from a turn until its command acts, first estimate; `took` corrects it.
-    attitude_s : time between two numbers of attitudes.
-    """
-
+    height_m: float  # from navigation, at the start; later reckoned
+    velocity_m_s: Vector  # the same, (east, north, up)
+    delay_s: float = 0.1  # from a turn until its command acts, first estimate; `took` corrects it
+    attitude_s: float = 0.04  # between two numbers of attitudes
     uses_events = True
 
-    def __init__(self, height_m: float, velocity_m_s: Vector, delay_s: float = 0.1, attitude_s: float = 0.04) -> None:
-        self.height_m = height_m
-        east, north, up = velocity_m_s.tolist()
+    def __post_init__(self) -> None:
+        east, north, up = self.velocity_m_s.tolist()
+        height_m = self.height_m
         self.motion = Motion(east / height_m, -north / height_m, -up / height_m, math.inf, 0.0, 0)
-        self._delay_s, self._attitude_s = delay_s, attitude_s
-        self._attitudes = deque([(-1.0, NO_TURN)], maxlen=200)  # upright, before the first one comes
-        self._sent: deque[_Sent] = deque(maxlen=100)
+        self._attitudes = deque([(-2.0, NO_TURN), (-1.0, NO_TURN)], maxlen=200)  # upright, before the first one comes
+        # Of each command: the time at which it acts, its acceleration upwards, time and height of its turn.
+        self._sent: deque[tuple[float, float, float, float]] = deque(maxlen=100)
         self._accepted_s = self._now_s = 0.0
         self.begins_s = -math.inf  # events before it do not count
         self._sink_m_s = -up
@@ -106,8 +94,8 @@ class Guidance:
         """Take a frame of the bus: an attitude."""
         if identifier == ATTITUDE:
             q, number = unpack_attitude(data)
-            newest = round(max(self._attitudes[-1][0], 0.0) / self._attitude_s)
-            self._attitudes.append((nearest_number(number, newest) * self._attitude_s, q))
+            newest = round(max(self._attitudes[-1][0], 0.0) / self.attitude_s)
+            self._attitudes.append((nearest_number(number, newest) * self.attitude_s, q))
 
     def complete(self, now_s: float) -> bool:
         """Return True when the attitudes until a time have come."""
@@ -145,17 +133,13 @@ class Guidance:
         wanted, gain = wanted_1_s(self.height_m), self._gain_1_s(now_s) * self.height_m
         steady = wanted**2 * self.height_m * (self.height_m > FINAL_M)
         self._up_m_s2 = steady + gain * (down - wanted) + GRAVITY_M_S2
-        acts_s = now_s + self._delay_s + ENGINE_S
-        self._sent.append(_Sent(acts_s, self._up_m_s2, now_s, self.height_m))
+        acts_s = now_s + self.delay_s + ENGINE_S
+        self._sent.append((acts_s, self._up_m_s2, now_s, self.height_m))
         return np.array([*self._sideways_m_s2(now_s), self._up_m_s2])
-
-    def frames(self) -> list[tuple[int, bytes]]:
-        """Return frames that are sent before a command: none."""
-        return []
 
     def took(self, seconds: float) -> None:
         """Report the time of the last command from its turn until it was sent."""
-        self._delay_s += _DELAY_SHARE * (seconds - self._delay_s)
+        self.delay_s += _DELAY_SHARE * (seconds - self.delay_s)
 
     def lost(self, now_s: float) -> bool:
         """Return True when the last motion is too old to hold."""
@@ -163,27 +147,29 @@ class Guidance:
 
     def row(self, now_s: float) -> dict[str, object]:
         """Return what belongs into the log of a turn."""
-        seen = self.motion
-        return seen.row() | {"height_m": self.height_m, "lost": self.lost(now_s)}
+        return self.motion.row() | {"height_m": self.height_m, "lost": self.lost(now_s)}
 
     def expected(self, end_s: float) -> float:
         """Return the divergence that is predicted for a time from the last motion on."""
-        t_s = self.motion.at_s
-        height_m = self._height_m(t_s)
+        t_s, height_m = self.motion.at_s, self.height_m
+        if self._sent:
+            _, _, turns_s, heights_m = zip(*self._sent, strict=True)
+            height_m = float(np.interp(t_s, turns_s, heights_m))
         sink_m_s = self.motion.down * height_m
         while t_s < end_s:
             step_s = min(_STEP_S, end_s - t_s)
-            sink_m_s += (GRAVITY_M_S2 - self._up(t_s) + self._drift_m_s2) * step_s
+            acting = [up_m_s2 for acts_s, up_m_s2, _, _ in self._sent if acts_s <= t_s] or [GRAVITY_M_S2]
+            sink_m_s += (GRAVITY_M_S2 - acting[-1] + self._drift_m_s2) * step_s
             height_m = max(height_m - sink_m_s * step_s, _LEAST_M)
             t_s += step_s
         return sink_m_s / height_m
 
     def _seen(self, now_s: float) -> float:
         """Return the divergence of the time at which the next command acts."""
-        return self.expected(now_s + self._delay_s + ENGINE_S)
+        return self.expected(now_s + self.delay_s + ENGINE_S)
 
     def _gain_1_s(self, now_s: float) -> float:
-        delay_s = now_s + self._delay_s + ENGINE_S - self.motion.at_s
+        delay_s = now_s + self.delay_s + ENGINE_S - self.motion.at_s
         return min(GAIN_1_S, _GAIN_DELAY / max(delay_s, 1e-3))
 
     def _sideways_m_s2(self, now_s: float) -> Vector:
@@ -192,14 +178,3 @@ class Guidance:
         sideways = _SIDEWAYS_1_S * self.height_m * np.array([-self.motion.east, self.motion.south])
         tilt = _MOST_TILT * min(1.0, _TILT_M / self.height_m)
         return sideways * min(1.0, tilt * max(self._up_m_s2, 0.0) / max(float(np.hypot(*sideways)), 1e-9))
-
-    def _height_m(self, t_s: float) -> float:
-        """Return the height that was reckoned for a time."""
-        if not self._sent:
-            return self.height_m
-        return float(np.interp(t_s, [sent.turn_s for sent in self._sent], [sent.height_m for sent in self._sent]))
-
-    def _up(self, t_s: float) -> float:
-        """Return the acceleration of the command that acted at a time."""
-        acting = [sent.up_m_s2 for sent in self._sent if sent.acts_s <= t_s]
-        return acting[-1] if acting else GRAVITY_M_S2

@@ -34,12 +34,11 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import can
 import numpy as np
 from divergence import Window
-from sensors import COMMAND, ESTIMATE, SYNC, unpack_command
+from frames import COMMAND, ESTIMATE, SYNC, unpack_command
 from vehicle import State, Vector, product
 
 from evstim import SerialReceiver
@@ -58,7 +57,7 @@ class Fault:
 
     kind: str
     at_s: float
-    for_s: float = math.inf
+    for_s: float = 1e9
     share: float = 1.0
 
     @classmethod
@@ -67,7 +66,7 @@ class Fault:
         found = _TEXT.fullmatch(text)
         if found is None or found["kind"] not in KINDS:
             raise ValueError(f"{text!r}: a fault is KIND@AT[+FOR][=SHARE], KIND one of {', '.join(KINDS)}")
-        return cls(found["kind"], float(found["at"]), float(found["for"] or "inf"), float(found["share"] or 1))
+        return cls(found["kind"], float(found["at"]), float(found["for"] or 1e9), float(found["share"] or 1))
 
     def on(self, t_s: float) -> bool:
         """Return True while the fault lasts."""
@@ -102,10 +101,6 @@ class Faults:
         self.frames_lost += lost
         return lost
 
-    def of_computer(self) -> dict[str, float]:
-        """Return the settings of the flight computer that make it fail."""
-        return {f"{fault.kind}_at_s": fault.at_s for fault in self._faults if fault.kind in ("crash", "hang")}
-
 
 @contextmanager
 def opened_bus(port: int) -> Iterator[can.BusABC]:
@@ -122,46 +117,46 @@ def _send(bus: can.BusABC, identifier: int, data: bytes) -> None:
 
 _LOOKING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])  # body from camera
 _POLL_S = 0.5
+_MOST_COUNTER = 240  # of a SYNC
 
 
+@dataclass
 class Connection:
-    """The spacecraft's side of its links.
+    """The spacecraft's side of its links."""
 
-    Parameters
-    ----------
-    bus : the CAN bus.
-    pose_port : UDP port at which the camera receives poses.
-    trouble : returns a text that names the process that has ended; "" while all run.
-    faults : injected faults.
-    """
+    bus: can.BusABC
+    pose_port: int  # UDP port at which the camera receives poses
+    trouble: Callable[[], str]  # returns a text that names the process that has ended; "" while all run
+    faults: Faults
 
-    def __init__(self, bus: can.BusABC, pose_port: int, trouble: Callable[[], str], faults: Faults) -> None:
-        self._bus, self._poses, self.trouble, self.faults = bus, ("127.0.0.1", pose_port), trouble, faults
+    def __post_init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._counter = 0
+        self._poses_sent = self._syncs = 0
         self._estimate = b""
 
     def pose(self, t_s: float, state: State) -> None:
         """Send the pose of the camera at a stream time."""
         q = product(state.attitude, _LOOKING_DOWN)
-        message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._counter)
-        self._counter += 1
+        message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._poses_sent)
+        self._poses_sent += 1
         if (data := self.faults.datagram(message, t_s)) is not None:
-            self._socket.sendto(data, self._poses)
+            self._socket.sendto(data, ("127.0.0.1", self.pose_port))
 
     def frame(self, t_s: float, identifier: int, data: bytes) -> None:
         """Send an attitude or a sample."""
         if not self.faults.loses_frame(t_s):
-            _send(self._bus, identifier, data)
+            _send(self.bus, identifier, data)
 
-    def sync(self, counter: bytes = b"") -> None:
-        """Send a SYNC."""
-        _send(self._bus, SYNC, counter)
+    def sync(self) -> int:
+        """Send a SYNC; return its counter."""
+        self._syncs = self._syncs % _MOST_COUNTER + 1
+        _send(self.bus, SYNC, bytes([self._syncs]))
+        return self._syncs
 
-    def answer(self, t_s: float, limit_s: float) -> tuple[Vector, int, bytes] | None:
-        """Return the next command, the turn that it answers and the newest estimate; None when the bus lost it.
+    def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[Vector, bytes] | None:
+        """Return the command that answers a turn, and the newest estimate; None when the bus lost it.
 
-        Raises TimeoutError when none comes within `limit_s` of wall time, or when there is trouble.
+        Raises TimeoutError, with the cause, when none comes within `limit_s` of wall time, or when there is trouble.
         """
         end_s = time.monotonic() + limit_s
         while (left_s := end_s - time.monotonic()) > 0 and not self.trouble():
@@ -169,13 +164,16 @@ class Connection:
             if message is not None and message.arbitration_id == ESTIMATE:
                 self._estimate = bytes(message.data)
             if message is not None and message.arbitration_id == COMMAND:
-                command, turn = unpack_command(bytes(message.data))
-                return None if self.faults.loses_frame(t_s) else (command, turn, self._estimate)
-        raise TimeoutError
+                command, answered = unpack_command(bytes(message.data))
+                if self.faults.loses_frame(t_s):
+                    return None
+                if answered == turn % (1 << 16):
+                    return command, self._estimate
+        raise TimeoutError(self.trouble() or f"the flight computer did not answer within {limit_s:g} s")
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame of the bus, if one comes in time."""
-        return self._bus.recv(timeout_s)
+        return self.bus.recv(timeout_s)
 
 
 _REQUEST_S = 0.5
@@ -183,41 +181,25 @@ _PATIENCE_S = 10.0  # longest wait for missing events, wall time: the line is st
 _STANDS_S = 5.0  # longest wait for a camera whose time stands still, wall time: it receives no SYNC
 
 
-class Edge(NamedTuple):
-    """A SYNC among the events: its time and its counter on the bus."""
-
-    t_us: int
-    counter: int
-
-
-class Arrival(NamedTuple):
-    """Some events that came at one instant: that of CLOCK_MONOTONIC, the oldest and the newest event, their number."""
-
-    at_ns: int
-    oldest_us: int
-    newest_us: int
-    events: int
-
-
+@dataclass
 class Links:
     """The flight computer's side of its two links, read in one thread without waiting for either.
 
-    Parameters
-    ----------
-    port : path of the serial line.
-    bus : the CAN bus.
-    window : receives events.
-    take_frame : receives identifier and data of each frame of the bus.
+    `edges` are SYNCs among the events: time, us, and counter on the bus. `arrivals` are reads of events: instant on
+    CLOCK_MONOTONIC, ns, times of the oldest and the newest, us, and number.
     """
 
-    def __init__(self, port: str, bus: can.BusABC, window: Window, take_frame: Callable[[int, bytes], None]) -> None:
-        self._path, self._bus, self._window, self._take_frame = port, bus, window, take_frame
+    path: str  # of the serial line
+    bus: can.BusABC
+    window: Window  # receives events
+    take_frame: Callable[[int, bytes], None]  # receives identifier and data of each frame of the bus
+
+    def __post_init__(self) -> None:
         self._port: int | None = None
         self._receiver = SerialReceiver("ccsds-cobs")
-        self._received = 0
-        self.edges: list[Edge] = []
-        self.arrivals: list[Arrival] = []
-        self.syncs = self.lost = 0
+        self._received = self.syncs = self.lost = 0
+        self.edges: list[tuple[int, int]] = []
+        self.arrivals: list[tuple[int, int, int, int]] = []
         self._open()
 
     def complete(self, until_us: int = 0) -> None:
@@ -230,13 +212,15 @@ class Links:
         first = self._report(until_us, end_s)
         if first is None:
             return
-        requested_s = time.monotonic()
-        while self._port is not None and self._received + self.lost < first.events.sent and time.monotonic() < end_s:
-            self.receive(0.01)
-            if time.monotonic() > requested_s + _REQUEST_S:
-                if self._report(0, end_s) is not None:
-                    self.lost = max(self.lost, first.events.sent - self._received)
-                requested_s = time.monotonic()
+        self.wait(lambda: self._received + self.lost >= first.events.sent, _REQUEST_S)
+        if self._received + self.lost < first.events.sent and self._report(0, end_s) is not None:
+            self.lost = max(self.lost, first.events.sent - self._received)
+
+    def wait(self, done: Callable[[], bool], seconds: float) -> None:
+        """Receive until something is done, at most so long, wall time."""
+        end_s = time.monotonic() + seconds
+        while not done() and time.monotonic() < end_s:
+            self.receive(0.001)
 
     def receive(self, timeout_s: float) -> None:
         """Take what has come; wait for the serial line, or for a line that is not there."""
@@ -245,13 +229,13 @@ class Links:
         elif self._port is not None:
             select.select([self._port], [], [], timeout_s)
             self._read_serial()
-        while (message := self._bus.recv(0)) is not None:
+        while (message := self.bus.recv(0)) is not None:
             self.syncs += message.arbitration_id == SYNC
-            self._take_frame(message.arbitration_id, bytes(message.data))
+            self.take_frame(message.arbitration_id, bytes(message.data))
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send a frame."""
-        _send(self._bus, identifier, data)
+        _send(self.bus, identifier, data)
 
     def _report(self, until_us: int, end_s: float) -> Housekeeping | None:
         """Return the next report of the camera in which no event waits; None when none comes."""
@@ -276,7 +260,7 @@ class Links:
     def _open(self) -> bool:
         """Open the serial line; return whether it is there."""
         try:
-            self._port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self._port = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             tty.setraw(self._port, termios.TCSANOW)
         except (OSError, termios.error):
             self._unplug()
@@ -300,7 +284,6 @@ class Links:
         events, edges = self._receiver.take_events(), self._receiver.take_edges()
         if len(events):
             self._received += len(events)
-            oldest_us, newest_us = int(events["t"][0]), int(events["t"][-1])
-            self.arrivals.append(Arrival(time.monotonic_ns(), oldest_us, newest_us, len(events)))
-            self._window.add_events(events)
-        self.edges += [Edge(*pair) for pair in zip(edges["t"].tolist(), edges["seq"].tolist(), strict=True)]
+            self.arrivals.append((time.monotonic_ns(), int(events["t"][0]), int(events["t"][-1]), len(events)))
+            self.window.add_events(events)
+        self.edges += zip(edges["t"].tolist(), edges["seq"].tolist(), strict=True)

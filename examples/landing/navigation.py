@@ -30,6 +30,8 @@ from sensors import PERIOD_S, SensorErrors, turn_of, vector_of
 from vehicle import GRAVITY_M_S2, NO_TURN, Vector, product
 from vehicle import matrix as matrix_of
 
+from emulator.geometry.attitude import conjugate
+
 _KEPT = 350  # periods: 7 s, longer than the longest window
 _GATE = 4.0  # square of standard deviations, for each number of a measurement
 _P, _V, _Q, _A, _G = (slice(k, k + 3) for k in range(0, 15, 3))
@@ -61,50 +63,32 @@ class Estimate:
     gyroscope_bias: Vector
     covariance: Vector
 
-    def moved(self, error: Vector) -> Estimate:
-        """Return the estimate with an error, (15,), added."""
-        q = product(self.attitude, turn_of(error[_Q]))
-        return replace(
-            self,
-            position_m=self.position_m + error[_P],
-            velocity_m_s=self.velocity_m_s + error[_V],
-            attitude=q / np.linalg.norm(q),
-            accelerometer_bias=self.accelerometer_bias + error[_A],
-            gyroscope_bias=self.gyroscope_bias + error[_G],
-        )
 
-
-@dataclass(frozen=True)
-class Measurement:
-    """A measurement: its residual and matrix at an estimate, and its variances."""
-
-    linear: Callable[[Estimate], tuple[Vector, Vector]]
-    variance: Vector
+Measurement = tuple[Callable[[Estimate], tuple[Vector, Vector]], Vector]
+"""A function that gives residual and matrix at an estimate; the variances."""
 
 
 def of_star(attitude: Vector, errors: SensorErrors) -> Measurement:
     """Return the measurement of a star tracker's attitude."""
-    tracker = errors.star_tracker
     rounding = 2 / 32767 / math.sqrt(12)
-    variance = np.array(tracker.white_rad) ** 2 + tracker.misalignment_rad**2 + rounding**2
+    variance = np.array(errors.star_white_rad) ** 2 + errors.misalignment_rad**2 + rounding**2
 
     def linear(now: Estimate) -> tuple[Vector, Vector]:
-        return vector_of(product(now.attitude * (1, -1, -1, -1), attitude)), _EYE[_Q]
+        return vector_of(product(conjugate(now.attitude), attitude)), _EYE[_Q]
 
-    return Measurement(linear, variance)
+    return linear, variance
 
 
 def of_range(range_m: float, errors: SensorErrors, relief_m: float) -> Measurement:
     """Return the measurement of an altimeter's range; `relief_m` is the ground's, 1 sigma."""
-    altimeter = errors.altimeter
-    scale = math.hypot(altimeter.scale, altimeter.white_scale) * range_m
-    variance = np.array([altimeter.white_m**2 + scale**2 + relief_m**2])
+    scale = math.hypot(errors.range_scale, errors.range_white_scale) * range_m
+    variance = np.array([errors.range_white_m**2 + scale**2 + relief_m**2])
 
     def linear(now: Estimate) -> tuple[Vector, Vector]:
         cosine = float(matrix_of(now.attitude)[2, 2])
         return np.array([range_m - now.position_m[2] / cosine]), _EYE[2:3] / cosine
 
-    return Measurement(linear, variance)
+    return linear, variance
 
 
 def of_events(motion: Vector, variance: Vector) -> Measurement:
@@ -119,7 +103,7 @@ def of_events(motion: Vector, variance: Vector) -> Measurement:
         matrix[:, 2] = -predicted / height_m
         return motion - predicted, matrix
 
-    return Measurement(linear, variance)
+    return linear, variance
 
 
 class Filter:
@@ -128,38 +112,43 @@ class Filter:
     def __init__(self, known: Known, errors: SensorErrors) -> None:
         self.errors = errors
         self.newest = 0  # period
-        self._before = {0: _first(known, errors)}
-        self._after: dict[int, Estimate] = {}
+        gyroscope, accelerometer = errors.gyroscope, errors.accelerometer
+        bias = math.sqrt(accelerometer.bias**2 + accelerometer.drift**2 + _GRAVITY_ERROR_M_S2**2)
+        sigma = [known.place_sigma_m] * 2 + [known.height_sigma_m] + [known.velocity_sigma_m_s] * 3
+        sigma += [_ATTITUDE_RAD] * 3 + [bias] * 3 + [math.hypot(gyroscope.bias, gyroscope.drift)] * 3
+        place, velocity, no_bias = np.array(known.position_m), np.array(known.velocity_m_s), np.zeros(3)
+        self._before = {0: Estimate(place, velocity, NO_TURN, no_bias, no_bias, np.diag(np.square(sigma)))}
         self._samples: dict[int, tuple[Vector, Vector]] = {}
         self._measured: dict[int, list[Measurement]] = {}
-        self._from = 0
-        self._growth = _growth(errors)
+        self._from = 0  # period whose estimate, and all later ones, are out of date
+        growth = np.zeros(15)  # of the variances, in a period
+        rounding = np.array([1e-5, 1e-6]) ** 2 / 12  # of push and turn on the bus
+        growth[_V] = accelerometer.white**2 * PERIOD_S + rounding[0]
+        growth[_Q] = gyroscope.white**2 * PERIOD_S + rounding[1]
+        for part, triad in ((_A, accelerometer), (_G, gyroscope)):
+            growth[part] = 2 * triad.drift**2 * PERIOD_S / triad.correlation_s
+        self._growth = np.diag(growth)
 
     @property
     def now(self) -> Estimate:
         """Estimate at the newest sample, with all measurements."""
-        self._replay()
-        return self._after[self.newest]
+        return self.at(self.newest)
 
     def at(self, number: int) -> Estimate:
-        """Return the estimate of a period that is still stored."""
-        self._replay()
-        return self._after[min(max(number, min(self._after)), self.newest)]
-
-    @property
-    def oldest(self) -> int:
-        """Oldest period that is stored."""
-        return min(self._before)
+        """Return the estimate of a period that is still stored, with all measurements until then."""
+        for k in range(self._from, self.newest):
+            self._before[k + 1] = self._stepped(self._after(k), *self._samples[k + 1])
+        self._from = self.newest
+        return self._after(min(max(number, min(self._before)), self.newest))
 
     def sample(self, number: int, turn_rad: Vector, push_m_s: Vector) -> None:
         """Take the next sample of the IMU; where the bus lost some, this one stands for them."""
         while self.newest < number:
-            self._replay()
-            self.newest += 1
+            last = self.now
+            self.newest = self._from = self.newest + 1
             self._samples[self.newest] = turn_rad, push_m_s
-            self._before[self.newest] = self._stepped(self._after[self.newest - 1], turn_rad, push_m_s)
-            self._from = self.newest
-            for table in (self._before, self._after, self._samples, self._measured):
+            self._before[self.newest] = self._stepped(last, turn_rad, push_m_s)
+            for table in (self._before, self._samples, self._measured):
                 table.pop(self.newest - _KEPT, None)
 
     def measure(self, number: int, measurement: Measurement) -> bool:
@@ -178,7 +167,7 @@ class Filter:
         q = product(last.attitude, turn_of(turn))
         step = _EYE.copy()
         step[_P, _V] = np.eye(3) * PERIOD_S
-        step[_V, _Q] = -middle @ _cross(push)
+        step[_V, _Q] = -middle @ np.cross(np.eye(3), push)  # the matrix of a cross product from the left
         step[_V, _A] = -middle * PERIOD_S
         step[_Q, _Q] = matrix_of(turn_of(-turn))
         step[_Q, _G] = -np.eye(3) * PERIOD_S
@@ -190,44 +179,18 @@ class Filter:
             covariance=step @ last.covariance @ step.T + self._growth,
         )
 
-    def _replay(self) -> None:
-        """Bring the estimates of all periods from the oldest new measurement on up to date."""
-        for k in range(self._from, self.newest + 1):
-            now = self._before[k]
-            for measurement in self._measured.get(k, ()):
-                now = corrected(now, measurement)
-            self._after[k] = now
-            if k < self.newest:
-                self._before[k + 1] = self._stepped(now, *self._samples[k + 1])
-        self._from = self.newest + 1
+    def _after(self, number: int) -> Estimate:
+        """Return the estimate of a period with its own measurements."""
+        now = self._before[number]
+        for measurement in self._measured.get(number, ()):
+            now = _corrected(now, measurement)
+        return now
 
 
-def _first(known: Known, errors: SensorErrors) -> Estimate:
-    """Return the estimate at the start."""
-    bias = math.sqrt(errors.accelerometer.bias**2 + errors.accelerometer.drift**2 + _GRAVITY_ERROR_M_S2**2)
-    sigma = [known.place_sigma_m] * 2 + [known.height_sigma_m] + [known.velocity_sigma_m_s] * 3
-    sigma += [_ATTITUDE_RAD] * 3 + [bias] * 3 + [math.hypot(errors.gyroscope.bias, errors.gyroscope.drift)] * 3
-    covariance = np.diag(np.square(sigma))
-    return Estimate(
-        np.array(known.position_m), np.array(known.velocity_m_s), NO_TURN, np.zeros(3), np.zeros(3), covariance
-    )
-
-
-def _growth(errors: SensorErrors) -> Vector:
-    """Return the covariance that a period adds."""
-    q = np.zeros(15)
-    rounding = np.array([1e-5, 1e-6]) ** 2 / 12  # of push and turn on the bus
-    q[_V] = errors.accelerometer.white**2 * PERIOD_S + rounding[0]
-    q[_Q] = errors.gyroscope.white**2 * PERIOD_S + rounding[1]
-    for part, triad in ((_A, errors.accelerometer), (_G, errors.gyroscope)):
-        q[part] = 2 * triad.drift**2 * PERIOD_S / triad.correlation_s
-    return np.diag(q)
-
-
-def corrected(now: Estimate, measurement: Measurement) -> Estimate:
+def _corrected(now: Estimate, measurement: Measurement) -> Estimate:
     """Return the estimate with a measurement, one that does not fit with less weight; Joseph's form."""
-    residual, matrix = measurement.linear(now)
-    noise = np.diag(measurement.variance)
+    linear, variance = measurement
+    (residual, matrix), noise = linear(now), np.diag(variance)
     expected = matrix @ now.covariance @ matrix.T + noise
     beyond = float(residual @ np.linalg.solve(expected, residual)) / (_GATE * len(residual))
     if beyond > 1:
@@ -236,9 +199,13 @@ def corrected(now: Estimate, measurement: Measurement) -> Estimate:
     gain = np.linalg.solve(expected, matrix @ now.covariance).T
     rest = _EYE - gain @ matrix
     covariance = rest @ now.covariance @ rest.T + gain @ noise @ gain.T
-    return replace(now.moved(gain @ residual), covariance=(covariance + covariance.T) / 2)
-
-
-def _cross(a: Vector) -> Vector:
-    """Return the matrix of a cross product from the left."""
-    return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    error = gain @ residual
+    q = product(now.attitude, turn_of(error[_Q]))
+    return Estimate(
+        now.position_m + error[_P],
+        now.velocity_m_s + error[_V],
+        q / np.linalg.norm(q),
+        now.accelerometer_bias + error[_A],
+        now.gyroscope_bias + error[_G],
+        (covariance + covariance.T) / 2,
+    )

@@ -11,23 +11,24 @@ A law of the user's, FILE.py:NAME, can take the place of this one: docs/landing.
 
 from __future__ import annotations
 
-import importlib.util
 import math
+import runpy
 import sys
 import traceback
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 from typing import TypeVar
 
+import frames
 import numpy as np
-import sensors
 from divergence import Motion
 from guidance import DIVERGENCE_1_S, ENGINE_S, FINAL_M, GAIN_1_S, wanted_1_s, window_s
 from navigation import Filter, Known, of_events, of_range, of_star
-from sensors import PERIOD_S, SensorErrors, nearest_number
+from sensors import PERIOD_S, SensorErrors
 from vehicle import GRAVITY_M_S2, Vector
 
 LAW_FAILED = "law_failed.txt"
@@ -79,45 +80,40 @@ class GivenLaw:
 
     def _within(self, seconds: float, call: Callable[[], Result]) -> Result:
         """Return the result of a call; raises LawFailed for any exception of it, and when it takes longer."""
-        results: list[Result | LawFailed] = []
+        future: Future[Result] = Future()
 
         def work() -> None:
             try:
-                results.append(call())
-            except LawFailed as failure:
-                results.append(failure)
+                future.set_result(call())
             except BaseException as error:  # noqa: BLE001  a law may raise anything, SystemExit too
-                results.append(LawFailed(f"raised {self._described(error)}"))
+                future.set_exception(error)
 
         thread = Thread(target=work, daemon=True)
         thread.start()
         for _ in range(2):  # a machine that stands still may take away one half
             thread.join(seconds / 2)
-        if not results:
+        if not future.done():
             raise LawFailed(f"did not return within {seconds:g} s")
-        if isinstance(results[0], LawFailed):
-            raise results[0]
-        return results[0]
+        if (error := future.exception()) is None:
+            return future.result()
+        raise error if isinstance(error, LawFailed) else LawFailed(f"raised {self._described(error)}")
 
     def _described(self, error: BaseException) -> str:
         """Return kind and message of an error, and the line of the law's file that it came from."""
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if frame.filename == str(self._path)]
+        calls = traceback.extract_tb(error.__traceback__)
+        lines = [call.lineno for call in calls if call.filename == str(self._path)]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         message = " ".join(str(error).split())[:_MOST_TEXT]
         return f"{type(error).__name__}: {message}" + (f", in line {line} of {self._path.name}" if line else "")
 
     def _loaded(self) -> Callable[[LawInput], object]:
-        spec = importlib.util.spec_from_file_location(_MODULE, self._path)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[_MODULE] = module  # dataclasses of the file look for their module there
         sys.path.append(str(self._path.parent))  # for what the file imports from beside it
-        spec.loader.exec_module(module)
-        if not hasattr(module, self._name):
-            names = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == _MODULE]
+        found = runpy.run_path(str(self._path), run_name=_MODULE)
+        if self._name not in found:
+            names = [name for name, value in found.items() if getattr(value, "__module__", "") == _MODULE]
             choice = f"give a name that it defines: {', '.join(names)}" if names else "it defines none"
             raise LawFailed(f"names nothing in {self._path.name}: {choice}")
-        law = getattr(module, self._name)
+        law = found[self._name]
         if isinstance(law, type):
             law = law()
         if not callable(law):
@@ -138,8 +134,6 @@ def _acceleration(value: object) -> Vector:
         raise LawFailed(f"returned {shown}, beyond {_MOST_M_S2:g} m/s2")
     return command
 
-
-LawCall = Callable[[LawInput], Vector]
 
 NAVIGATIONS = {
     "blind": frozenset[str](),
@@ -166,13 +160,13 @@ _HOLD_S = 1.0
 class Pilot:
     """One descent, from the state known at its start, with the sensors of a name of NAVIGATIONS.
 
-    `law` gives the wanted acceleration, (3,), in the place of `wanted_m_s2`; `delay_s` is as DELAY_S.
+    `law` gives the wanted acceleration, (3,), in the place of `wanted_m_s2`.
     """
 
     begins_s = 0.5  # before it, events show the camera's start and not the ground
 
-    def __init__(self, known: Known, navigation: str, law: LawCall | None = None, delay_s: float = DELAY_S) -> None:
-        self._used, self._law, self._delay_s = NAVIGATIONS[navigation], law or wanted_m_s2, delay_s
+    def __init__(self, known: Known, navigation: str, law: Callable[[LawInput], Vector] | None = None) -> None:
+        self._used, self._law = NAVIGATIONS[navigation], law or wanted_m_s2
         self.uses_events = "events" in self._used
         self.filter = Filter(known, SensorErrors())
         self._turn = np.zeros(3)
@@ -181,19 +175,21 @@ class Pilot:
         self._seen_s = self.begins_s
 
     def take_frame(self, identifier: int, data: bytes) -> None:
-        """Take a frame of the bus; raises ValueError for one of a wrong length."""
+        """Take a frame of the bus; raises struct.error for one of a wrong length."""
         newest = self.filter.newest
-        if identifier == sensors.TURN:
-            self._turn, _ = sensors.unpack_vector(data, sensors.TURN_RAD)
-        elif identifier == sensors.PUSH:
-            push, number = sensors.unpack_vector(data, sensors.PUSH_M_S)
-            self.filter.sample(nearest_number(number, newest), self._turn, push)
-        elif identifier == sensors.STAR:
-            q, number = sensors.unpack_attitude(data)
-            self.filter.measure(nearest_number(number, newest), of_star(q, self.filter.errors))
-        elif identifier == sensors.RANGE and "altimeter" in self._used:
-            range_m, number = sensors.unpack_range(data)
-            self.filter.measure(nearest_number(number, newest), of_range(range_m, self.filter.errors, _RELIEF_M))
+        if identifier == frames.TURN:
+            words, _ = frames.unpack_words(data)
+            self._turn = words * frames.TURN_RAD
+        elif identifier == frames.PUSH:
+            words, number = frames.unpack_words(data)
+            self.filter.sample(frames.nearest_number(number, newest), self._turn, words * frames.PUSH_M_S)
+        elif identifier == frames.STAR:
+            q, number = frames.unpack_attitude(data)
+            self.filter.measure(frames.nearest_number(number, newest), of_star(q, self.filter.errors))
+        elif identifier == frames.RANGE and "altimeter" in self._used:
+            words, number = frames.RANGE_FRAME.unpack(data)
+            measured = of_range(words * frames.RANGE_M, self.filter.errors, _RELIEF_M)
+            self.filter.measure(frames.nearest_number(number, newest), measured)
 
     def complete(self, now_s: float) -> bool:
         """Return True when the samples of the turn that began at a time have come."""
@@ -202,7 +198,7 @@ class Pilot:
     def attitudes(self, since_s: float) -> list[tuple[float, Vector]]:
         """Return times, s, and attitudes, world from body, from a time until the newest sample, every second one."""
         first = max(round(since_s / PERIOD_S) - 2, 0)
-        numbers = range(self.filter.newest, max(first, self.filter.oldest) - 1, -2)
+        numbers = range(self.filter.newest, first - 1, -2)
         return [(k * PERIOD_S, self.filter.at(k).attitude) for k in reversed(numbers)]
 
     def guess(self, at_s: float) -> Motion:
@@ -230,7 +226,7 @@ class Pilot:
 
         The turn began at `now_s`, and its newest sample is `period_s` later.
         """
-        acts_s, now = now_s + period_s + self._delay_s, self.filter.now
+        acts_s, now = now_s + period_s + DELAY_S, self.filter.now
         position, velocity = self._predicted(acts_s + ENGINE_S)
         sigma = np.sqrt(np.diag(now.covariance))
         state = LawInput(acts_s + ENGINE_S, position, velocity, now.attitude.copy(), sigma[:3], sigma[3:6], TURN_S)
@@ -238,9 +234,9 @@ class Pilot:
         self._sent.append((acts_s, command))
         return command
 
-    def frames(self) -> list[tuple[int, bytes]]:
-        """Return what is sent before a command: the newest attitude, for the attitude control."""
-        return [(sensors.ESTIMATE, sensors.pack_attitude(self.filter.now.attitude, self.filter.newest))]
+    def estimate(self) -> bytes:
+        """Return the data of the newest attitude, which is sent before a command: for the attitude control."""
+        return frames.pack_attitude(self.filter.now.attitude, self.filter.newest)
 
     def row(self, now_s: float) -> dict[str, object]:
         """Return what belongs into the log of a turn."""

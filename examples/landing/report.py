@@ -1,4 +1,4 @@
-"""Verdict of a flight, verdict.json, and its page, page.html.
+"""Verdict of a flight, verdict.json, its page, page.html, and its delays in real time, latency.json.
 
 The page contains the verdict and its reasons, the track, velocities and divergence beside the truth, and the last
 events that the flight computer received. It needs no network and no script; charts are drawn by matplotlib.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from spacecraft import TouchDown
 from vehicle import Height, matrix
 
-from emulator.report.document import Column, Document, Section
+from emulator.report.document import Document, Section
 from emulator.report.page import BLUE, RED, image, panels, pyplot
 from emulator.report.pictures import OFF_RGB, ON_RGB, image_element, palette_png
 
@@ -47,14 +47,17 @@ _BEFORE_S = (2.0, 1.0, 0.0)  # pictures of the page, before the newest event
 _MOST_1_S = 0.3  # of a divergence that is drawn: at touchdown that of the truth grows beyond bounds
 
 
+Row = dict[str, Any]
+"""A turn of the flight computer, from its log."""
+
+
 def judgement(end: TouchDown, ground_m: Height) -> dict[str, object]:
     """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and touched).
 
-    `site_good`: slope of the ground under the feet and the highest rock between them are within theirs. Nothing on
-    board looks for a good site, so it is no part of `soft`.
+    `site_good`: slope of the plane through the ground under four feet and the highest ground above it between them are
+    within their bounds. Nothing on board looks for a good site, so it is no part of `soft`.
     """
     x, y, _ = end.state.position_m.tolist()
-    slope_deg, rock_m = map(float, _site(ground_m, x, y))
     figures = {
         "vertical_m_s": end.vertical_m_s,
         "horizontal_m_s": end.horizontal_m_s,
@@ -62,24 +65,19 @@ def judgement(end: TouchDown, ground_m: Height) -> dict[str, object]:
         "place_m": math.hypot(x, y),
     }
     beyond = [name for name, value in figures.items() if not value < BOUNDS[name]]
-    site = {"slope_deg": slope_deg, "rock_m": rock_m}
+    beside_m = np.linspace(-_FEET_M, _FEET_M, _PLACES)
+    heights = np.array([[ground_m(x + a, y + b) for b in beside_m.tolist()] for a in beside_m.tolist()])
+    middle = _PLACES // 2
+    feet = heights[-1, middle], heights[middle, -1], heights[0, middle], heights[middle, 0]
+    east, north = (feet[0] - feet[2]) / (2 * _FEET_M), (feet[1] - feet[3]) / (2 * _FEET_M)
+    plane = sum(feet) / 4 + beside_m[:, None] * east + beside_m * north
+    slope_deg = math.degrees(math.atan(math.hypot(east, north)))
+    site = {"slope_deg": slope_deg, "rock_m": float((heights - plane).max(initial=0.0))}
     site_good = all(value < SITE_BOUNDS[name] for name, value in site.items())
     return figures | site | {"site_good": site_good, "beyond": beyond, "soft": bool(end.touched and not beyond)}
 
 
-def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
-    """Return the slope of the plane through the ground under four feet, degrees, and the highest ground above it, m."""
-    heights = [ground_m(x_m + a * _FEET_M, y_m + b * _FEET_M) for a, b in ((1, 0), (0, 1), (-1, 0), (0, -1))]
-    east, north = (heights[0] - heights[2]) / (2 * _FEET_M), (heights[1] - heights[3]) / (2 * _FEET_M)
-    middle, over = sum(heights) / 4, 0.0
-    for a in np.linspace(-_FEET_M, _FEET_M, _PLACES):
-        for b in np.linspace(-_FEET_M, _FEET_M, _PLACES):
-            plane = middle + a * east + b * north
-            over = max(over, ground_m(x_m + float(a), y_m + float(b)) - plane)
-    return math.degrees(math.atan(math.hypot(east, north))), over
-
-
-def rows_of(folder: Path) -> list[dict[str, Any]]:
+def rows_of(folder: Path) -> list[Row]:
     """Return the turns of the flight computer."""
     log = folder / "computer.jsonl"
     return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
@@ -155,7 +153,7 @@ def reasons(judged: dict[str, Any]) -> Iterator[str]:
         yield f"{FIGURES[name]}: {judged[name]:.2f}, beyond the bound of {BOUNDS[name]:g}"
 
 
-def _of_computer(rows: list[dict[str, Any]]) -> Iterator[str]:
+def _of_computer(rows: list[Row]) -> Iterator[str]:
     """Yield sentences from the turns of the flight computer."""
     if not rows:
         yield "the flight computer answered no SYNC"
@@ -188,6 +186,45 @@ def _of_camera(file: Path) -> Iterator[str]:
             yield f"the camera's run was not good: {rule['rule']}: {rule['told']}"
 
 
+_PARTS = "turn begins", "estimate", "command on bus", "shown by a pose"
+
+
+def latencies(
+    origin_ns: int, commands: Sequence[tuple[int, int, int]], rows: Sequence[dict[str, Any]]
+) -> dict[str, object]:
+    """Return the parts of the loop's delay for latency.json, of a flight's spacecraft and the log of its computer.
+
+    Of each command, on CLOCK_MONOTONIC, t the time of the edge whose SYNC it answers (the end of its window of events):
+
+        turn begins        from t until the estimate begins: SYNC, edge and events on the links, end of the last one
+        estimate           until the command is decided
+        command on bus     until the spacecraft has it
+        shown by a pose    until a pose that it changed is sent: the rest of a step of the dynamics
+        event on the link  from an event's time until it is at the computer: that of the oldest or the newest of a
+                           read, for half of its events each
+
+    Apart: the estimator's window, half of which delays the estimate.
+    """
+    instants = []
+    for counter, received_ns, shown_ns in commands:
+        ended = [row for row in rows if row["counter"] == counter and row["ended_ns"] < received_ns]
+        for row in ended[-1:]:  # counters restart after 240: the newest of them
+            edge_ns = origin_ns + row["t_s"] * 1e9
+            instants.append((edge_ns, row["began_ns"], row["ended_ns"], received_ns, shown_ns))
+    parts_ns = dict(zip(_PARTS, np.diff(np.reshape(instants, (-1, len(_PARTS) + 1))).T, strict=True))
+    arrivals = np.array([arrival for row in rows for arrival in row["arrivals"]], np.int64).reshape(-1, 4)
+    at_ns, oldest_us, newest_us, events = arrivals.T
+    late_ns = [at_ns - origin_ns - us * 1000 for us in (oldest_us, newest_us)]
+    parts_ns["event on the link"] = np.repeat(np.concatenate(late_ns), np.tile((events + 1) // 2, 2))
+    parts_ms = {name: _statistics(values_ns * 1e-6) for name, values_ns in parts_ns.items()}
+    return {"parts_ms": parts_ms, "window_s": _statistics(np.array([row["window_s"] for row in rows]))}
+
+
+def _statistics(values: np.ndarray) -> dict[str, float | None]:
+    low, high = np.percentile(values, [50, 95]).round(3).tolist() if len(values) else (None, None)
+    return {"median": low, "p95": high, "n": len(values)}
+
+
 def write_page(folder: Path) -> Path:
     """Write page.html beside verdict.json; return its path. Raises ChartsLacking where matplotlib is not installed."""
     judged = json.loads((folder / "verdict.json").read_text())
@@ -197,24 +234,24 @@ def write_page(folder: Path) -> Path:
     kind = "good" if judged["soft"] else "bad"
     page = Document("A landing guided by events", f"{law}; navigation: {judged['navigation']}; {folder}", kind, words)
     page.add(Section("Reasons").listed([*reasons(judged), *judged["why"]] or ["Nothing went wrong."]))
-    columns = [Column("name", "figure"), Column("value", "at the end", "number"), Column("bound", "bound", "number")]
     names = FIGURES | {"t_s": "time, s", "height_m": "height of the camera, m", "fuel_kg": "propellant, kg"}
-    figures = [{"name": names[name], "value": judged.get(name), "bound": BOUNDS.get(name)} for name in names]
-    page.add(Section("Figures").table("Touchdown, or the end of the flight", columns, figures))
+    figures = [
+        {"figure": text, "at the end": judged.get(name), "bound": BOUNDS.get(name)} for name, text in names.items()
+    ]
+    page.add(Section("Figures").records(figures, "Touchdown, or the end of the flight"))
     if len(flight.height_m):
         page.add(Section("Track, velocities and divergence").chart(*_charts(flight)))
     events = Section("Last events")
-    shown = len(flight.events) > 0 and len(flight.height_m) > 0
-    end_s = min(flight.end_s + 1.0, float(flight.events["t"][-1]) * 1e-6) if shown else 0.0
-    pictures = []
-    for before_s in _BEFORE_S if shown else ():
-        at_s = end_s - before_s
-        up_m = float(np.interp(at_s, flight.truth["t_s"], flight.height_m))
+    if not (len(flight.events) and len(flight.height_m)):
+        return page.add(events.text("No events came.")).write(folder / "page.html")
+    end_s = min(flight.end_s + 1.0, float(flight.events["t"][-1]) * 1e-6)
+    pictures = ""
+    for at_s in end_s - np.array(_BEFORE_S):
+        up_m = np.interp(at_s, flight.truth["t_s"], flight.height_m)
         text = f"events of 30 ms at {at_s:.2f} s, {up_m:.1f} m above the ground; ON orange, OFF blue"
         element = image_element(palette_png(flight.picture(at_s), COLOURS), text, _SHAPE[1])
-        pictures.append(f"<figure>{element}<figcaption>{text}</figcaption></figure>")
-    events.element(f'<div class="maps">{"".join(pictures)}</div>')
-    return page.add(events.text("" if shown else "No events came.")).write(folder / "page.html")
+        pictures += f"<figure>{element}<figcaption>{text}</figcaption></figure>"
+    return page.add(events.element(f'<div class="maps">{pictures}</div>')).write(folder / "page.html")
 
 
 def _charts(flight: Flight) -> tuple[str, str]:

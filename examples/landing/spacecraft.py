@@ -1,37 +1,43 @@
-"""The spacecraft in lockstep: with its own sensors, or with an attitude that the simulation gives; starts by a seed.
+"""The spacecraft: with its own sensors, or with an attitude that the simulation gives; starts by a seed.
 
-Each turn of 0.2 s: the equations are integrated, poses and samples (or attitudes) are sent, then the SYNC lets the
-camera's time go on. The command that answers it acts a fixed time after its turn: computing takes the same simulated
-time, however long it takes here. A command that the bus lost leaves the last one in force; so does a flight computer
-that has died, and the flight goes on to the ground.
+In lockstep, each turn of 0.2 s: the equations are integrated, poses and samples (or attitudes) are sent, then the SYNC
+lets the camera's time go on. The command that answers it acts a fixed time after its turn: computing takes the same
+simulated time, however long it takes here. A command that the bus lost leaves the last one in force; so does a flight
+computer that has died, and the flight goes on to the ground.
+
+In real time the dynamics are integrated by the wall clock, and no process waits for another. First SYNCs go out, and
+the flight computer sends the time of each one's edge among the events. The least delay of them gives the wall time at
+which the camera's stream began. Then, every 10 ms, the equations go on by 10 ms; pose and attitude leave with their own
+time, each 0.2 s a SYNC. A command holds from the next step after it came until the next one comes. A late machine
+integrates the missed time, and sends the newest pose alone.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import frames
 import numpy as np
 from guidance import wanted_1_s
 from links import Connection
 from navigation import Known
 from pilot import DELAY_S, Pilot
-from sensors import (
-    ATTITUDE,
-    PERIOD_S,
-    SensorErrors,
-    Sensors,
-    pack_attitude,
-    pack_command,
-    turn_of,
-    unpack_attitude,
-    unpack_command,
-)
-from vehicle import GRAVITY_M_S2, NO_TURN, Height, Lander, Record, State, Vector, advance, product
+from sensors import PERIOD_S, PICTURE_S, STEP_S, SensorErrors, Sensors, turn_of
+from vehicle import GRAVITY_M_S2, NO_TURN, Height, Lander, State, Vector, advance, product
 
-PICTURE_S = 0.04
+from emulator.geometry.attitude import conjugate
+
 ANSWER_S, LONGEST_S = 120.0, 600.0
 _FOOT_M = 2.0  # height of the camera when the feet stand
 _LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
+_STEPS_A_TURN = 20
+_SYNCS, _SYNC_NS, _LONGEST_SYNCHRONISING_NS = 20, 100_000_000, 60_000_000_000
+_STANDING_STEPS = 100  # the camera's change to the start makes events that show no motion
+_SILENT_S = 2.0
+_LATE_NS = 1_000_000_000  # for an edge: a camera that is later does not keep up
+_NO_CAMERA = "the descent did not begin: the camera is silent, or more than half a second late"
 
 # Errors at the start and of the vehicle, 1 sigma, each axis: docs/landing.md.
 _HEIGHT_ERROR, _PLACE_ERROR_M, _VELOCITY_ERROR_M_S = 0.05, 5.0, 0.7  # of the state from navigation
@@ -102,129 +108,108 @@ class Mission:
         return cls(State(place, velocity, mass_kg=mass_kg, thrust_n=mass_kg * GRAVITY_M_S2), lander, known)
 
 
+@dataclass
 class Spacecraft:
-    """One vehicle on one bus.
+    """One vehicle on one bus, in lockstep.
 
     Without sensors a pose and an attitude are sent with each picture, and a command acts at once. With sensors nothing
-    but their samples is sent, a command acts `delay_s` after its turn, and attitude control turns by the gyroscope from
+    but their samples is sent, a command acts DELAY_S after its turn, and attitude control turns by the gyroscope from
     the flight computer's newest estimate on.
-
-    Parameters
-    ----------
-    lander, state : parameters and start.
-    links : to camera and flight computer.
-    sensors : of the vehicle.
-    delay_s : from the end of a turn until its command acts.
-    answer_s, longest_s : wall time within which the flight computer answers, in lockstep; longest flight.
     """
 
-    def __init__(
-        self,
-        lander: Lander,
-        state: State,
-        links: Connection | WithoutCamera,
-        sensors: Sensors | None = None,
-        delay_s: float = DELAY_S,
-        answer_s: float = ANSWER_S,
-        longest_s: float = LONGEST_S,
-    ) -> None:
-        self._lander, self.state, self._links = lander, state, links
-        self._answer_s, self._longest_s = answer_s, longest_s
-        self._sensors, self._delay_s = sensors, delay_s if sensors else 0.0
-        self._period_s, self._periods = (PERIOD_S, 10) if sensors else (PICTURE_S, 5)  # so many in a turn
-        self._full_kg = state.mass_kg
+    lander: Lander
+    state: State
+    links: Connection | WithoutCamera  # to camera and flight computer
+    sensors: Sensors | None = None
+    longest_s: float = LONGEST_S  # of the flight
+    answer_s: float = ANSWER_S  # wall time within which the flight computer answers, in lockstep
+
+    def __post_init__(self) -> None:
+        self._period_s, self._periods = (PERIOD_S, 10) if self.sensors else (PICTURE_S, 5)  # so many in a turn
+        self._full_kg = self.state.mass_kg
         self._number = self._turn = 0
         self._commands = [(0.0, np.array([0.0, 0.0, GRAVITY_M_S2]))]
         self._attitude = NO_TURN  # of the attitude control with sensors; navigation's at the start
         self._turns: list[Vector] = [NO_TURN]
         self._why: list[str] = []
-        self._start_s, self._end_s = 0.0, longest_s
+        self._start_s, self._end_s = 0.0, self.longest_s
 
     @property
     def t_s(self) -> float:
         """Time of the state."""
         return self._number * self._period_s
 
-    def land(self, ground_m: Height, record: Record) -> TouchDown:
+    def land(self, ground_m: Height, record: Callable[[float, State], None]) -> TouchDown:
         """Fly to the ground, whose height depends on the place; `record` receives time and state of each turn."""
-        if not self._begins():
-            return self._end(touched=False)
-        while self.t_s < self._end_s:
-            for _ in range(self._periods):
-                state = self._advanced()
-                if not np.isfinite(state.packed()).all():
-                    self._why.append(f"the dynamics gave no numbers at {self.t_s:.2f} s")
-                    return self._end(touched=False)
-                before, self.state = self.state, state
-                self._number += 1
-                x, y, z = self.state.position_m.tolist()
-                if z - ground_m(x, y) <= _FOOT_M:
-                    return self._end(touched=True)
-                self._send(before)
-            self._turn += 1
-            self._sync()
-            record(self.t_s, self.state)
-            self._take_answer()
-        self._why.append(f"still flying after {self.t_s - self._start_s:.0f} s")
-        return self._end(touched=False)
-
-    def _end(self, *, touched: bool) -> TouchDown:
+        touched = self._begins() and self._touches(ground_m, record)
         fuel_kg = self._full_kg - self.state.mass_kg
         return TouchDown(self.t_s - self._start_s, self.state, touched, fuel_kg, tuple(self._why))
 
     def _begins(self) -> bool:
         """Send the start; return whether the descent begins."""
-        self._links.pose(0.0, self.state)
-        if self._sensors is None:
-            self._links.frame(0.0, ATTITUDE, pack_attitude(self.state.attitude, 0))
+        self.links.pose(0.0, self.state)
+        if self.sensors is None:
+            self.links.frame(0.0, frames.ATTITUDE, frames.pack_attitude(self.state.attitude, 0))
         return True
+
+    def _touches(self, ground_m: Height, record: Callable[[float, State], None]) -> bool:
+        """Fly on; return whether that ends on the ground."""
+        while self.t_s < self._end_s:
+            for _ in range(self._periods):
+                state = self._advanced()
+                if not np.isfinite(state.packed()).all():
+                    self._why.append(f"the dynamics gave no numbers at {self.t_s:.2f} s")
+                    return False
+                before, self.state = self.state, state
+                self._number += 1
+                x, y, z = self.state.position_m.tolist()
+                if z - ground_m(x, y) <= _FOOT_M:
+                    return True
+                self._send(before)
+            self._turn += 1
+            self.links.sync()
+            record(self.t_s, self.state)
+            self._take_answer()
+        self._why.append(f"still flying after {self.t_s - self._start_s:.0f} s")
+        return False
 
     def _advanced(self) -> State:
         """Return the state a period later."""
-        error = product(self.state.attitude * (1, -1, -1, -1), self._attitude) if self._sensors else NO_TURN
+        error = product(conjugate(self.state.attitude), self._attitude) if self.sensors else NO_TURN
         acting = [command for acts_s, command in self._commands if acts_s <= self.t_s + 1e-9][-1]
-        return advance(self._lander, self.state, acting, self._period_s, error)
+        return advance(self.lander, self.state, acting, self._period_s, error)
 
     def _send(self, before: State) -> None:
         """Send what belongs to the end of a period: pose and attitude; or samples, and each second time the pose."""
-        if self._sensors is None:
-            self._links.pose(self.t_s, self.state)
-            self._links.frame(self.t_s, ATTITUDE, pack_attitude(self.state.attitude, self._number))
+        if self.sensors is None:
+            self.links.pose(self.t_s, self.state)
+            self.links.frame(self.t_s, frames.ATTITUDE, frames.pack_attitude(self.state.attitude, self._number))
             return
-        self._turns.append(turn_of(self._sensors.turn_rad(self._number, before, self.state)))
+        self._turns.append(turn_of(self.sensors.turn_rad(self._number, before, self.state)))
         self._attitude = product(self._attitude, self._turns[-1])
-        self._sensors.take(self._number, before, self.state)
-        for identifier, data in self._sensors.due(self._number):
-            self._links.frame(self.t_s, identifier, data)
+        for identifier, data in self.sensors.frames(self._number, before, self.state):
+            self.links.frame(self.t_s, identifier, data)
         if self._number % 2 == 0:
-            self._links.pose(self.t_s, self.state)
-
-    def _sync(self) -> None:
-        self._links.sync()
+            self.links.pose(self.t_s, self.state)
 
     def _take_answer(self) -> None:
         """Take the answer to this turn's SYNC; without one the last command holds."""
         if self._why:
             return
         try:
-            while (answer := self._links.answer(self.t_s, self._answer_s)) is not None:
-                command, turn, estimate = answer
-                if turn == self._turn % (1 << 16):
-                    self._commands = [*self._commands[-3:], (self.t_s + self._delay_s, command)]
-                    self._correct(estimate)
-                    return
-        except TimeoutError:
-            text = f"the flight computer did not answer within {self._answer_s:g} s"
-            self._goes_alone(self._links.trouble() or text)
-
-    def _correct(self, estimate: bytes) -> None:
-        """Start the attitude control anew from an estimate, turned by the gyroscope since its time."""
-        if not estimate:
+            answer = self.links.answer(self.t_s, self._turn, self.answer_s)
+        except TimeoutError as error:
+            self._goes_alone(str(error))
             return
-        q, number = unpack_attitude(estimate)
-        for turn in self._turns[self._number - (self._number - number) % (1 << 16) + 1 :]:
-            q = product(q, turn)
-        self._attitude = q / np.linalg.norm(q)
+        if answer is None:
+            return
+        command, estimate = answer
+        self._commands = [*self._commands[-3:], (self.t_s + (DELAY_S if self.sensors else 0.0), command)]
+        if estimate:  # the attitude control starts anew from it, turned by the gyroscope since its time
+            q, number = frames.unpack_attitude(estimate)
+            for turn in self._turns[frames.nearest_number(number, self._number) + 1 :]:
+                q = product(q, turn)
+            self._attitude = q / np.linalg.norm(q)
 
     def _goes_alone(self, cause: str) -> None:
         """Record that commands no longer come; the last one holds."""
@@ -234,10 +219,10 @@ class Spacecraft:
 
 
 class WithoutCamera:
-    """Links of a spacecraft whose pilot is in the same program."""
+    """Links of a spacecraft whose pilot is in the same program; poses and SYNCs go nowhere."""
 
     def __init__(self, pilot: Pilot) -> None:
-        self._pilot, self._turn = pilot, 0
+        self._pilot = pilot
 
     def pose(self, t_s: float, state: State) -> None:
         """Send nothing: no camera."""
@@ -247,26 +232,110 @@ class WithoutCamera:
         self._pilot.take_frame(identifier, data)
 
     def sync(self) -> None:
-        """Begin the next turn."""
-        self._turn += 1
+        """Send nothing: no camera."""
 
-    def trouble(self) -> str:
-        """Nothing ends by itself."""
-        return ""
-
-    def answer(self, t_s: float, limit_s: float) -> tuple[Vector, int, bytes]:
+    def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[Vector, bytes]:
         """Return the pilot's answer, as it would come over the bus."""
-        command, turn = unpack_command(pack_command(self._pilot.command_m_s2(t_s, 0.0), self._turn))
-        ((_, estimate),) = self._pilot.frames()
-        return command, turn, estimate
+        command, _ = frames.unpack_command(frames.pack_command(self._pilot.command_m_s2(t_s, 0.0), turn))
+        return command, self._pilot.estimate()
 
 
-def fly_without_camera(
-    height_m: float, seed: int, navigation: str, ground_m: Height, delay_s: float = DELAY_S
-) -> TouchDown:
+def fly_without_camera(height_m: float, seed: int, navigation: str, ground_m: Height) -> TouchDown:
     """Return the end of a flight without a camera."""
     mission = Mission.drawn(height_m, seed)
-    sensors = Sensors(SensorErrors(), mission.lander, seed, ground_m)
-    links = WithoutCamera(Pilot(mission.known, navigation, delay_s=delay_s))
-    spacecraft = Spacecraft(mission.lander, mission.state, links, sensors=sensors, delay_s=delay_s)
-    return spacecraft.land(ground_m, lambda t_s, state: None)
+    unit, links = (
+        Sensors(SensorErrors(), mission.lander, seed, ground_m),
+        WithoutCamera(Pilot(mission.known, navigation)),
+    )
+    return Spacecraft(mission.lander, mission.state, links, unit).land(ground_m, lambda t_s, state: None)
+
+
+@dataclass
+class RealTimeSpacecraft(Spacecraft):
+    """One vehicle in real time, its attitude given.
+
+    `origin_ns` is the instant at which the stream began, CLOCK_MONOTONIC. `commands` has, of each command, the counter
+    of the SYNC that it answers, and the instants when it came and when a pose showed it.
+    """
+
+    now_ns: Callable[[], int] = time.monotonic_ns
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._period_s, self._periods = STEP_S, _STEPS_A_TURN
+        self._received: list[tuple[int, int]] = []  # counter and time of commands that no pose has shown yet
+        self._received_ns = self.origin_ns = 0
+        self.commands: list[tuple[int, int, int]] = []
+
+    def _begins(self) -> bool:
+        """Find when the stream began, and show the start to the camera; return whether it is in time."""
+        if not self._synchronise():
+            self._why.append(self.links.trouble() or _NO_CAMERA)
+            return False
+        for _ in range(_STANDING_STEPS):
+            self._receive(self._due_ns(self._number + 1))
+            self._number += 1
+            self.links.pose(self.t_s, self.state)
+        self._start_s, self._received_ns = self.t_s, self.now_ns()
+        self._end_s += self.t_s
+        return True
+
+    def _synchronise(self) -> bool:
+        """Find when the stream began; False when no edges come."""
+        sent: dict[int, int] = {}
+        origins: list[int] = []
+        end_ns = self.now_ns() + _LONGEST_SYNCHRONISING_NS
+        while len(origins) < _SYNCS and self.now_ns() < end_ns and not self.links.trouble():
+            counter, sent_ns = self.links.sync(), self.now_ns()
+            sent[counter] = sent_ns
+            while (left_ns := sent_ns + _SYNC_NS - self.now_ns()) > 0:
+                message = self.links.receive(left_ns * 1e-9)
+                if message is not None and message.arbitration_id == frames.EDGE:
+                    counter, t_us = frames.unpack_edge(bytes(message.data))
+                    if counter in sent and self.now_ns() - sent[counter] < _LATE_NS:
+                        origins.append(sent[counter] - t_us * 1000)
+        if len(origins) < _SYNCS:
+            return False
+        self.origin_ns = max(origins)  # an edge comes after its SYNC: the least delay is the best
+        turns = round((self.now_ns() - self.origin_ns) * 1e-9 / STEP_S / _STEPS_A_TURN)
+        self._number = turns * _STEPS_A_TURN
+        return True
+
+    def _due_ns(self, number: int) -> int:
+        """Return the instant of a step."""
+        return self.origin_ns + round(number * STEP_S * 1e9)
+
+    def _advanced(self) -> State:
+        """Read commands until the next step is due; return the state at it."""
+        self._receive(self._due_ns(self._number + 1))
+        return super()._advanced()
+
+    def _receive(self, due_ns: int) -> None:
+        """Take commands until an instant, and those that have come already in any case."""
+        while True:
+            left_ns = due_ns - self.now_ns()
+            message = self.links.receive(max(left_ns, 0) * 1e-9)
+            is_command = message is not None and message.arbitration_id == frames.COMMAND
+            if is_command and not self.links.faults.loses_frame(self.t_s):
+                command, counter = frames.unpack_command(bytes(message.data))
+                self._commands = [(0.0, command)]
+                self._received_ns = self.now_ns()
+                self._received.append((counter, self._received_ns))
+            elif message is None and left_ns <= 0:
+                return
+
+    def _send(self, before: State) -> None:
+        """Send pose and attitude, unless a newer one is due already."""
+        if self.now_ns() >= self._due_ns(self._number + 1) and self._number % _STEPS_A_TURN:
+            return
+        super()._send(before)
+        now_ns = self.now_ns()
+        self.commands += [(*received, now_ns) for received in self._received]
+        self._received = []
+
+    def _take_answer(self) -> None:
+        """Record once that commands no longer come: they are taken as they come."""
+        silent_s = (self.now_ns() - self._received_ns) * 1e-9
+        trouble = self.links.trouble()
+        if not self._why and (trouble or silent_s > _SILENT_S):
+            self._goes_alone(trouble or f"the flight computer has sent nothing for {silent_s:.1f} s")

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.attitude import cross
+from emulator.geometry.attitude import conjugate, cross
 
 Vector = npt.NDArray[np.float64]
 
@@ -50,28 +50,18 @@ class State:
 
     position_m: Vector
     velocity_m_s: Vector
-    attitude: Vector = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    attitude: Vector = field(default_factory=NO_TURN.copy)
     turning_rad_s: Vector = field(default_factory=lambda: np.zeros(3))
     thrust_n: float = 0.0
     mass_kg: float = 1000.0
 
     def packed(self) -> Vector:
-        """Return all as one array, (15,)."""
-        rest = (self.thrust_n, self.mass_kg)
-        return np.concatenate([self.position_m, self.velocity_m_s, self.attitude, self.turning_rad_s, rest])
-
-    @classmethod
-    def unpacked(cls, y: Vector) -> State:
-        """Return the state of an array; the attitude is brought back to unit length."""
-        q = y[6:10] / np.linalg.norm(y[6:10])
-        return cls(y[0:3].copy(), y[3:6].copy(), q, y[10:13].copy(), float(y[13]), float(y[14]))
+        """Return all as one array, (15,), in this order."""
+        return np.hstack(list(vars(self).values()))
 
 
 Height = Callable[[float, float], float]
 """Height of the ground, m, by the place east and north, m."""
-
-Record = Callable[[float, State], None]
-"""Takes stream time, s, and state of each turn."""
 
 
 def matrix(q: Vector) -> Vector:
@@ -101,7 +91,8 @@ def advance(lander: Lander, state: State, command_m_s2: Vector, seconds: float, 
         d = _derivative(lander, y + h * c, *wanted)
         y = y + h / 6 * (a + 2 * b + 2 * c + d)
         y[6:10] /= np.linalg.norm(y[6:10])
-    return State.unpacked(y)
+    q = y[6:10] / np.linalg.norm(y[6:10])
+    return State(y[0:3], y[3:6], q, y[10:13], float(y[13]), float(y[14]))
 
 
 def _wanted(lander: Lander, state: State, command_m_s2: Vector, error: Vector) -> tuple[float, Vector]:
@@ -112,13 +103,13 @@ def _wanted(lander: Lander, state: State, command_m_s2: Vector, error: Vector) -
     thrust_n = float(np.clip((state.mass_kg + lander.mass_error_kg) * size, *lander.thrust_n)) * lander.thrust_scale
     x, y, z = wanted / size
     q = np.array([1 + z, -y, x, 0.0])  # the shortest turn of z to that direction
-    return thrust_n, product(q / np.linalg.norm(q), error * (1, -1, -1, -1))
+    return thrust_n, product(q / np.linalg.norm(q), conjugate(error))
 
 
 def _derivative(lander: Lander, y: Vector, thrust_wanted_n: float, attitude_wanted: Vector) -> Vector:
     velocity, q, w, (thrust_n, mass_kg) = y[3:6], y[6:10], y[10:13], y[13:15]
     inertia = np.array(lander.inertia_kg_m2)
-    turn = product(attitude_wanted * (1, -1, -1, -1), q)
+    turn = product(conjugate(attitude_wanted), q)
     error = 2 * turn[1:] * (1.0 if turn[0] >= 0 else -1.0)  # of the shorter way round
     torque = -inertia * (lander.bandwidth_rad_s**2 * error + 2 * lander.damping * lander.bandwidth_rad_s * w)
     torque = np.clip(torque, -lander.torque_nm, lander.torque_nm)

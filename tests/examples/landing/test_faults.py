@@ -66,15 +66,11 @@ class Silent:
     def sync(self) -> None:
         """Send nothing."""
 
-    def trouble(self) -> str:
-        """All run."""
-        return ""
-
-    def answer(self, t_s: float, limit_s: float) -> None:
+    def answer(self, t_s: float, turn: int, limit_s: float) -> None:
         """Be silent, or lose it."""
         self.requests += 1
         if self.given is TimeoutError:
-            raise TimeoutError
+            raise TimeoutError(f"the flight computer did not answer within {limit_s:g} s")
 
 
 @pytest.mark.parametrize(("answer", "requests", "sentences"), [(TimeoutError, 1, 1), (None, 63, 0)])

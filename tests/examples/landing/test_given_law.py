@@ -90,8 +90,9 @@ def test_a_wrong_name_is_refused_before_anything_starts(
     (tmp_path / "lacking.py").write_text("import lacked\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", ["fly.py", "--out", "flight", "--guidance", text])
-    assert fly.main() == 2
-    assert f"fly.py: --guidance {text} {sentence}" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        fly.main()
+    assert f"fly.py: error: --guidance {text} {sentence}" in capsys.readouterr().err
     assert not (tmp_path / "flight").exists()
 
 
@@ -101,7 +102,8 @@ def test_what_a_law_cannot_fly_with_is_refused(
 ) -> None:
     """Without sensors of the vehicle there is no state from navigation."""
     monkeypatch.setattr("sys.argv", ["fly.py", "--out", str(tmp_path / "flight"), "--guidance", "mine.py:law", *more])
-    assert fly.main() == 2
+    with pytest.raises(SystemExit, match="2"):
+        fly.main()
     assert "leave out" in capsys.readouterr().err
 
 

@@ -4,31 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import struct
 
 import numpy as np
 import pytest
 from compare import table
 from divergence import Motion
+from frames import PUSH, RANGE, STAR, nearest_number, pack_words, unpack_words
 from navigation import Filter, Known, of_events, of_range, of_star
 from pilot import Pilot
 from report import judgement
 from scipy.stats import chi2
-from sensors import (
-    PERIOD_S,
-    PUSH,
-    RANGE,
-    STAR,
-    Inertial,
-    SensorErrors,
-    Sensors,
-    nearest_number,
-    pack_range,
-    pack_vector,
-    turn_of,
-    unpack_range,
-    unpack_vector,
-    vector_of,
-)
+from sensors import PERIOD_S, Inertial, SensorErrors, Sensors, turn_of, vector_of
 from spacecraft import Mission, Spacecraft, TouchDown, WithoutCamera
 from vehicle import GRAVITY_M_S2, Lander, State, advance, product
 
@@ -89,8 +76,8 @@ def test_rates_and_delays_are_exact() -> None:
     """Every sample of the IMU one period later, each tenth attitude ten later, each fifth range two later."""
     unit, sent = sensors(), []
     for number in range(1, 101):
-        unit.take(number, ROLLING, ROLLING)
-        sent += [(number, identifier, int.from_bytes(data[-2:], "little")) for identifier, data in unit.due(number)]
+        frames = unit.frames(number, ROLLING, ROLLING)
+        sent += [(number, identifier, int.from_bytes(data[-2:], "little")) for identifier, data in frames]
         sent[-3:] = [(at, one, k if one != RANGE else 0) for at, one, k in sent[-3:]]
     assert [(at, k) for at, one, k in sent if one == PUSH] == [(k + 1, k) for k in range(1, 100)]
     assert [(at, k) for at, one, k in sent if one == STAR] == [(k + 10, k) for k in range(10, 91, 10)]
@@ -100,8 +87,8 @@ def test_rates_and_delays_are_exact() -> None:
 
 def test_the_altimeter_looks_along_the_body() -> None:
     """Over ground that rises to the east, tilted: the beam meets the plane; none beyond its longest range."""
-    exact = dataclasses.replace(SensorErrors().altimeter, white_m=0.0, white_scale=0.0, scale=0.0)
-    unit = Sensors(SensorErrors(altimeter=exact), Lander(), 1, lambda x, y: 0.1 * x)
+    exact = SensorErrors(range_white_m=0.0, range_white_scale=0.0, range_scale=0.0)
+    unit = Sensors(exact, Lander(), 1, lambda x, y: 0.1 * x)
     tilted = dataclasses.replace(ROLLING, attitude=turn_of(np.array([0.0, 0.1, 0.0])))
     east, down = -math.sin(0.1), math.cos(0.1)
     assert unit.range_m(0, tilted) == pytest.approx((100 - 0.3) / (down + 0.1 * east), abs=0.01)
@@ -109,13 +96,20 @@ def test_the_altimeter_looks_along_the_body() -> None:
 
 
 def test_frames_of_sensors_carry_what_was_put_in() -> None:
-    """To half a unit, and numbers beyond 65 535."""
-    vector, number = unpack_vector(pack_vector(np.array([0.0123456, -1e-6, 9.0]), 1e-6, 70_001), 1e-6)
-    assert vector == pytest.approx([0.0123456, -1e-6, 0.032767], abs=0.5e-6)
+    """Rounded and clipped, and numbers beyond 65 535."""
+    words, number = unpack_words(pack_words(np.array([12345.6, -1.0, 9e6]), 70_001))
+    assert words.tolist() == [12346, -1, 32767]
     assert nearest_number(number, 70_000) == 70_001
-    assert unpack_range(pack_range(1499.9996, 9)) == (1500.0, 9)
-    with pytest.raises(ValueError, match="2 bytes"):
-        unpack_range(b"ab")
+    with pytest.raises(struct.error, match="8 bytes"):
+        unpack_words(b"ab")
+
+
+def test_a_range_is_sent_in_millimetres() -> None:
+    """The true one, rounded, with the number of its time."""
+    exact = SensorErrors(range_white_m=0.0, range_white_scale=0.0, range_scale=0.0)
+    unit, level = Sensors(exact, Lander(), 1, lambda x, y: 0.0), State(np.array([0.0, 0.0, 1499.9996]), np.zeros(3))
+    sent = [frame for number in (5, 7) for frame in unit.frames(number, level, level) if frame[0] == RANGE]
+    assert sent == [(RANGE, (1_500_000).to_bytes(4, "little") + (5).to_bytes(4, "little"))]
 
 
 KNOWN = Known((0.0, 0.0, 100.0), (0.0, 0.0, -8.0), 5.0, 5.0, 0.7)
@@ -195,11 +189,11 @@ def landed(navigation: str, seed: int) -> TouchDown:
     class Seeing(WithoutCamera):
         """Links whose pilot gets the motion that a camera would have measured."""
 
-        def answer(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int, bytes]:
+        def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[np.ndarray, bytes]:
             state = spacecraft[0].state
             east, north, up = state.velocity_m_s / state.position_m[2] * (1 + 0.01 * draw.normal(size=3))
             pilot.take_motion(Motion(east, -north, -up, 2.0, t_s - PERIOD_S, 9), t_s, 0.2)
-            return super().answer(t_s, limit_s)
+            return super().answer(t_s, turn, limit_s)
 
     unit = Sensors(SensorErrors(), mission.lander, seed, lambda x, y: 0.0)
     links = Seeing(pilot)
