@@ -151,26 +151,19 @@ def finish(
 
 
 def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | None) -> str:
-    try:
+    with failing(LACKING, OSError, at=f"table or report in {report or folder} is missing"):
         if len(rows) == campaign.runs:
             table.write_table(folder / "rows.parquet", rows)
         return str(write_report(campaign, rows, report or folder))
-    except OSError as error:
-        message = f"{error.filename or folder}: {error.strerror or error}: table or report is missing"
-        raise Failure(message, LACKING) from error
 
 
 def _print(summary: dict[str, object], outcomes: Counter[str], success: str, progress: Progress) -> None:
-    console.print(f"{summary['campaign']}: {summary['done']} of {summary['runs']} runs are done", markup=False)
-    if summary["done"]:
-        console.print(f"success: {success}", markup=False)
-    for outcome, count in outcomes.items():
-        if outcome != "ok":
-            console.print(f"{outcome}: {count}", markup=False)
-    if progress.interrupted:
-        console.print("interrupted: the same command goes on", markup=False)
-    if "report" in summary:
-        console.print(f"report: {summary['report']}", markup=False)
+    lines = [f"{summary['campaign']}: {summary['done']} of {summary['runs']} runs are done"]
+    lines += [f"success: {success}"] if summary["done"] else []
+    lines += [f"{outcome}: {count}" for outcome, count in outcomes.items() if outcome != "ok"]
+    lines += ["interrupted: the same command goes on"] if progress.interrupted else []
+    lines += [f"report: {summary['report']}"] if "report" in summary else []
+    console.print("\n".join(lines), markup=False)
 
 
 @contextmanager
@@ -348,10 +341,8 @@ def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
 
 def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     """Make or check the folder, and return the runs that remain to be done."""
-    try:
+    with failing(WRONG_USE, OSError, at=f"--folder: {folder}"):
         remark = table.begin_folder(loaded, folder)
-    except OSError as error:
-        raise Failure(f"--folder: {error.filename or folder}: {error.strerror or error}", WRONG_USE) from error
     if remark:
         status.print(f"note: {remark}", markup=False)
     return remaining(folder, indices)

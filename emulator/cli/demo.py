@@ -90,10 +90,7 @@ _DRIVER = _PATH + "from emulator.cli.driver_client import main; sys.exit(main(*s
 
 
 def start_reader(kind: str, address: str, record: Path) -> subprocess.Popen[bytes]:
-    """Start the reader of a camera on a link of this kind: for GigE Vision a third-party driver, if it works.
-
-    It reads until SIGINT.
-    """
+    """Start the reader of a camera, which ends with SIGINT: for GigE Vision a third-party driver, if it works."""
     if kind == "gige" and driver_works():
         description, code = f"{DRIVER}, unmodified,", _DRIVER
         arguments = [address.rpartition(":")[0], str(record)]
@@ -161,10 +158,7 @@ def _on_a_free_port(rig: Rig) -> Rig:
 
 
 def _run(rig: Rig, files: Files, received: Path, seconds: float) -> RunResult:
-    """Start the receiver as soon as the camera has an address, and run until it ends.
-
-    Its time starts with the first event that is sent to it: a slow machine may need longer than that to start.
-    """
+    """Run until the receiver ends: it is stopped `seconds` after the first event that was sent to it."""
     link = rig.links[0]
     receiver: subprocess.Popen[bytes] | None = None
     end_s: float | None = None

@@ -63,10 +63,7 @@ _VERBS = {
         "campaign": (f"{_CLI}.campaign:verbs", "Run a rig many times over sampled parameters, and report on all runs."),
         "dataset": (f"{_CLI}.campaign:dataset", "Make sequences of events with truth, over sampled parameters."),
         "accuracy": (f"{_LABORATORY}.accuracy:verbs", "Measure accuracy against speed, beside other simulators."),
-        "characterise": (
-            f"{_LABORATORY}.characterise:characterise",
-            "Measure a sensor as a laboratory does.",
-        ),
+        "characterise": (f"{_LABORATORY}.characterise:characterise", "Measure a sensor as a laboratory does."),
         "validate": (f"{_LABORATORY}.validate:validate", "Repeat public measurements of real cameras in simulation."),
         "bench": (f"{_LABORATORY}.bench:verbs", "Measure the speeds that the documentation quotes."),
     },

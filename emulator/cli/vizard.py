@@ -123,11 +123,8 @@ def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator
     if connection.forward is None:
         yield server
         return
-    try:
+    with failing(LACKING, OSError, at=f"--forward: start it first: no program listens on {connection.forward}"):
         other = Other(*parsed_address("--forward", connection.forward))
-    except OSError as error:
-        reason = f"--forward: no program listens on {connection.forward}: {error.strerror or error}; start it first"
-        raise Failure(reason, LACKING) from error
     with closing(other):
         yield ForwardingServer(server, other)
 

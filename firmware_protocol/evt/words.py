@@ -301,7 +301,8 @@ class Coder:
             raise ValueError(_COMPLAINTS[TOO_LATE])
         if t_us <= state[LAST]:
             return b""
-        words, written, shift = list[int](), int(state[HIGH_SENT]), int(state[REPEAT])
+        words, written = list[int](), int(state[HIGH_SENT])
+        shift = int(state[REPEAT])
         period = t_us >> shift
         begun = range(max(int(state[PERIOD]) + 1, period - _MOST_REPEATS), period + 1)
         for time in [k << shift for k in begun] if shift < _NEVER else [t_us]:

@@ -140,7 +140,7 @@ def test_a_second_camera_that_is_not_there_or_goes_is_told(tmp_path):
             ask.leave()
             code, told, _ = ended(first)
         assert (code, told["problems"]) == (1, [f"the visualiser at {at} has gone"])
-        with pytest.raises(Failure, match=f"no program listens on {at}: Connection refused; start it first"):
+        with pytest.raises(Failure, match=f"start it first: no program listens on {at}: Connection refused"):
             vizard(str(tmp_path / "rig.toml"), connection=ConnectionOptions("127.0.0.1:0", forward=at))
 
 
