@@ -73,12 +73,11 @@ _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
 _MOST_LOST = 1e9
 _STEEPEST = 1e6  # slope of the noise of one pole, which has none, ln units a second
-
 # Of a certificate.
 _CERTIFIED = 2.5  # its bound, over the hazard
 _REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
 _SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
-_LEAST_FAR = 1.5  # deviations
+_LEAST_FAR, _AMPLE = 1.5, 3.0  # deviations; beyond FARTHEST, for a pixel that is slow
 _GROWTH = 1.15  # of the hazard, beside that of its Gaussian
 _LONGEST_NS, _LONGEST_STEPS = 1 << 33, 256
 _SLOWEST = 0.1  # 1/s: forgets in more than the longest time
@@ -531,9 +530,11 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     c_on, c_off = on / noise.sigma, off / noise.sigma
     if min(c_on, c_off) < _LEAST_FAR:
         return
-    h_on = hazard(since_s, Distance(on, off, speed, 0.0), 0.0, 0.0, noise, pixels.tables).on
-    h_off = hazard(since_s, Distance(on, off, -speed, 0.0), 0.0, 0.0, noise, pixels.tables).off
-    total = h_on + h_off
+    total, ample = 0.0, 0.0 if abs(moving) > speed else _AMPLE
+    least = FARTHEST if c.high_rate == 0 and min(c_on, c_off) > FARTHEST + ample else _LEAST_FAR
+    if least < FARTHEST:  # else no passage is likely at any speed
+        total = hazard(since_s, Distance(on, off, speed, 0.0), 0.0, 0.0, noise, pixels.tables).on
+        total += hazard(since_s, Distance(on, off, -speed, 0.0), 0.0, 0.0, noise, pixels.tables).off
     bound_hz = max(_CERTIFIED * total, _REVISITS / c.h if moves else _RESTS_HZ)
     # Limits at which the hazard meets the bound: from its value here, or from the law's largest one anywhere.
     anywhere = (0.5 if noise.ratio > 0 else 5.0) * noise.rate / bound_hz
@@ -543,17 +544,16 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     if growth > 0:
         limit_on = min(c_least, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
         limit_off = min(c_least, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
-    limit_on, limit_off = max(limit_on, _LEAST_FAR), max(limit_off, _LEAST_FAR)
+    limit_on, limit_off = max(limit_on, least), max(limit_off, least)
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
     last_ns = end_ns + _lasting_ns(noise.sigma * (c_on - limit_on if moving > 0 else c_off - limit_off), moving, c)
-    point = keyed.next_point(a.stream, end_ns - 1, last_ns, bound_hz)
-    until_ns = min(point.t_ns, last_ns)
+    until_ns = min(keyed.next_point(a.stream, end_ns - 1, last_ns, bound_hz).t_ns, last_ns)
     fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
     fields[at + _OFF_LIMIT] = np.float32(a.off - noise.sigma * limit_off)
     # Slow light could go any way behind a high-pass: there a pixel that rests is certified for still light only.
-    fields[at + _SPEED] = np.float32(speed if moves or c.high_rate == 0 else 0.0)
+    fields[at + _SPEED] = np.float32((speed if least < FARTHEST else math.inf) if moves or c.high_rate == 0 else 0.0)
     # Seconds since the epoch, earlier than the point by more than float32 may round.
     until_s = np.float64(c.since_epoch_1) + (until_ns - end_ns) * 1e-9
     fields[at + _UNTIL] = np.float32(until_s - 1e-6 - 1e-6 * abs(until_s))
