@@ -530,11 +530,11 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     c_on, c_off = on / noise.sigma, off / noise.sigma
     if min(c_on, c_off) < _LEAST_FAR:
         return
-    total, ample = 0.0, 0.0 if abs(moving) > speed else _AMPLE
+    # Beyond FARTHEST no passage is likely at any speed: limits there need none.
+    ample = 0.0 if abs(moving) > speed else _AMPLE
     least = FARTHEST if c.high_rate == 0 and min(c_on, c_off) > FARTHEST + ample else _LEAST_FAR
-    if least < FARTHEST:  # else no passage is likely at any speed
-        total = hazard(since_s, Distance(on, off, speed, 0.0), 0.0, 0.0, noise, pixels.tables).on
-        total += hazard(since_s, Distance(on, off, -speed, 0.0), 0.0, 0.0, noise, pixels.tables).off
+    h_on = hazard(since_s, Distance(on, off, speed, 0.0), 0.0, 0.0, noise, pixels.tables).on
+    total = h_on + hazard(since_s, Distance(on, off, -speed, 0.0), 0.0, 0.0, noise, pixels.tables).off
     bound_hz = max(_CERTIFIED * total, _REVISITS / c.h if moves else _RESTS_HZ)
     # Limits at which the hazard meets the bound: from its value here, or from the law's largest one anywhere.
     anywhere = (0.5 if noise.ratio > 0 else 5.0) * noise.rate / bound_hz

@@ -107,6 +107,15 @@ def test_certificates_do_not_matter(light, step_ms):
     assert each.array.candidates > 1.1 * usual.array.candidates
 
 
+def test_a_pixel_far_from_its_thresholds_is_certified_at_any_speed():
+    quiet = dataclasses.replace(IMX, noise=dataclasses.replace(IMX.noise, rms=0.01))
+    light = sine(0.1, 100.0)  # less than half of a threshold, three times faster than slow certificates allow
+    usual = events_of(quiet, light, ends(1, 200))
+    each = run(begun(quiet, light), light, ends(1, 200), forget_certificates)
+    assert same(usual, each)
+    assert each.array.candidates > 3 * usual.array.candidates
+
+
 def test_blocks_at_rest_do_not_matter():
     usual = events_of(IMX, still(0.3), ends(1, 1000))
     rests = usual.array._workers.idle.until_ns > 0
