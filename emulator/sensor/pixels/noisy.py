@@ -1,7 +1,11 @@
-"""Candidates of a sensor with noise: the pieces of their curves, along which `passage` finds their events; its start.
+"""Candidates of a sensor with noise: the pieces of their curves, along which `passage` finds their events.
 
 The curves are those without noise: one cubic where the step is smooth (`candidates`), else one a substep (`substeps`).
 The junction's leak is left out, and added in float64 by time: still light gives the same values whatever the steps.
+
+A certificate states that no event comes before a time while the value stays between two limits and moves no faster
+than a speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in
+place of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
 
 Fast because filters are solved for all columns at once, and a pixel's events one by one with its state in registers.
 """
@@ -15,21 +19,30 @@ import numpy.typing as npt
 
 import emulator.sensor.pixels.candidates as row
 import emulator.sensor.pixels.substeps as sub
+from emulator.sensor.noise.hazard import FARTHEST, Noise, noise_of
 from emulator.sensor.noise.law import LAST_LOGIT, SHARES, SHARES_A_LOGIT
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
-from emulator.sensor.numerics.keyed import high, stream, unit, word
+from emulator.sensor.numerics.keyed import high, next_point, stream, unit, word
+from emulator.sensor.pixels import passage
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import photocurrent
-from emulator.sensor.pixels.passage import MOST_PASSAGES, Piece, certify, pass_piece
 from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Pixels, StepConstants, slot, whole_vectors
 from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on, store_filters
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 
-_U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL, _ = (int(f) * BLOCK for f in Field)
+# Of a certificate.
+_CERTIFIED = 1.5  # its bound, over the hazard's
+_REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
+_SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
+_AMPLE = 3.0  # deviations beyond FARTHEST, for a pixel that is slow
+_LONGEST_S, _LONGEST_STEPS = 2.0**33 * 1e-9, 256
+_SLOWEST = 0.1  # 1/s: forgets in more than the longest time
+_LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
 _ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
 
 
@@ -41,13 +54,69 @@ def _make_pieces(rows: _Float32s, n: int) -> None:
         rise = rows[row.C_D1 + j] - rows[row.C_D0 + j]
         m0, m1 = rows[row.C_C1 + j], rows[row.C_C2 + j]
         rows[row.C_BASE + j] = rows[row.C_D0 + j]
-        rows[row.C_D0 + j] = _ZERO
         rows[row.C_C2 + j] = _THREE * rise - _TWO * m0 - m1
         rows[row.C_C3 + j] = m0 + m1 - _TWO * rise
 
 
 @kernel
-def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float, fired: int, c: StepConstants) -> None:  # noqa: PLR0913, PLR0917
+def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float, c: StepConstants) -> None:
+    """Write the certificate of a pixel at the end of the step.
+
+    `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s;
+    `moving` the speed of the value without leak, a second. A pixel that rests gets a longer certificate with narrower
+    limits, so that its whole block can rest; one that moves needs none for long after it will have left the limits.
+    """
+    at, a, moves = slot(pixel), passage.state_of(pixels, pixel, c), moving != 0.0
+    fields, rms = pixels.fields, c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + passage.SCALE])
+    fields[at + _UNTIL] = -np.float32(np.inf)
+    noise = noise_of(rate, c.noise_pole, rms, c.high_rate)
+    if a.reference != a.reference:
+        return
+    room = passage.room_of((c.h_ns - a.reset) * 1e-9, value, noise, a)
+    on, off = room.on, room.off
+    # Light that falls to the limit may raise the rms by a share, to no more than behind the receptor. Behind a
+    # high-pass, light may change by twice as much in one time constant, and the rms rises with it too.
+    if noise.a1 != noise.a2 or c.high_rate > 0:
+        reach = max(off, 0.0) if c.high_rate == 0 else 2 * max(on, off)
+        slower = noise.a1 / (noise.a1 + noise.a2) if noise.a1 != noise.a2 else 0.0
+        share = 1 + 0.5 * max(slower, c.high_rate / (rate + c.high_rate)) * reach
+        louder = min(noise.sigma * share, rms)
+        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
+    speed = _SPEED_SHARE * noise.sigma * noise.rate
+    c_on, c_off = min(on / noise.sigma, passage.INFINITE), min(off / noise.sigma, passage.INFINITE)
+    if not (c_on >= passage.LEAST_FAR and c_off >= passage.LEAST_FAR):  # or not a number
+        return
+    # Beyond FARTHEST no passage is likely at any speed: limits there need none.
+    ample = 0.0 if abs(moving) > speed else _AMPLE
+    least = FARTHEST if c.high_rate == 0 and min(c_on, c_off) > FARTHEST + ample else passage.LEAST_FAR
+    on_hz, off_hz = passage.bound_of(c_on, _SPEED_SHARE, noise), passage.bound_of(c_off, _SPEED_SHARE, noise)
+    bound_hz = max(_CERTIFIED * (on_hz + off_hz), _REVISITS / c.h if moves else _RESTS_HZ)
+    # Limits at which a threshold's hazard has come to what the other one, which is farther then, leaves of the bound.
+    most_hz = (0.5 if noise.ratio > 0 else 5.0) * noise.rate
+    limit_on = max(math.sqrt(2 * math.log(max(most_hz / (bound_hz - off_hz), 1.0))), least)
+    limit_off = max(math.sqrt(2 * math.log(max(most_hz / (bound_hz - on_hz), 1.0))), least)
+    if limit_on >= c_on or limit_off >= c_off:
+        return
+    end_ns = c.t0_ns + c.h_ns
+    lasting_s = _LONGEST_S
+    if moves:  # no longer than a high-pass remembers, and than the signal stays within the limits
+        leaving_s = noise.sigma * (c_on - limit_on if moving > 0 else c_off - limit_off) / abs(moving)
+        lasting_s = min(1 / max(c.high_rate, _SLOWEST), _LONGEST_STEPS * c.h, max(_LATER * leaving_s, c.h))
+    last_ns = end_ns + int(lasting_s * 1e9)
+    until_ns = min(next_point(a.stream, end_ns - 1, last_ns, bound_hz).t_ns, last_ns)
+    fields[at + _ON_LIMIT] = np.float32(on + value - a.reference - noise.sigma * limit_on)
+    fields[at + _OFF_LIMIT] = np.float32(off - value + a.reference - noise.sigma * limit_off)
+    # Slow light could go any way behind a high-pass: there a pixel that rests is certified for still light only.
+    fields[at + _SPEED] = np.float32((speed if least < FARTHEST else math.inf) if moves or c.high_rate == 0 else 0.0)
+    # Seconds since the epoch, earlier than the point by more than float32 may round.
+    until_s = np.float64(c.since_epoch_1) + (until_ns - end_ns) * 1e-9
+    fields[at + _UNTIL] = np.float32(until_s - 1e-6 - 1e-6 * abs(until_s))
+
+
+@kernel
+def _finish(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, pixel: int, piece: passage.Piece, leaked: float, lit: float, fired: int, c: StepConstants
+) -> None:
     """Certify a pixel at the end of its last piece. Its parasitic leak moves into the reference of one that fired.
 
     `leaked` is that leak since the last time, `lit` what its present light leaks a second.
@@ -59,7 +128,7 @@ def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float,
         pixels.fields[at + _P] = np.float32(-lit * c.since_epoch_1)
         base -= leaked
     leak = np.float64(pixels.fields[at + _LEAK])
-    value = base + piece.d0 + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
+    value = base + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
     moving = (piece.c1 + 2 * piece.c2 + 3 * piece.c3) / piece.span_ns * 1e9
     certify(pixels, pixel, value, piece.rate1, moving, c)
 
@@ -68,18 +137,17 @@ def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float,
 def _solve_whole(pixels: Pixels, table: Table, j: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int]:
     """Find the events of a candidate whose curve is one piece; return the number in `keys`, and of those lost."""
     rows, pixel = table.rows, table.pixels[j]
-    piece = Piece(
+    piece = passage.Piece(
         0.0,
         np.float64(c.h_ns),
         np.float64(rows[row.C_BASE + j]),
-        np.float64(rows[row.C_D0 + j]),
         np.float64(rows[row.C_C1 + j]),
         np.float64(rows[row.C_C2 + j]),
         np.float64(rows[row.C_C3 + j]),
         np.float64(rows[row.C_L0 + j]),
         np.float64(rows[row.C_L1 + j]),
     )
-    n_keys, fired, lost = pass_piece(pixels, pixel, piece, keys, n_keys, 0, c)
+    n_keys, fired, lost = passage.pass_piece(pixels, pixel, piece, keys, n_keys, NONE, c)
     leaked = np.float64(rows[row.C_P1 + j]) if c.parasitic > _ZERO else 0.0
     lit = np.float64(rows[row.C_LIT + j]) if c.parasitic > _ZERO else 0.0
     _finish(pixels, pixel, piece, leaked, lit, fired, c)
@@ -93,13 +161,12 @@ def _rate(u: np.float32, c: StepConstants) -> float:
 
 
 @kernel
-def _piece_of(rows: _Float32s, j: int, c: StepConstants) -> Piece:
+def _piece_of(rows: _Float32s, j: int, c: StepConstants) -> passage.Piece:
     """Return the piece of column j's substep."""
-    return Piece(
+    return passage.Piece(
         np.float64(rows[sub.Z + j]) * c.h_ns,
         (np.float64(rows[sub.Z1 + j]) - np.float64(rows[sub.Z + j])) * c.h_ns,
-        np.float64(rows[sub.BASE + j]),
-        np.float64(rows[sub.D0 + j]),
+        np.float64(rows[sub.BASE + j]) + np.float64(rows[sub.D0 + j]),
         np.float64(rows[sub.C1 + j]),
         np.float64(rows[sub.C2 + j]),
         np.float64(rows[sub.C3 + j]),
@@ -146,7 +213,7 @@ def solve_noisy(
             enter(table, j, in_substeps, c)
             in_substeps += 1
             continue
-        keys = reserve(keys, n_keys + MOST_PASSAGES)
+        keys = reserve(keys, n_keys + passage.MOST_PASSAGES)
         n_keys, lost_now = _solve_whole(pixels, table, j, keys, n_keys, c)
         lost += lost_now
     n = in_substeps
@@ -156,10 +223,10 @@ def solve_noisy(
     while n > 0:
         begin_substep(substeps.rows, whole_vectors(n), c)
         for j in range(n):
-            keys = reserve(keys, n_keys + MOST_PASSAGES)
+            keys = reserve(keys, n_keys + passage.MOST_PASSAGES)
             fired = int(substeps.rows[sub.COUNT + j])
             piece = _piece_of(substeps.rows, j, c)
-            n_keys, fired, lost_now = pass_piece(pixels, substeps.pixels[j], piece, keys, n_keys, fired, c)
+            n_keys, fired, lost_now = passage.pass_piece(pixels, substeps.pixels[j], piece, keys, n_keys, fired, c)
             substeps.rows[sub.COUNT + j] = np.float32(fired)
             lost += lost_now
         n = _end_substep(pixels, substeps, n, c)

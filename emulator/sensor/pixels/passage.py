@@ -1,20 +1,15 @@
 """Events of one pixel with noise along a piece of its curve: first passages of signal plus noise.
 
 A piece is an interval in which the noise-free value of the comparator is a cubic in time. `pass_piece` goes along it in
-windows. The hazard at both ends of a window (`hazard`) gives a bound in between; the points of the pixel's random field
-below that bound (`keyed`) are tried in the order of time, and the first one below the hazard is an event. The windows
-do not change the events, because the points do not depend on them.
+windows with a bound of the hazard. The points of the pixel's random field below it (`keyed`) are tried in the order of
+time, and the first one below the hazard is an event. Points do not depend on the windows, so these change no event.
 
-    window     after a reset all the time in which a passage is not likely; then until the hazard is so high that about
-               one point is expected below it. Windows end where the curve turns, so that each is monotone
-    event      the noise's slope at the passage is drawn; value and slope are carried over the dead time exactly, with
-               two normal numbers; the reference is signal plus noise at its end
-    no event   at the end of the step the pixel gets a certificate
+    calm      a window in which few points are below the bound by the signal at both ends, as long as possible
+    other     bounded by the hazard at both ends, until about two points are expected; a part that does not turn
+    event     the noise's slope at the passage is drawn; value and slope are carried over the dead time exactly, with
+              two normal numbers; the reference is signal plus noise at its end
 
-A certificate states that no event comes before a time while the value stays between two limits and moves no faster
-than a speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in
-place of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
-
+Fast because half of the windows need no hazard, and `lane` keeps the fields of all these tuples in registers.
 Times within a step are nanoseconds since its start. All numbers of an event are keyed by pixel and time.
 """
 
@@ -26,17 +21,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.hazard import (
-    BEYOND,
-    FARTHEST,
-    Distance,
-    Hazard,
-    Noise,
-    exit_speed,
-    hazard,
-    noise_of,
-    transition,
-)
+from emulator.sensor.noise import hazard
+from emulator.sensor.noise.hazard import Distance, Hazard, Noise
 from emulator.sensor.numerics import keyed
 from emulator.sensor.numerics.compiled import kernel, lane
 from emulator.sensor.pixels import state
@@ -46,12 +32,12 @@ from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Pixels, StepConst
 
 _Float32s = npt.NDArray[np.float32]
 
-_REF, _ON, _OFF, _LEAK = (int(f) * BLOCK for f in (Field.REFERENCE, Field.ON, Field.OFF, Field.LEAK))
-_ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL = (
-    int(f) * BLOCK for f in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL)
+_REF, _ON, _OFF, _LEAK, _UNTIL = (
+    int(f) * BLOCK for f in (Field.REFERENCE, Field.ON, Field.OFF, Field.LEAK, Field.UNTIL)
 )
 _NAN, _ENDLESS = np.float32(np.nan), np.float32(np.inf)
-_N, _V, _SCALE = range(3)
+_N, _V, SCALE = range(3)
+_UNKNOWN = Hazard(*(math.nan,) * 10)  # a hazard that was not computed
 
 MOST_PASSAGES = 1024
 """Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
@@ -60,29 +46,20 @@ _MORE = 1.5  # bound of the hazard in a window, over that at its ends: 1.37 is t
 _EXPONENT = 1.5  # by which the hazard's exponent grows in a window near a threshold
 _MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
 _TOO_MANY = 8e9  # points in 1e-9: a window is divided
-_BURST = 10.0  # time constants of the slower pole for which a window is no longer than the time since the reset
-_UNREACHED = 5.0  # deviations of the nearer threshold: no passage before the noise has grown to that
+_BURST = 5.0  # time constants of the slower pole for which a window is no longer than the time since the reset
+_FIRST = 0.2  # length of the first window after a reset, over the time of noise and signal
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
-_OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
-_LEAST_CALM, _CALM_POINTS = 3.0, 0.5  # points over them where thresholds are 1.5 deviations away; points expected
-_POINTS = 1.0  # expected below the bound of a window of an approach
-_INFINITE = 1e15  # deviations: a dead pixel's threshold
+_OVERSHOOT = 0.4  # of the mean of the noise by its slope at the reset, at most, over slope / rate
+_MOST_CALM = 3.0  # points that are expected below the bound of a calm window, at most
+_POINTS = 2.0  # expected below the bound of a window of an approach
+LEAST_FAR = 1.5  # deviations, of a threshold whose hazard is bounded without tables
+INFINITE = 1e15  # deviations: a dead pixel's threshold
 _FALSE_POSITIONS, _CLOSE = 6, 0.1  # steps, at most; share of the travel
 _WIDEST = 4.0  # interval of false positions, over the time that the present speed needs
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
 _MOST_LOST = 1e9
 _STEEPEST = 1e6  # slope of the noise of one pole, which has none, ln units a second
-# Of a certificate.
-_CERTIFIED = 2.5  # its bound, over the hazard
-_REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
-_SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
-_LEAST_FAR, _AMPLE = 1.5, 3.0  # deviations; beyond FARTHEST, for a pixel that is slow
-_GROWTH = 1.15  # of the hazard, beside that of its Gaussian
-_LONGEST_NS, _LONGEST_STEPS = 1 << 33, 256
-_SLOWEST = 0.1  # 1/s: forgets in more than the longest time
-_LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
-
 # Purposes of an event's random numbers.
 _SLOPE, _VALUE = np.uint64(0xD6E8FEB86659FD93), np.uint64(0x9E3779B97F4A7C15)
 
@@ -92,8 +69,7 @@ class Piece(NamedTuple):
 
     begin_ns: float  # since the start of the step
     span_ns: float
-    base: float  # value to which the cubic is added
-    d0: float
+    base: float  # value at its start
     c1: float
     c2: float
     c3: float
@@ -143,7 +119,7 @@ def _value(t_ns: float, curve: _Curve) -> float:
     """Return the value of the comparator without noise at a time of a piece."""
     p = curve.piece
     x = (t_ns - p.begin_ns) * curve.per_ns
-    return p.base + ((((p.c3 * x + p.c2) * x + p.c1) * x + p.d0) + curve.leak * (curve.since_s + t_ns * 1e-9))
+    return p.base + (((p.c3 * x + p.c2) * x + p.c1) * x + curve.leak * (curve.since_s + t_ns * 1e-9))
 
 
 @lane
@@ -154,7 +130,7 @@ def _signal(t_ns: float, curve: _Curve) -> _Signal:
     per_s = 1e9 * curve.per_ns
     speed = ((3 * p.c3 * x + 2 * p.c2) * x + p.c1) * per_s + curve.leak
     rate = p.rate0 + (p.rate1 - p.rate0) * x
-    noise = noise_of(rate, curve.pole, curve.rms, high)
+    noise = hazard.noise_of(rate, curve.pole, curve.rms, high)
     # sigma^2 is rms^2 a2 / (a1 + a2): it shrinks as the receptor becomes faster. A high-pass then takes less of it.
     narrowing = 0.0
     if p.rate1 != p.rate0:
@@ -197,30 +173,13 @@ def _fastest(first: float, last: float, mean: float) -> float:
 
 
 @kernel
-def _first_window_s(now: _Signal, a: _State) -> float:
-    """Return a time after a reset within which noise and signal stay far from both thresholds."""
-    noise, least = now.noise, min(a.on, a.off)
-    grown = least / (_UNREACHED * noise.sigma)  # deviation of the noise at the end
-    if noise.ratio == 0.0:
-        until = -0.5 * math.log(1 - grown * grown) / noise.rate if grown < 0.9 else 1 / noise.rate
-        pulled = abs(a.n_r) * noise.rate
-    else:
-        k = noise.a1 * noise.a2
-        until = (1.5 * grown * grown / (k * (noise.a1 + noise.a2))) ** (1 / 3)
-        until = min(until, math.sqrt(0.4 * least / (abs(a.n_r) * k + 1e-30)))
-        pulled = abs(a.v_r)
-    until_s: float = min(until, 0.2 * least / (pulled + abs(now.speed) + 1e-30))
-    return until_s
-
-
-@kernel
 def _nearer(c_ahead: float, nu: float) -> float:
     """Return by how many deviations a threshold, `c_ahead` away, may come nearer in a window, at the speed nu.
 
     The hazard is bounded by that at the window's end, e^(-c^2 / 2) times `steep` for each deviation travelled: to the
     c where the field has some _POINTS below it. Where it is large already, its exponent grows by _EXPONENT.
     """
-    c_ahead, c = min(c_ahead, _INFINITE), 2.0
+    c_ahead, c = min(c_ahead, INFINITE), 2.0
     least = _EXPONENT / (abs(c_ahead) + 1)
     if c_ahead < 1:
         return least
@@ -236,8 +195,8 @@ def _hazard_at(t_ns: float, curve: _Curve, a: _State, tables: _Float32s) -> tupl
     now = _signal(t_ns, curve)
     distance = Distance(a.reference + a.on - now.value, now.value - a.reference + a.off, now.speed, now.narrowing)
     since_s = max(t_ns - a.reset, _SHORTEST_NS) * 1e-9
-    h = hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
-    if min(h.c_on, h.c_off) < BEYOND:
+    h = hazard.hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
+    if min(h.c_on, h.c_off) < hazard.BEYOND:
         # The signal has passed the threshold faster than the field can show: any next point is the event.
         is_on = h.c_on < h.c_off
         on_hz, off_hz = (keyed.CERTAIN_HZ, 0.0) if is_on else (0.0, keyed.CERTAIN_HZ)
@@ -245,28 +204,76 @@ def _hazard_at(t_ns: float, curve: _Curve, a: _State, tables: _Float32s) -> tupl
     return now, h
 
 
-@kernel
-def _calm_end(t: float, limit: float, now: _Signal, curve: _Curve, a: _State) -> tuple[float, float]:
-    """Return until when a reset is not likely to fire a pixel, and a bound of its hazard until then.
+class _Room(NamedTuple):
+    """Distances of a signal from both thresholds, less the mean of the noise from now on, ln units."""
 
-    The mean of the noise stays between 0 and its value at the reset, and what its slope adds. The thresholds are
-    nearest, in deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate. Until
-    then, or until the signal has come so near a threshold that it no longer is, few points are below the bound.
+    on: float
+    off: float
+
+
+@lane
+def room_of(since_s: float, value: float, noise: Noise, a: _State) -> _Room:
+    """Return the room of a pixel at a time after its reset: that part of its noise's value is left, and its slope's."""
+    age = since_s * min(noise.a1, noise.a2)
+    left = kick = 0.0
+    if age < _FORGOTTEN:
+        decay = math.exp(-age)
+        left = (1 + age) * decay
+        kick = abs(a.v_r) / noise.rate * (_OVERSHOOT if age < 1 else age * decay)
+    on = a.reference + a.on - value - max(a.n_r, 0.0) * left - kick
+    return _Room(on, value - a.reference + a.off + min(a.n_r, 0.0) * left - kick)
+
+
+@lane
+def bound_of(c: float, nu: float, noise: Noise) -> float:
+    """Return a bound of the hazard of a threshold c > 0 deviations away, 1/s, without tables.
+
+    It is half as much again as Rice's rate of crossings, which are first ones at most. With the room of a pixel for c
+    it holds shortly after a reset too. One pole has no such rate: its hazard for large c and nu, with that margin.
     """
-    to = min(t + _FORGOTTEN / min(now.noise.a1, now.noise.a2) * 1e9, limit)
-    end = _signal(to, curve)
-    sigma, rate = max(now.noise.sigma, end.noise.sigma), max(now.noise.rate, end.noise.rate)
-    calm_s, gone = (to - t) * 1e-9, end.value - now.value
-    nu = _fastest(now.speed, end.speed, gone / calm_s) / (sigma * rate)
-    least_c = math.sqrt(2 * math.log(max(rate * calm_s * (4 + nu) / _CALM_POINTS, _LEAST_CALM)))
-    bound_hz = rate * math.exp(-0.5 * least_c * least_c) * (1 + least_c + nu)
-    margin = least_c * sigma + _OVERSHOOT * abs(a.v_r) / now.noise.rate
-    on = a.reference + a.on - now.value - max(a.n_r, 0.0) - margin
-    off = now.value - a.reference + a.off + min(a.n_r, 0.0) - margin
-    if min(on, off) <= 0:
-        return t, 0.0
-    travel = on if gone > 0 else off
-    return to if abs(gone) <= travel else _time_at(t, to, travel, now, curve), bound_hz
+    steep = 0.25 + 0.6 * nu if noise.ratio > 0.0 else 0.5 * (1 + c + nu)
+    c = min(c, 30.0)  # an exponential that is too small for a number is slow
+    bound_hz: float = noise.rate * steep * math.exp(-0.5 * c * c)
+    return bound_hz
+
+
+class _Window(NamedTuple):
+    """A part of a piece, and a bound of the hazard in it."""
+
+    end: float  # ns since the start of the step
+    bound_hz: float
+    after: _Signal  # at its end
+    at_end: Hazard  # or _UNKNOWN
+
+
+@lane
+def _calm_window(t: float, limit: float, now: _Signal, curve: _Curve, a: _State) -> _Window:
+    """Return a window in which few points are below a bound of the hazard by signals alone, of no length if none is.
+
+    The signal does not turn, so it is nearest to a threshold at one end. The window ends at `limit`; after a reset, if
+    that is too far, when the noise has forgotten the reset, or at a quarter of that time, and so on.
+    """
+    room = room_of((t - a.reset) * 1e-9, now.value, now.noise, a)
+    to, after = limit, _signal(limit, curve)
+    forgotten = a.reset + _FORGOTTEN / min(now.noise.a1, now.noise.a2) * 1e9
+    while True:
+        calm_s, gone = (to - t) * 1e-9, after.value - now.value
+        louder = now.noise if now.noise.sigma > after.noise.sigma else after.noise
+        rate = max(now.noise.rate, after.noise.rate)
+        on, off = room.on - max(gone, 0.0), room.off + min(gone, 0.0)
+        c = min(min(on, off) / louder.sigma, INFINITE)
+        # Noise that grows brings both thresholds nearer.
+        nu = _fastest(now.speed, after.speed, gone / calm_s) / (louder.sigma * rate)
+        nu += abs(c) * max(-now.narrowing, -after.narrowing, 0.0) / rate
+        bound_hz = bound_of(c, nu, louder) * rate / louder.rate
+        if abs(on - off) < 0.5 * louder.sigma:
+            bound_hz *= 2  # of both thresholds
+        if c > LEAST_FAR and bound_hz * calm_s < _MOST_CALM:
+            return _Window(to, bound_hz, after, _UNKNOWN)
+        if t > a.reset or min(room.on, room.off) < LEAST_FAR * louder.sigma or to - t < 1:
+            return _Window(t, 0.0, now, _UNKNOWN)
+        to = min(forgotten, t + 0.25 * (to - t))
+        after = _signal(to, curve)
 
 
 @kernel
@@ -304,27 +311,29 @@ def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _
     if now.noise.ratio == 0.0:
         return _Event(t_ns, on, now, h, _STEEPEST if on else -_STEEPEST)
     nu, c_event = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
-    if c_event < BEYOND:
+    if c_event < hazard.BEYOND:
         return _Event(t_ns, on, now, h, h.mean_slope)
     share = keyed.unit(keyed.high(keyed.mix_word(a.stream ^ (np.uint64(t_ns) * _SLOPE))))
-    beyond = exit_speed(nu, c_event, share, now.noise.ratio, tables) - nu
+    beyond = hazard.exit_speed(nu, c_event, share, now.noise.ratio, tables) - nu
     outward = now.noise.sigma * h.deviation * (beyond * h.slope + c_event * h.pull)
     return _Event(t_ns, on, now, h, h.mean_slope + (outward if on else -outward))
 
 
-@kernel
-def _first_event(t: float, to: float, bound_hz: float, curve: _Curve, a: _State, tables: _Float32s) -> keyed.Point:
-    """Return the first point of a window below the hazard, in which that is below a bound."""
+@lane
+def _first_event(t: float, w: _Window, curve: _Curve, a: _State, tables: _Float32s) -> _Event:
+    """Return the event of the first point below the hazard in the window from t, at NEVER_NS if there is none."""
     # Windows share no point: each has those from its start, included, to its end, not included.
-    from_ns, to_ns = curve.t0_ns + math.ceil(t) - 1, curve.t0_ns + math.ceil(to) - 1
-    while True:
-        point: keyed.Point = keyed.next_point(a.stream, from_ns, to_ns, bound_hz)
+    from_ns, to_ns = curve.t0_ns + math.ceil(t) - 1, curve.t0_ns + math.ceil(w.end) - 1
+    while w.bound_hz * (w.end - t) > _NO_POINT:
+        point = keyed.next_point(a.stream, from_ns, to_ns, w.bound_hz)
         if point.t_ns == keyed.NEVER_NS:
-            return point
-        _, h = _hazard_at(np.float64(point.t_ns - curve.t0_ns), curve, a, tables)
+            break
+        now, h = _hazard_at(np.float64(point.t_ns - curve.t0_ns), curve, a, tables)
         if point.hz < h.on + h.off:
-            return point
+            event: _Event = _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
+            return event
         from_ns = point.t_ns
+    return _Event(keyed.NEVER_NS, False, w.after, _UNKNOWN, 0.0)
 
 
 @kernel
@@ -334,7 +343,7 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
     first = keyed.mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
     value = a.reference + (a.on if e.on else -a.off) - e.signal.value
     c_event = e.hazard.c_on if e.on else e.hazard.c_off
-    if c_event < BEYOND:  # the signal has jumped: the noise is not that of a passage, but any
+    if c_event < hazard.BEYOND:  # the signal has jumped: the noise is not that of a passage, but any
         inward = noise.sigma * e.hazard.deviation * (keyed.normal_from(keyed.mix_word(first ^ _SLOPE)) - c_event)
         value += inward if e.on else -inward
     if noise.ratio == 0.0:
@@ -342,7 +351,7 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
         return value * decay + noise.sigma * math.sqrt(1 - decay * decay) * keyed.normal_from(first), 0.0
     if dead_s <= 0:
         return value, e.slope
-    m = transition(dead_s, noise)
+    m = hazard.transition(dead_s, noise)
     deviation = math.sqrt(m.v)
     with_value = m.c / deviation
     g1, g2 = noise.sigma * keyed.normal_from(first), noise.sigma * keyed.normal_from(keyed.mix_word(first + _VALUE))
@@ -360,7 +369,7 @@ def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConsta
 
 
 @kernel
-def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
+def state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
     """Return a pixel's state."""
     at, memory = state.slot(pixel), pixel * MEMORY
     fields = pixels.fields
@@ -387,10 +396,35 @@ def _bound_hz(before: float, length_ns: float, now: _Signal, after: _Signal, at_
     unit = after.noise.sigma * after.noise.rate
     fastest = _fastest(now.speed, after.speed, gone / length_ns * 1e9) / unit
     most_hz = (at_end.on + at_end.off) * (0.4 + fastest) / (0.4 + abs(after.speed) / unit)
-    if nu_end < 0 < c_end < FARTHEST:
+    if nu_end < 0 < c_end < hazard.FARTHEST:
         most_hz = max(most_hz, after.noise.rate * math.exp(-0.5 * c_end * c_end) * (1 + c_end + fastest))
     bound_hz: float = min(_MORE * max(before, most_hz), keyed.CERTAIN_HZ)
     return bound_hz
+
+
+@lane
+def _window(t: float, limit: float, now: _Signal, h: Hazard, curve: _Curve, a: _State, tables: _Float32s) -> _Window:  # noqa: PLR0913, PLR0917
+    """Return the window that begins at t. `h` is the hazard there, or _UNKNOWN where the window may be a calm one."""
+    unknown, before = h.on != h.on, 0.0
+    if unknown:
+        calm: _Window = _calm_window(t, limit, now, curve, a)
+        if calm.end > t:
+            return calm
+    if t <= a.reset:
+        # Noise and signal stay far from both thresholds.
+        moving = now.noise.rate + (abs(a.v_r) + abs(now.speed)) / min(a.on, a.off)
+        to = min(t + max(_FIRST / moving * 1e9, _SHORTEST_NS), limit)
+    else:
+        if unknown:
+            _, h = _hazard_at(t, curve, a, tables)
+        before = h.on + h.off
+        to = _window_end(t, limit, now, h, curve, a)
+    while True:
+        after, at_end = _hazard_at(to, curve, a, tables)
+        bound_hz = _bound_hz(before, to - t, now, after, at_end)
+        if min(bound_hz, keyed.TOP_HZ) * (to - t) <= _TOO_MANY or to - t <= 1:
+            return _Window(to, bound_hz, after, at_end)
+        to = t + (to - t) * 0.25  # the signal became faster
 
 
 @kernel
@@ -423,46 +457,29 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     far. Returns the number of events in `keys`, the new `fired`, and the number of events that were lost.
     """
     end, tables = p.begin_ns + p.span_ns, pixels.tables
-    a = _state_of(pixels, pixel, c)
+    a = state_of(pixels, pixel, c)
     if a.reset >= end:
         return n_keys, fired, 0
-    rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE])
+    rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + SCALE])
     leak = np.float64(pixels.fields[state.slot(pixel) + _LEAK])
     curve = _Curve(p, 1 / p.span_ns, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
     t = max(p.begin_ns, a.reset)
     if a.reference != a.reference:
         a = _re_armed(pixels, pixel, _signal(t, curve), a, c)
     turn, turn2 = _turns(curve)
-    now, h = _hazard_at(t, curve, a, tables)
+    now = _signal(t, curve)
     if now.value != now.value:  # light that has just begun has no finite logarithm
         return n_keys, fired, 0
-    before = 0.0 if t <= a.reset else h.on + h.off
+    h = _UNKNOWN
     while t < end:
         limit = turn if t < turn else turn2 if t < turn2 else end
-        to, calm_hz = limit, 0.0
-        if t <= a.reset:
-            to, calm_hz = _calm_end(t, limit, now, curve, a)
-            first = min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), limit)
-            if to < first:
-                to, calm_hz = first, 0.0
-        else:
-            to = _window_end(t, limit, now, h, curve, a)
-        after, at_end = _hazard_at(to, curve, a, tables)
-        bound_hz = _bound_hz(before, to - t, now, after, at_end) if calm_hz == 0.0 else calm_hz
-        while min(bound_hz, keyed.TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # the signal became faster
-            to = t + (to - t) * 0.25
-            after, at_end = _hazard_at(to, curve, a, tables)
-            bound_hz = _bound_hz(before, to - t, now, after, at_end)
-        point = keyed.Point(keyed.NEVER_NS, 0.0)
-        if bound_hz * (to - t) > _NO_POINT:
-            point = _first_event(t, to, bound_hz, curve, a, tables)
-        if point.t_ns == keyed.NEVER_NS:
-            t, now = to, after
-            h, before = at_end, at_end.on + at_end.off
+        w = _window(t, limit, now, h, curve, a, tables)
+        event = _first_event(t, w, curve, a, tables)
+        if event.t_ns == keyed.NEVER_NS:
+            t, now = w.end, w.after
+            h = w.at_end if t < limit else _UNKNOWN
             continue
         # The event, and the dead time behind it.
-        now, h = _hazard_at(np.float64(point.t_ns - c.t0_ns), curve, a, tables)
-        event = _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
         late_s = delay_s(abs(event.slope + event.signal.speed), event.on, c)
         t_ns = event.t_ns + int(late_s * 1e9)
         # The event is the noise's where the signal has gone less than half of the way since the reference was set.
@@ -479,81 +496,14 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         pixels.refractory_until_ns[pixel] = t_ns + c.refractory_ns
         n_keys += 1
         fired += 1
-        a = _state_of(pixels, pixel, c)
+        a = state_of(pixels, pixel, c)
         t = a.reset
         if t >= end:
             break
         now = _signal(t, curve)
         a = _re_armed(pixels, pixel, now, a, c)
-        before = 0.0
+        h = _UNKNOWN
         if fired >= MOST_PASSAGES:
             pixels.fields[state.slot(pixel) + _REF] = np.float32(_signal(end, curve).value)
             return n_keys, fired, 1 + int(min(fired * (end - t) / max(t, 1.0), _MOST_LOST))
     return n_keys, fired, 0
-
-
-@kernel
-def _lasting_ns(room: float, moving: float, c: StepConstants) -> int:
-    """Return how long a certificate may last; the signal moves by `moving` a second, its limit there is `room` away."""
-    if moving == 0.0:
-        return _LONGEST_NS
-    forgotten_ns = int(1e9 / max(c.high_rate, _SLOWEST))  # by a high-pass
-    left_ns = int(min(_LATER * room / abs(moving), _LONGEST_NS * 1e-9) * 1e9)
-    return min(_LONGEST_STEPS * c.h_ns, forgotten_ns, max(left_ns, c.h_ns))
-
-
-@kernel
-def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float, c: StepConstants) -> None:
-    """Write the certificate of a pixel at the end of the step.
-
-    `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s;
-    `moving` the speed of the value without leak, a second. A pixel that rests gets a longer certificate with narrower
-    limits, so that its whole block can rest; one that moves needs none for long after it will have left the limits.
-    """
-    at, a, moves = state.slot(pixel), _state_of(pixels, pixel, c), moving != 0.0
-    fields, rms = pixels.fields, c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + _SCALE])
-    fields[at + _UNTIL] = -_ENDLESS
-    noise = noise_of(rate, c.noise_pole, rms, c.high_rate)
-    since_s = (c.h_ns - a.reset) * 1e-9
-    if a.reference != a.reference or since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
-        return
-    on, off = a.reference + a.on - value, value - a.reference + a.off
-    # Light that falls to the limit may raise the rms by a share, to no more than behind the receptor. Behind a
-    # high-pass, light may change by twice as much in one time constant, and the rms rises with it too.
-    if noise.a1 != noise.a2 or c.high_rate > 0:
-        reach = max(off, 0.0) if c.high_rate == 0 else 2 * max(on, off)
-        slower = noise.a1 / (noise.a1 + noise.a2) if noise.a1 != noise.a2 else 0.0
-        share = 1 + 0.5 * max(slower, c.high_rate / (rate + c.high_rate)) * reach
-        louder = min(noise.sigma * share, rms)
-        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
-    speed = _SPEED_SHARE * noise.sigma * noise.rate
-    c_on, c_off = on / noise.sigma, off / noise.sigma
-    if min(c_on, c_off) < _LEAST_FAR:
-        return
-    # Beyond FARTHEST no passage is likely at any speed: limits there need none.
-    ample = 0.0 if abs(moving) > speed else _AMPLE
-    least = FARTHEST if c.high_rate == 0 and min(c_on, c_off) > FARTHEST + ample else _LEAST_FAR
-    h_on = hazard(since_s, Distance(on, off, speed, 0.0), 0.0, 0.0, noise, pixels.tables).on
-    total = h_on + hazard(since_s, Distance(on, off, -speed, 0.0), 0.0, 0.0, noise, pixels.tables).off
-    bound_hz = max(_CERTIFIED * total, _REVISITS / c.h if moves else _RESTS_HZ)
-    # Limits at which the hazard meets the bound: from its value here, or from the law's largest one anywhere.
-    anywhere = (0.5 if noise.ratio > 0 else 5.0) * noise.rate / bound_hz
-    c_least = math.sqrt(2 * math.log(anywhere)) if anywhere > 1 else _LEAST_FAR
-    growth = 2 * math.log(bound_hz / (_GROWTH * total)) if total > 0 else 0.0
-    limit_on = limit_off = c_least
-    if growth > 0:
-        limit_on = min(c_least, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
-        limit_off = min(c_least, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
-    limit_on, limit_off = max(limit_on, least), max(limit_off, least)
-    if limit_on >= c_on or limit_off >= c_off:
-        return
-    end_ns = c.t0_ns + c.h_ns
-    last_ns = end_ns + _lasting_ns(noise.sigma * (c_on - limit_on if moving > 0 else c_off - limit_off), moving, c)
-    until_ns = min(keyed.next_point(a.stream, end_ns - 1, last_ns, bound_hz).t_ns, last_ns)
-    fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
-    fields[at + _OFF_LIMIT] = np.float32(a.off - noise.sigma * limit_off)
-    # Slow light could go any way behind a high-pass: there a pixel that rests is certified for still light only.
-    fields[at + _SPEED] = np.float32((speed if least < FARTHEST else math.inf) if moves or c.high_rate == 0 else 0.0)
-    # Seconds since the epoch, earlier than the point by more than float32 may round.
-    until_s = np.float64(c.since_epoch_1) + (until_ns - end_ns) * 1e-9
-    fields[at + _UNTIL] = np.float32(until_s - 1e-6 - 1e-6 * abs(until_s))

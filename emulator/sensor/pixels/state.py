@@ -344,27 +344,6 @@ _NOW = np.int64(0)
 
 
 @cached_entry
-def _levels(pixels: Pixels, selected: _Int64s, since_epoch_s: float, parasitic: float, row: int) -> _Float32s:
-    out = np.empty(selected.size, np.float32)
-    for k in range(selected.size):
-        at = slot(selected[k])
-        compared = pixels.fields[at + row] + pixels.fields[at + _LEAK] * since_epoch_s
-        if parasitic > 0:
-            light = np.exp(pixels.fields[at + _U])
-            compared += pixels.fields[at + _P] + parasitic * pixels.fields[at + _ON] * light * since_epoch_s
-        out[k] = compared - pixels.fields[at + _REF]
-    return out
-
-
-@cached_entry
-def _thresholds(pixels: Pixels, selected: _Int64s, row: int) -> _Float32s:
-    out = np.empty(selected.size, np.float32)
-    for k in range(selected.size):
-        out[k] = pixels.fields[slot(selected[k]) + row]
-    return out
-
-
-@cached_entry
 def _fire(pixels: Pixels, selected: _Int64s, error: ResetError) -> None:
     for k in range(selected.size):
         at = slot(selected[k])
@@ -395,18 +374,22 @@ class Levels:
         state = self._array.state
         return Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, state.memory)
 
+    def _field(self, field: int, pixel: _Int64s) -> _Float32s:
+        return np.asarray(self._array.state.fields.reshape(-1)[field_index(pixel, Field(field))])
+
     def of(self, pixel: _Int64s) -> _Float32s:
         """Return the levels of pixels (n,); NaN in the refractory period."""
         state, p = self._array.state, self._array.parameters
-        since_epoch_s = (state.t_ns - state.epoch_ns) * 1e-9
-        row = int(compared_field(p)) * BLOCK
-        levels: _Float32s = _levels(self._pixels, pixel, since_epoch_s, float(p.parasitic_hz_at_reference), row)
-        return levels
+        since_epoch_s, hz = (state.t_ns - state.epoch_ns) * 1e-9, p.parasitic_hz_at_reference
+        level = self._field(compared_field(p), pixel) + self._field(Field.LEAK, pixel) * since_epoch_s
+        if hz > 0:
+            lit = np.exp(self._field(Field.LOG_LIGHT, pixel))
+            level += self._field(Field.LEAKED, pixel) + hz * self._field(Field.ON, pixel) * lit * since_epoch_s
+        return np.asarray(level - self._field(Field.REFERENCE, pixel), np.float32)
 
     def thresholds(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:
         """Return the ON and OFF thresholds of pixels (n,)."""
-        on, off = (_thresholds(self._pixels, pixel, int(field) * BLOCK) for field in (Field.ON, Field.OFF))
-        return on, off
+        return self._field(Field.ON, pixel), self._field(Field.OFF, pixel)
 
     def fire(self, pixel: _Int64s) -> None:
         """Move the references of pixels (n,), each named once, by an ON event."""

@@ -25,7 +25,7 @@ def curve(rng, pole):
         span_ns *= 0.01
         bends = np.array([3, -3, 1]) * rng.uniform(-1, 1) * THRESHOLD
     rate = 10 ** rng.uniform(3, 4.3)
-    piece = Piece(0.0, span_ns, 0.0, 0.0, *bends, rate, rate * np.exp(bends.sum()))
+    piece = Piece(0.0, span_ns, 0.0, *bends, rate, rate * np.exp(bends.sum()))
     return passage._Curve(piece, 1 / span_ns, 0, 0.0, rng.uniform(0, 1e-3), rng.uniform(0.01, 0.06), pole, 0.0)
 
 
@@ -48,7 +48,9 @@ def hazard_at(t_ns, along, pixel, tables):
 def test_no_hazard_in_a_window_is_above_its_bound(pole):
     rng, tables, windows = np.random.default_rng(5), hazard_tables(), 0
     for _ in range(150):
-        along, pixel = curve(rng, pole), state(rng.uniform(-0.2, 0.2), LONG_AGO_NS)
+        along = curve(rng, pole)
+        age_s = rng.uniform(0, 12) / min(along.piece.rate0, pole or np.inf)
+        pixel = state(rng.uniform(-0.2, 0.2), rng.choice([LONG_AGO_NS, -1e9 * age_s]), along.rms * rng.normal())
         for begin, limit in stretches(along):
             t = begin
             now, h = passage._hazard_at(t, along, pixel, tables)
@@ -63,17 +65,21 @@ def test_no_hazard_in_a_window_is_above_its_bound(pole):
 
 
 @pytest.mark.parametrize("pole", [0.0, 2 * np.pi * 4050])
-def test_no_hazard_in_the_calm_time_after_a_reset_is_above_its_bound(pole):
+@pytest.mark.parametrize("ages", [(0.0, 0.0), (0.1, 12.0), (1e6, 1e7)])
+def test_no_hazard_in_a_calm_time_is_above_its_bound(pole, ages):
     rng, tables, calm = np.random.default_rng(6), hazard_tables(), 0
     for _ in range(300):
         along = curve(rng, pole)
         now = passage._signal(0.0, along)
         n_r, v_r = now.noise.sigma * rng.normal(), now.noise.sigma * now.noise.rate * rng.normal() * (pole > 0)
-        pixel, limit = state(now.value + n_r, 0.0, n_r, v_r), stretches(along)[0][1]
-        to, bound_hz = passage._calm_end(0.0, limit, now, along, pixel)
+        age_s = rng.uniform(*ages) / min(now.noise.a1, now.noise.a2)
+        reference = now.value + (n_r if age_s == 0 else rng.choice([0.0, rng.uniform(-0.2, 0.2)]))
+        pixel, limit = state(reference, -1e9 * age_s, n_r, v_r), stretches(along)[0][1]
+        to, bound_hz, *_ = passage._calm_window(0.0, limit, now, along, pixel)
         assert 0 <= to <= limit
         if to > 0:
-            assert max(hazard_at(x * to, along, pixel, tables) for x in INSIDE) <= bound_hz
+            highest = max(hazard_at(x * to, along, pixel, tables) for x in INSIDE)
+            assert highest <= bound_hz + NEVER_HZ
             calm += 1
     assert calm > 100
 
