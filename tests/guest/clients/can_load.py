@@ -1,10 +1,10 @@
 """evstim's CAN link on a bus of this machine's kernel, with as many events as the bus takes; no session.
 
-can_load.py CHANNEL EVENTS.npy REPORT.json CAN_LINK [SECONDS]
+can_load.py CHANNEL EVENTS.npy REPORT.json CAN_LINK PACE
 
-CAN_LINK is a JSON object with keys of the link's table. Without SECONDS stream time waits for the bus, as in a run
-without pacing, and the program ends when all events have left. With it stream time is that of the clock: events that
-the bus has no time for are dropped, and each SYNC triggers the camera.
+CAN_LINK is a JSON object with keys of the link's table. PACE "max": stream time waits for the bus, and the program ends
+when all events have left. PACE "real": stream time is that of the clock, events for which the bus has no time are
+dropped, each SYNC triggers the camera, and the program ends when the master stops the camera.
 """
 
 import asyncio
@@ -27,8 +27,10 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 
+_NO_LOSS = ("offered", "delivered")
 
-async def main(channel, events_file, report_file, table, seconds=None):
+
+async def main(channel, events_file, report_file, table, pace):
     events = np.load(events_file)
     clock, ring, edges = MonotonicClock(), EventRing(), EdgeRing()
     device = partial(Instrument, (346, 260), InstrumentSettings(housekeeping_s=0))
@@ -37,24 +39,21 @@ async def main(channel, events_file, report_file, table, seconds=None):
     link = Link(LinkSetup("can", ring, device, factory, timing=Timing(edges=edges)), clock)
     await link.endpoint.start()
     begun_ns = clock.now_ns()
-    ring.start(FREE_RUNNING if seconds is None else begun_ns)
+    ring.start(FREE_RUNNING if pace == "max" else begun_ns)
     ring.push(events)
-    last_us = int(events["t"][-1]) + 1
-    ring.publish(last_us if seconds is None else int(float(seconds) * 1e6))
-    while not link.idle if seconds is None else clock.now_ns() - begun_ns < float(seconds) * 1e9:
+    ring.publish(int(events["t"][-1]) + 1)
+    while not (link.idle if pace == "max" else link.endpoint.state.endswith("stopped")):
         link.tick()
         await asyncio.sleep(0.0005)
-    ended_ns = clock.now_ns()
+    seconds = (clock.now_ns() - begun_ns) / 1e9
     await link.close()
     report = link.report(final=True)
+    lost = {name: n for name, n in vars(report.camera).items() if isinstance(n, int) and name not in _NO_LOSS}
     told = {
-        "seconds": (ended_ns - begun_ns) / 1e9,
+        "seconds": seconds,
         "delivered": report.delivered,
-        "dropped": report.dropped,
-        "fates": {name: n for name, n in vars(report.camera).items() if isinstance(n, int)},
-        "edges": vars(report.camera.edges),
+        "lost": lost | {"left": report.dropped - report.camera.lost_on_link},
         "counts": dict(report.counts),
-        "busy": report.use.share if hasattr(report.use, "share") else None,
     }
     Path(report_file).write_text(json.dumps(told))
 
