@@ -33,8 +33,6 @@ from transports.can_bus.kind import CanLink
 from transports.faults.bus import Load, Tracker
 from transports.link.deliveries import Deliveries
 
-_FRAMES_A_TIME = 4  # limits the events with an unknown outcome when a bus is lost
-
 
 class FrameSource(ABC):
     """Source of the frames of one kind, in order. `label` names the kind in fault counts.
@@ -112,7 +110,7 @@ class _RawEvents(FrameSource):
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, settings: RawSettings) -> None:
         super().__init__(instrument, deliveries)
-        self._events_a_time = _FRAMES_A_TIME * (FD_CELLS if settings.fd else 2)
+        self._events_a_time = 4 * (FD_CELLS if settings.fd else 2)  # few: their fate is unknown when a bus is lost
         self._tick_us = instrument.tick_us
         self.sender = RawSender(settings)
         self._frames: deque[Packed] = deque()
