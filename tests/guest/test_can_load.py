@@ -239,8 +239,8 @@ CARRIAGES = {
     "cfp": {"carriage": "cfp"},
 }
 
-OTHER_NODE = f"exec cangen -g 10 -I {LOAD:X} -L 8 -D r -p 1000 vcan0"
-"""Ten frames that wait are all that a bus has room for: both senders wait for room."""
+OTHER_NODE = f"exec cangen -g 40 -I {LOAD:X} -L 8 -D r -p 1000 vcan0"
+"""It leaves room for ISO-TP's flow control, which the kernel does not send again when the bus refuses it."""
 
 
 @pytest.fixture
