@@ -137,28 +137,25 @@ def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], np
         return [], np.zeros(0, np.int64)
     if int(events["x"].max()) >= RAW_LIMIT_PX or int(events["y"].max()) >= RAW_LIMIT_PX:
         raise RawError(f"an events frame numbers {RAW_LIMIT_PX} columns and rows; send larger sensors in blocks")
-    ticks = events["t"] // np.uint64(tick_us)
-    first = _first_of_each(ticks)
-    second = np.minimum(first + 1, len(events) - 1)
-    paired = np.append(first[1:], len(events)) - first == 2
-    x, y, on = (events[name].astype(np.uint64) for name in ("x", "y", "on"))
-    pixels = x | y << np.uint64(9) | on << np.uint64(18)
-    words = ticks[first] & np.uint64(0xFFFF)
-    words |= ((np.arange(len(first), dtype=np.uint64) + np.uint64(seq)) & np.uint64(7)) << np.uint64(16)
-    dt = np.where(paired, ticks[second] - ticks[first], np.uint64(_NO_SECOND))
-    words |= dt << np.uint64(19) | pixels[first] << np.uint64(26)
-    words |= np.where(paired, pixels[second], np.uint64(0)) << np.uint64(45)
-    raw = words.astype("<u8").tobytes()
-    return [raw[i : i + 8] for i in range(0, len(raw), 8)], first
-
-
-def _first_of_each(ticks: npt.NDArray[np.uint64]) -> npt.NDArray[np.int64]:
-    """Return the index of the first event of each frame: in a run of events close enough, every other one."""
-    index = np.arange(len(ticks))
-    starts_run = np.append(True, ticks[1:] - ticks[:-1] >= _NO_SECOND)
-    run_start: npt.NDArray[np.int64] = np.maximum.accumulate(np.where(starts_run, index, 0))
-    first: npt.NDArray[np.int64] = index[(index - run_start) % 2 == 0]
-    return first
+    records = events.tolist()  # a link packs a few events a time: loops over numbers are faster than calls of numpy
+    frames: list[bytes] = []
+    first: list[int] = []
+    at = 0
+    while at < len(records):
+        t, x, y, on = records[at]
+        first.append(at)
+        at += 1
+        ticks = t // tick_us
+        word = ticks & 0xFFFF | (seq + len(frames) & 7) << 16 | (x | y << 9 | on << 18) << 26
+        dt = records[at][0] // tick_us - ticks if at < len(records) else _NO_SECOND
+        if 0 <= dt < _NO_SECOND:
+            _, x, y, on = records[at]
+            word |= dt << 19 | (x | y << 9 | on << 18) << 45
+            at += 1
+        else:
+            word |= _NO_SECOND << 19
+        frames.append(word.to_bytes(8, "little"))
+    return frames, np.array(first, np.int64)
 
 
 def unpack_events(data: bytes, tick_us: int, near_us: int) -> EventsFrame:
@@ -217,39 +214,28 @@ def pack_fd_events(events: Events, tick_us: int, seq: int, dropped: int = 0) -> 
         return []
     if int(events["x"].max()) >= RAW_LIMIT_PX or int(events["y"].max()) >= RAW_LIMIT_PX:
         raise RawError(f"an events frame numbers {RAW_LIMIT_PX} columns and rows; send larger sensors in blocks")
-    ticks = events["t"] // np.uint64(tick_us)
-    gaps = np.diff(ticks, prepend=ticks[:1]).astype(np.int64)
-    cells, cell_of = _cells(events, gaps)
-    raw = cells.astype("<u4").view(np.uint8).reshape(-1, 4)[:, :_CELL_BYTES].tobytes()
+    records = events.tolist()
     frames: list[tuple[bytes, int]] = []
-    first = 0
-    while first < len(events):
-        end = _end_of_frame(first, cell_of, gaps)
-        start, stop = int(cell_of[first]), int(cell_of[end - 1]) + 1
-        first_cell = (int(cells[start]) & 0x7FFFF).to_bytes(_CELL_BYTES, "little")  # the first event's dt is 0
-        head = _HEAD.pack(int(ticks[first]) & 0xFFFF_FFFF, (seq + len(frames)) & 0xFF, stop - start, min(dropped, 255))
-        data = head + first_cell + raw[_CELL_BYTES * (start + 1) : _CELL_BYTES * stop]
-        frames.append((data.ljust(fd_length(len(data)), b"\0"), end - first))
-        first, dropped = end, 0
+    at = 0
+    while at < len(records):
+        first, start = at, records[at][0] // tick_us
+        body, last = bytearray(), start
+        while at < len(records):
+            t, x, y, on = records[at]
+            gap = t // tick_us - last
+            cells = (
+                [x | y << 9 | on << 18 | gap << 19] if 0 <= gap < _SKIP else [gap | _SKIP << 19, x | y << 9 | on << 18]
+            )
+            if not 0 <= gap <= _LONGEST_SKIP or len(body) + _CELL_BYTES * len(cells) > _CELL_BYTES * FD_CELLS:
+                break
+            for cell in cells:
+                body += cell.to_bytes(_CELL_BYTES, "little")
+            last += gap
+            at += 1
+        head = _HEAD.pack(start & 0xFFFF_FFFF, seq + len(frames) & 0xFF, len(body) // _CELL_BYTES, min(dropped, 255))
+        frames.append(((head + body).ljust(fd_length(len(head) + len(body)), b"\0"), at - first))
+        dropped = 0
     return frames
-
-
-def _cells(events: Events, gaps: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
-    """Return all events as cells, each long gap as one in front of its event, and the cell of each event."""
-    long = gaps >= _SKIP
-    cell_of = np.arange(len(events)) + np.cumsum(long)
-    cells = np.zeros(int(cell_of[-1]) + 1, np.uint32)
-    x, y, on = (events[name].astype(np.uint32) for name in ("x", "y", "on"))
-    cells[cell_of] = x | y << 9 | on << 18 | np.where(long, 0, gaps).astype(np.uint32) << 19
-    cells[cell_of[long] - 1] = np.minimum(gaps[long], _LONGEST_SKIP).astype(np.uint32) | _SKIP << 19
-    return cells, cell_of
-
-
-def _end_of_frame(first: int, cell_of: npt.NDArray[np.int64], gaps: npt.NDArray[np.int64]) -> int:
-    """Return the index after the last event that fits into the frame that `first` begins."""
-    end = int(np.searchsorted(cell_of, cell_of[first] + FD_CELLS))
-    too_far = np.flatnonzero(gaps[first + 1 : end] > _LONGEST_SKIP)
-    return first + 1 + int(too_far[0]) if len(too_far) else end
 
 
 def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> FdEventsFrame:

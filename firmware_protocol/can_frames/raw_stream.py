@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-
-import numpy as np
+from itertools import pairwise
 
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_events import (
@@ -115,13 +114,14 @@ class RawSender:
 
     def _parts(self, events: Events) -> list[Events]:
         """Split the events where an epoch frame has to precede them."""
-        if not len(events):
-            return []
-        t = events["t"].astype(np.int64)
-        jumps = np.flatnonzero(np.diff(t) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us) + 1
-        periods = (t - t[0]) // self._settings.epoch_us
-        turns = np.flatnonzero(np.diff(periods) > 0) + 1
-        return [part for part in np.split(events, np.union1d(jumps, turns)) if len(part)]
+        times = events["t"].tolist()
+        jump_us, period_us = (_HALF_SPAN_TICKS - 1) * self._settings.tick_us, self._settings.epoch_us
+        cuts = [
+            at
+            for at, (before, t) in enumerate(pairwise(times), 1)
+            if t - before >= jump_us or (t - times[0]) // period_us > (before - times[0]) // period_us
+        ]
+        return [events[a:b] for a, b in pairwise([0, *cuts, len(events)]) if b > a]
 
     def _frames_of(self, events: Events) -> list[Packed]:
         first_us = int(events["t"][0])
@@ -140,8 +140,10 @@ class RawSender:
     def _packed(self, events: Events) -> list[Packed]:
         data, first = pack_events(events, self._settings.tick_us, self._seq)
         self._seq = (self._seq + len(data)) & 7
-        parts = np.split(events, first[1:])
-        return [Packed(Frame(self._settings.events, raw), part) for raw, part in zip(data, parts, strict=True)]
+        bounds = pairwise([*first.tolist(), len(events)])
+        return [
+            Packed(Frame(self._settings.events, raw), events[a:b]) for raw, (a, b) in zip(data, bounds, strict=True)
+        ]
 
     def _packed_fd(self, events: Events) -> list[Packed]:
         s = self._settings

@@ -106,7 +106,7 @@ class CanBus(ABC):
 
 _READ_TIMEOUT_S = 0.2
 _CONNECT_TIMEOUT_S = 3.0
-_OLDEST_STAMP_S = 1.0  # an adapter's time stamp further from now belongs to another clock
+_OLDEST_STAMP_S = 1.0  # an adapter's time stamp further from now belongs to another clock; the kernel's own never does
 _MOST_UNREAD = 100_000
 _IFF_UP = 1
 _BUS_OFF = 0x40  # linux/can/error.h
@@ -311,7 +311,7 @@ class PythonCanBus(CanBus):
             )
             return
         age_s = time.time() - message.timestamp
-        is_plausible = 0 <= age_s <= _OLDEST_STAMP_S
+        is_plausible = age_s >= 0 and (self._parameters.interface == "socketcan" or age_s <= _OLDEST_STAMP_S)
         self._unread.append(TimedFrame(frame, time.monotonic_ns() - (round(age_s * 1e9) if is_plausible else 0)))
 
     def _advice(self, error: Exception) -> str:

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.raw_events import pack_marks
-from firmware_protocol.can_frames.raw_stream import Packed, RawSender
+from firmware_protocol.can_frames.raw_events import FD_CELLS, pack_marks
+from firmware_protocol.can_frames.raw_stream import Packed, RawSender, RawSettings
 from firmware_protocol.can_frames.transport import (
     CfpReceiver,
     IsoTpFailure,
@@ -32,8 +32,6 @@ from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.kind import CanLink
 from transports.faults.bus import Load, Tracker
 from transports.link.deliveries import Deliveries
-
-_RAW_EVENTS_A_TIME = 8  # limits the events with an unknown outcome when a bus is lost
 
 
 class FrameSource(ABC):
@@ -110,10 +108,11 @@ class FrameSource(ABC):
 class _RawEvents(FrameSource):
     """Events in frames that stand alone; `sender` encodes the events, clock and epoch frames."""
 
-    def __init__(self, instrument: Instrument, deliveries: Deliveries, sender: RawSender) -> None:
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, settings: RawSettings) -> None:
         super().__init__(instrument, deliveries)
+        self._events_a_time = 4 * (FD_CELLS if settings.fd else 2)  # few: their fate is unknown when a bus is lost
         self._tick_us = instrument.tick_us
-        self.sender = sender
+        self.sender = RawSender(settings)
         self._frames: deque[Packed] = deque()
         self._load = Load.nothing()
         self._given = self._taken = 0  # events in the last frame returned; events of this message on the bus
@@ -165,7 +164,7 @@ class _RawEvents(FrameSource):
         if self._instrument.tick_us != self._tick_us:
             self._tick_us = self._instrument.tick_us
             self.sender.set_tick(self._tick_us)
-        outgoing = self._instrument.next_events(_RAW_EVENTS_A_TIME)
+        outgoing = self._instrument.next_events(self._events_a_time)
         if outgoing is None:
             self._frames += self.sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_for_room)
             return
@@ -336,7 +335,7 @@ def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanLink)
         return [_CfpTransport(instrument, deliveries, parameters)]
     if parameters.carriage == "isotp":
         return [_IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=True)]
-    events = _RawEvents(instrument, deliveries, RawSender(parameters.raw(instrument.tick_us)))
+    events = _RawEvents(instrument, deliveries, parameters.raw(instrument.tick_us))
     return [
         _RawEdges(instrument, deliveries, events, parameters.identifiers.edges),
         _IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=False),

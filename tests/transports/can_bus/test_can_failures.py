@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import itertools
+import time
 
 import can
 import pytest
@@ -122,3 +123,33 @@ def test_bus_off_is_told_with_what_brings_it_back():
 
     with pytest.raises(BusDown, match=r"bus-off.*restart-ms 100"):
         with_virtual_bus(work)
+
+
+class LateBus:
+    """A bus of python-can with one frame that has waited for half a minute, by its time stamp."""
+
+    def __init__(self):
+        self.frames = [can.Message(time.time() - 30, 0x80, is_extended_id=False)]
+
+    def recv(self, timeout):
+        return self.frames.pop() if self.frames else None
+
+    def shutdown(self):
+        pass
+
+
+@pytest.mark.parametrize(("interface", "age_s"), [("socketcan", 30), ("slcan", 0)])
+def test_the_kernels_time_of_a_frame_is_used_however_late_it_is_read(monkeypatch, interface, age_s):
+    monkeypatch.setattr(PythonCanBus, "_open", lambda bus: LateBus())
+
+    async def received():
+        bus, begun_ns, frames = PythonCanBus(CanLink(interface, "can7"), "can7"), time.monotonic_ns(), []
+        await bus.open()
+        while not frames:
+            await bus.wait(60)
+            frames = bus.take()
+        await bus.close()
+        return begun_ns, frames[0].t_ns, time.monotonic_ns()
+
+    begun_ns, t_ns, ended_ns = asyncio.run(received())
+    assert begun_ns <= t_ns + age_s * 1_000_000_000 + 1000 <= ended_ns + 2000
