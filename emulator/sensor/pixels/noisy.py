@@ -39,7 +39,7 @@ _U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UN
 _CERTIFIED = 1.5  # its bound, over the hazard's
 _REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
 _SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
-_AMPLE = 3.0  # deviations beyond FARTHEST, for a pixel that is slow
+_AMPLE, _FARTHEST = 3.0, 30.0  # deviations beyond FARTHEST, for a pixel that is slow; at which its hazard is a number
 _LONGEST_S, _LONGEST_STEPS = 2.0**33 * 1e-9, 256
 _SLOWEST = 0.1  # 1/s: forgets in more than the longest time
 _LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
@@ -83,7 +83,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
         louder = min(noise.sigma * share, rms)
         noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
     speed = _SPEED_SHARE * noise.sigma * noise.rate
-    c_on, c_off = min(on / noise.sigma, passage.INFINITE), min(off / noise.sigma, passage.INFINITE)
+    c_on, c_off = min(on / noise.sigma, _FARTHEST), min(off / noise.sigma, _FARTHEST)
     if not (c_on >= passage.LEAST_FAR and c_off >= passage.LEAST_FAR):  # or not a number
         return
     # Beyond FARTHEST no passage is likely at any speed: limits there need none.
@@ -92,9 +92,8 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     on_hz, off_hz = passage.bound_of(c_on, _SPEED_SHARE, noise), passage.bound_of(c_off, _SPEED_SHARE, noise)
     bound_hz = max(_CERTIFIED * (on_hz + off_hz), _REVISITS / c.h if moves else _RESTS_HZ)
     # Limits at which a threshold's hazard has come to what the other one, which is farther then, leaves of the bound.
-    most_hz = (0.5 if noise.ratio > 0 else 5.0) * noise.rate
-    limit_on = max(math.sqrt(2 * math.log(max(most_hz / (bound_hz - off_hz), 1.0))), least)
-    limit_off = max(math.sqrt(2 * math.log(max(most_hz / (bound_hz - on_hz), 1.0))), least)
+    limit_on = max(math.sqrt(max(c_on * c_on - 2 * math.log((bound_hz - off_hz) / on_hz), 0.0)), least)
+    limit_off = max(math.sqrt(max(c_off * c_off - 2 * math.log((bound_hz - on_hz) / off_hz), 0.0)), least)
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
