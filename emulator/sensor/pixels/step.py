@@ -393,8 +393,8 @@ def replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepCon
 _WORTH_A_THREAD = 100_000
 """Quiet pixels that take as long as waking a thread pays for, about 100 us."""
 
-_CANDIDATE = 12
-"""Cost of a candidate, in quiet pixels."""
+_CANDIDATE, _NOISY_CANDIDATE = 12, 2000
+"""Cost of a candidate, in quiet pixels, without noise and with it."""
 
 
 class Workers:
@@ -438,7 +438,7 @@ class Workers:
 
         self._pool.each(move, n)
         lists, tally = _merged(shares)
-        self._last = tally.moved + _CANDIDATE * tally.candidates
+        self._last = tally.moved + (_NOISY_CANDIDATE if c.noisy else _CANDIDATE) * tally.candidates
         return lists, tally
 
     def _wanted(self, pixels: int) -> int:
