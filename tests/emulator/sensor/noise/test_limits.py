@@ -251,3 +251,13 @@ def test_light_that_falls_fast_beside_a_slow_receptor_takes_few_substeps():
         spent_s.append(time.process_time() - begun_s)
     assert spent_s[1] < spent_s[0]
     assert np.abs(fine.field(Field.FILTERED) - coarse.field(Field.FILTERED)).max() < 0.004 * 0.223
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0])
+@pytest.mark.parametrize("name", SENSORS)
+def test_few_pixels_in_still_light_have_no_certificate(name, level):
+    """In the dark the two poles of these sensors act as one, in light they do not."""
+    p = dataclasses.replace(SENSORS[name], width=32, height=16)
+    array = begun(p, still(level))
+    found = run(array, still(level), ends(10, 500))
+    assert array.candidates < 0.02 * 50 * 512 + 3 * len(found.t_ns)
