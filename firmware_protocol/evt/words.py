@@ -27,7 +27,7 @@ loops find the next event or edge, and the events that share words; `Coder` runs
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -67,7 +67,6 @@ def next_high(written: int, target: int, bits: int) -> int:
 
 
 entry = entry_of("firmware_protocol.evt", "firmware_protocol.events")
-
 
 _Bytes = npt.NDArray[np.uint8]
 
@@ -115,7 +114,6 @@ _State = npt.NDArray[np.int64]
 HIGH_SENT, TIME_SENT, ROW_SENT, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN, REPEAT, PERIOD = range(10)
 BACKWARDS, TOO_LATE, OUTSIDE = -1, -2, -3
 LONGEST_GAP_US = 1 << 37  # 38 hours: 41 000 words
-
 
 _NEVER = 63  # bits of a period that has no end
 _MOST_REPEATS = 1024  # of a high part, in one call
@@ -228,7 +226,7 @@ class Words:
 
 
 class Filled(NamedTuple):
-    """Words, and the numbers of the first events and edges in them."""
+    """Words, and the numbers of the first events and edges that are in them or in parts before."""
 
     words: bytes
     events: int
@@ -281,14 +279,16 @@ class Coder:
             self._state = state
         return b"".join(parts)
 
-    def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
-        """Return the words of as many of the first events and edges as fit `octets` (64 to 65536); see `encode`."""
-        state = self._begun()
-        room = self._out[: octets // self._out.itemsize]
-        words = self._written(bytes_of(events), bytes_of(edges), state, room)
-        if words:  # a call without words starts no stream
-            self._state = state
-        return Filled(words, int(state[AT_EVENT]), int(state[AT_EDGE]))
+    def parts(self, events: Events, edges: Edges, octets: int) -> Iterator[Filled]:
+        """Yield the words in parts of at most so many octets (64 to 65536), as if each were encoded; see `encode`."""
+        event_bytes, edge_bytes = bytes_of(events), bytes_of(edges)
+        room, done = self._out[: octets // self._out.itemsize], (0, 0)
+        while done != (len(events), len(edges)):
+            state = self._begun()
+            state[AT_EVENT], state[AT_EDGE] = done
+            words = self._written(event_bytes, edge_bytes, state, room)
+            self._state, done = state, (int(state[AT_EVENT]), int(state[AT_EDGE]))
+            yield Filled(words, *done)
 
     def advance(self, t_us: int) -> bytes:
         """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.

@@ -150,7 +150,7 @@ class BlockOutflow(Outflow[Outgoing]):
         events = self._taken(first_us + LONGEST_GAP_US, _MOST_EVENTS)
         full = len(events) == _MOST_EVENTS
         edges = self._due_edges(int(events["t"][-1]) if full else min(now_us, first_us + LONGEST_GAP_US))
-        words, used, used_edges = self._encoder.fill(events, edges, BLOCK_OCTETS - _PADDED_OCTETS)
+        words, used, used_edges = next(self._encoder.parts(events, edges, BLOCK_OCTETS - _PADDED_OCTETS))
         self._put_back(events[used:])
         events, edges = events[:used], edges[:used_edges]
         self._reach(events, edges)

@@ -50,7 +50,7 @@ import struct
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -134,8 +134,7 @@ class StreamFacts:
     repeat_us: int = 0
 
 
-@dataclass(frozen=True)
-class Datagram:
+class Datagram(NamedTuple):
     """One datagram, and the end of its events in the batch: those up to `end` have left with it."""
 
     data: bytes
@@ -345,10 +344,10 @@ class FaeryShortCoder(DatagramCoder):
 
 def cut(records: np.ndarray, events_at_most: int) -> Iterator[Datagram]:
     """Yield datagrams of at most so many of records (n,), one an event."""
-    data, size = memoryview(records.tobytes()), records.dtype.itemsize
+    data, size = records.tobytes(), records.dtype.itemsize
     for first in range(0, len(records), events_at_most):
         end = min(first + events_at_most, len(records))
-        yield Datagram(bytes(data[first * size : end * size]), end)
+        yield Datagram(data[first * size : end * size], end)
 
 
 DV_EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("on", "u1"), ("zero", "V3")])

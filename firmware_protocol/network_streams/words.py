@@ -126,12 +126,8 @@ class EvtDatagramCoder(DatagramCoder):
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
         """Yield datagrams; an edge precedes the events of its time."""
         edges = self._stream.prepare(events, edges)
-        at = at_edge = 0
-        while at < len(events) or at_edge < len(edges):
-            filled = self._stream.coder.fill(events[at:], edges[at_edge:], _DATAGRAM_OCTETS)
-            at += filled.events
-            at_edge += filled.edges
-            yield Datagram(filled.words, at)
+        for part in self._stream.coder.parts(events, edges, _DATAGRAM_OCTETS):
+            yield Datagram(part.words, part.events)
 
     def restart(self) -> Iterator[Datagram]:
         """Begin another stream."""

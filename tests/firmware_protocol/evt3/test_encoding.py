@@ -286,13 +286,11 @@ def test_pieces_of_a_size_hold_as_much_as_fits_and_together_all(origin_us):
     edges = np.array([(origin_us + t, EdgeKind.RISING, 0, 0) for t in (0, 77, 399)], EDGE)
     encoder, decoder = Evt3Encoder(standalone=True, origin_us=origin_us), Evt3Decoder()
     seen, told, sizes = [], [], []
-    rest, rest_edges = events, edges
-    while len(rest) or len(rest_edges):
-        words, count, edge_count = encoder.fill(rest, rest_edges, 200)
-        rest, rest_edges = rest[count:], rest_edges[edge_count:]
-        sizes.append(len(words))
-        for into, found in zip((seen, told), decoder.decode(words), strict=True):
+    for part in encoder.parts(events, edges, 200):
+        sizes.append(len(part.words))
+        for into, found in zip((seen, told), decoder.decode(part.words), strict=True):
             into.append(found)
+        assert (part.events, part.edges) == (sum(map(len, seen)), sum(map(len, told)))
     assert max(sizes) <= 200
     assert min(sizes[:-1]) > 200 - 16 - 8  # at most one turn of the loop is left out
     expected = events.copy()
