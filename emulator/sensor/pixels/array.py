@@ -105,13 +105,13 @@ class PixelArray(PixelMethod):
         """Return the state before the first light, with thresholds and leak of each pixel."""
         blocks = -(-self._pixels // layout.BLOCK)
         fields, p = aligned_zeros((blocks, layout.FIELDS, layout.BLOCK)), self.parameters
-        fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
+        fields[:, Field.ON] = fields[:, Field.OFF] = layout.DEAD_THRESHOLD  # of the pixels beyond the sensor's end
         pixels = layout.draw(p, self.seed)
         layout.put_field(fields, Field.ON, pixels.on)
         layout.put_field(fields, Field.OFF, pixels.off)
         layout.put_field(fields, Field.LEAK, pixels.leak_hz * layout.take_field(fields, Field.ON, self._pixels))
         for field in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL):
-            fields[:, field] = np.inf  # of the pixels beyond the sensor's end
+            fields[:, field] = np.inf
         memory = layout.noise_memory(p, self.seed, blocks * layout.BLOCK) if p.noise.rms else np.empty(0, np.float32)
         positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * layout.BLOCK, np.int64)
         return layout.PixelState(fields, positions, 0, 0, False, memory)
