@@ -256,7 +256,7 @@ def test_light_that_falls_fast_beside_a_slow_receptor_takes_few_substeps():
 @pytest.mark.parametrize("level", [0.0, 1.0])
 @pytest.mark.parametrize("name", SENSORS)
 def test_few_pixels_in_still_light_have_no_certificate(name, level):
-    """In the dark the poles of these sensors act as one, in light not; most of the block lies beyond the array's end."""
+    """In the dark the poles act as one, in light they do not; most of the block lies beyond the end of the array."""
     array = begun(SENSORS[name], still(level))
     found = run(array, still(level), ends(10, 500))
     assert array.candidates < 0.1 * 50 * 512 + 3 * len(found.t_ns)
