@@ -35,7 +35,7 @@ IDS = Identifiers()
 CLIENT = str(Path(__file__).with_name("clients") / "can_link.py")
 PYTHON = f"NUMBA_DISABLE_JIT=1 {sys.executable}"
 LISTEN = f"{PYTHON} -c 'from emulator.cli import main; main()' listen can --interface socketcan --channel vcan0"
-TIMEOUT_S = 300.0
+TIMEOUT_S = 900.0
 SECONDS = 20
 EARLY, LATE = 200, 50
 """Events before the order to stop, and after it."""
