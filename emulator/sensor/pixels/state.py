@@ -380,7 +380,7 @@ class Levels:
     def of(self, pixel: _Int64s) -> _Float32s:
         """Return the levels of pixels (n,); NaN in the refractory period."""
         state, p = self._array.state, self._array.parameters
-        since_epoch_s, hz = (state.t_ns - state.epoch_ns) * 1e-9, p.parasitic_hz_at_reference
+        since_epoch_s, hz = np.float64(state.t_ns - state.epoch_ns) * 1e-9, p.parasitic_hz_at_reference
         level = self._field(compared_field(p), pixel) + self._field(Field.LEAK, pixel) * since_epoch_s
         if hz > 0:
             lit = np.exp(self._field(Field.LOG_LIGHT, pixel))
