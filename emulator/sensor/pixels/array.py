@@ -105,8 +105,8 @@ class PixelArray(PixelMethod):
         """Return the state before the first light, with thresholds and leak of each pixel."""
         blocks = -(-self._pixels // layout.BLOCK)
         fields, p = aligned_zeros((blocks, layout.FIELDS, layout.BLOCK)), self.parameters
-        # Those beyond the sensor's end rest: their reference is far above, and no leak, in units of ON, moves it.
-        fields[:, Field.REFERENCE], fields[:, Field.OFF] = 1e30, np.inf
+        # Those beyond the sensor's end rest: no leak, in units of their threshold, comes near their reference.
+        fields[:, Field.REFERENCE], fields[:, Field.ON], fields[:, Field.OFF] = 1e30, 1.0, np.inf
         pixels = layout.draw(p, self.seed)
         layout.put_field(fields, Field.ON, pixels.on)
         layout.put_field(fields, Field.OFF, pixels.off)
