@@ -105,7 +105,8 @@ class PixelArray(PixelMethod):
         """Return the state before the first light, with thresholds and leak of each pixel."""
         blocks = -(-self._pixels // layout.BLOCK)
         fields, p = aligned_zeros((blocks, layout.FIELDS, layout.BLOCK)), self.parameters
-        # Those beyond the sensor's end rest: no leak, in units of their threshold, comes near their reference.
+        # Those beyond the sensor's end rest in the dark: no leak, in units of ON, comes near their reference.
+        fields[:, [Field.LOG_LIGHT, Field.FILTERED, Field.SECOND]] = np.log(self._light_constants.dark)
         fields[:, Field.REFERENCE], fields[:, Field.ON], fields[:, Field.OFF] = 1e30, 1.0, np.inf
         pixels = layout.draw(p, self.seed)
         layout.put_field(fields, Field.ON, pixels.on)
