@@ -18,17 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import (
-    DUST,
-    LEAF,
-    Point,
-    TriangleTree,
-    after,
-    box_in_cone,
-    disc_axes,
-    inverse_of,
-    triangle_area,
-)
+from emulator.scene.bodies.cast_shadow import DUST, LEAF, Point, TriangleTree, covered, inverse_of
 from emulator.scene.bodies.compiled import entry, kernel
 
 Floats = npt.NDArray[np.float64]
@@ -38,6 +28,7 @@ SUNLIT, UNKNOWN = -1, -2
 _WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
 _NO_CONE = 2.0  # a cosine that none exceeds
 _ABOVE = (1 << 56) - 1
+_LOWEST = np.array([(bits & -bits).bit_length() - 1 for bits in range(256)])  # bit that is set in eight
 _LASTS = 10  # light frames, at least, for which a cone is worth its search
 
 
@@ -50,8 +41,8 @@ def row(points: Floats, k: int) -> Point:
 @kernel
 def corner(leaves: Floats, k: int, number: int) -> Point:
     """Return corner 0, 1 or 2 of triangle k of the leaves of a `RayTree`."""
-    leaf, lane, at = k // LEAF, k % LEAF, 3 * number
-    return leaves[leaf, at, lane], leaves[leaf, at + 1, lane], leaves[leaf, at + 2, lane]
+    triangle, at = leaves[k // LEAF, :, k % LEAF], 3 * number
+    return triangle[at], triangle[at + 1], triangle[at + 2]
 
 
 @kernel
@@ -105,7 +96,7 @@ class RayTree(NamedTuple):
         leaves, sizes = np.zeros((len(tree.starts) - 1, 9, LEAF)), np.diff(tree.starts)
         for k in range(LEAF):
             leaves[sizes > k, :, k] = tree.corners[tree.starts[:-1][sizes > k] + k]
-        depth = (len(leaves)).bit_length() - 1
+        depth = len(leaves).bit_length() - 1
         return cls(tree, boxes.reshape(-1, 8, 6).transpose(0, 2, 1).copy(), leaves, 1 << (depth % 3 or min(depth, 3)))
 
 
@@ -121,7 +112,9 @@ def _boxes_met(boxes: Floats, k: int, point: Point, inverse: Point, size: Point)
         tx = (boxes[k, 0, j] - point[0]) * inverse[0]
         ty = (boxes[k, 1, j] - point[1]) * inverse[1]
         tz = (boxes[k, 2, j] - point[2]) * inverse[2]
-        rx, ry, rz = boxes[k, 3, j] * size[0], boxes[k, 4, j] * size[1], boxes[k, 5, j] * size[2]
+        rx = boxes[k, 3, j] * size[0]
+        ry = boxes[k, 4, j] * size[1]
+        rz = boxes[k, 5, j] * size[2]
         enter = max(tx - rx, ty - ry, tz - rz, 0.0)
         met |= np.int64(enter <= min(tx + rx, ty + ry, tz + rz)) << j
     return met
@@ -148,19 +141,6 @@ def _triangles_met(leaves: Floats, k: int, point: Point, sun: Point) -> int:
 
 
 @kernel
-def _lowest(bits: int) -> int:
-    """Return the number of the lowest bit of eight that is set."""
-    at = 0
-    if bits & 15 == 0:
-        bits >>= 4
-        at = 4
-    if bits & 3 == 0:
-        bits >>= 2
-        at += 2
-    return at + 1 - (bits & 1)
-
-
-@kernel
 def first_met(tree: RayTree, point: Point, sun: Point) -> int:
     """Return the first triangle, in the order of the tree, between a point and the Sun's middle; SUNLIT for none."""
     inverse = inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2])
@@ -173,7 +153,7 @@ def first_met(tree: RayTree, point: Point, sun: Point) -> int:
             met = met >> 8 & _ABOVE
             k >>= 3
             continue
-        node = 8 * k + _lowest(met & 255)
+        node = 8 * k + _LOWEST[met & 255]
         met &= met - 1
         leaf = node - len(tree.leaves)
         if leaf < 0:
@@ -182,28 +162,8 @@ def first_met(tree: RayTree, point: Point, sun: Point) -> int:
             continue
         triangles = _triangles_met(tree.leaves, leaf, point, sun)
         if triangles:
-            return LEAF * leaf + _lowest(triangles)
+            return LEAF * leaf + _LOWEST[triangles]
     return SUNLIT
-
-
-@kernel
-def _is_clear(tree: TriangleTree, point: Point, sun: Point, tangent: float) -> bool:
-    """Return whether no triangle reaches into a cone around the Sun's direction."""
-    starts = tree.starts
-    axes = disc_axes(sun, tangent)
-    inverse = (inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2]))
-    leaves, node = len(starts) - 1, 1
-    while True:
-        if box_in_cone(tree.boxes, node, point[0], point[1], point[2], sun, inverse, tangent):
-            if node < leaves:
-                node *= 2
-                continue
-            for k in range(starts[node - leaves], starts[node - leaves + 1]):
-                if triangle_area(tree.corners, k, point[0], point[1], point[2], axes) > DUST:
-                    return False
-        node = after(node)
-        if node == 1:
-            return True
 
 
 class Verdicts(NamedTuple):
@@ -300,7 +260,7 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
         for _ in range(_CONES):
             if wide < _LASTS * moved_rad:
                 break
-            if _is_clear(tree.binary, point, towards, math.tan(wide)):
+            if covered(tree.binary, point, towards, math.tan(wide), 0.0, DUST) < DUST:
                 for j in range(3):
                     suns[k, j] = sun[j]
                 suns[k, 3] = math.cos(wide)

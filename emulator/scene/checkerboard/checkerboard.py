@@ -107,8 +107,15 @@ class Checkerboard(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`, (height, width) float32."""
-        if not self._rests_in(out, None):
-            self._draw(t_ns, out)
+        if self._rests_in(out, None):
+            return
+        board = self._board(t_ns)
+        if self._sin == 0.0:
+            (width, height), half = self._size, self._half
+            wave_x, wave_y = _box_wave(width, board.cos, board.u), _box_wave(height, board.cos, board.v)
+            _outer(wave_x, wave_y * half, self._middle, out)
+        else:
+            _turned(board, out, np.empty_like(out))
 
     def _board(self, t_ns: int) -> _Board:
         period_px, half = 2.0 * self.parameters.square_px, float(self._half)
@@ -123,15 +130,6 @@ class Checkerboard(Scene):
             self._middle,
         )
 
-    def _draw(self, t_ns: int, out: Light) -> None:
-        board = self._board(t_ns)
-        if self._sin == 0.0:
-            (width, height), half = self._size, self._half
-            wave_x, wave_y = _box_wave(width, board.cos, board.u), _box_wave(height, board.cos, board.v)
-            _outer(wave_x, wave_y * half, self._middle, out)
-        else:
-            _turned(board, out)
-
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, both in closed form."""
         if self._rests_in(light, rate):
@@ -145,8 +143,7 @@ class Checkerboard(Scene):
             by_wave = slope_y * (half * np.float32(-float(self._v.rate_hz)))
             _outer_and_rate(wave_x, slope_x, wave_y * half, by_slope, by_wave, self._middle, light, rate)
         else:
-            _turned(board, light)
-            _turned_rate(board, rate)
+            _turned(board, light, rate)
 
     @property
     def changed(self) -> Region | None:
@@ -259,32 +256,26 @@ def _outer_and_rate(  # noqa: PLR0913, PLR0917
             rate_row[x] = slope[x] * of_slope + wave[x] * of_wave
 
 
-@_entry
-def _turned(board: _Board, out: Light) -> None:
-    """Fill `out` for a board turned against the pixel rows."""
-    height, width = out.shape
-    half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
-    for y in range(height):
-        row, dy = out[y], y + 0.5 - 0.5 * height
-        for x in range(width):
-            dx = x + 0.5 - 0.5 * width
-            u = _mean(board.u + dx * board.cos + dy * board.sin, half_box)
-            v = _mean(board.v - dx * board.sin + dy * board.cos, half_box)
-            row[x] = board.middle + board.half * np.float32(min(1.0, max(-1.0, u * v)))
+@njit(inline="always")
+def _at(board: _Board, dx: float, dy: float, half_box: float) -> tuple[np.float32, np.float32]:
+    """Return light and its time derivative at a place of a board turned against the rows, from the frame's middle."""
+    u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
+    along_u, along_v = _mean(u, half_box), _mean(v, half_box)
+    light = board.middle + board.half * np.float32(min(1.0, max(-1.0, along_u * along_v)))
+    by_u = board.u_speed * _slope(u, half_box) * along_v
+    return light, np.float32(by_u + board.v_speed * _slope(v, half_box) * along_u)
 
 
 @_entry
-def _turned_rate(board: _Board, out: Light) -> None:
-    """Fill with the time derivative of `_turned`."""
-    height, width = out.shape
+def _turned(board: _Board, light: Light, rate: Light) -> None:
+    """Fill light and its time derivative for a board turned against the pixel rows."""
+    height, width = light.shape
     half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
     for y in range(height):
-        row, dy = out[y], y + 0.5 - 0.5 * height
+        light_row, rate_row = light[y], rate[y]
+        dy = y + 0.5 - 0.5 * height
         for x in range(width):
-            dx = x + 0.5 - 0.5 * width
-            u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
-            by_u = board.u_speed * _slope(u, half_box) * _mean(v, half_box)
-            row[x] = np.float32(by_u + board.v_speed * _slope(v, half_box) * _mean(u, half_box))
+            light_row[x], rate_row[x] = _at(board, x + 0.5 - 0.5 * width, dy, half_box)
 
 
 @_entry
@@ -295,13 +286,9 @@ def _listed(
     light: npt.NDArray[np.float32],
     rate: npt.NDArray[np.float32],
 ) -> None:
-    """Compute `_turned` and `_turned_rate` for some pixels of a frame of `size`."""
+    """Compute `_turned` for some pixels of a frame of `size`."""
     width, height = size
     half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
     for k in range(pixels.size):
         dy, dx = pixels[k] // width + 0.5 - 0.5 * height, pixels[k] % width + 0.5 - 0.5 * width
-        u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
-        along_u, along_v = _mean(u, half_box), _mean(v, half_box)
-        light[k] = board.middle + board.half * np.float32(min(1.0, max(-1.0, along_u * along_v)))
-        by_u = board.u_speed * _slope(u, half_box) * along_v
-        rate[k] = np.float32(by_u + board.v_speed * _slope(v, half_box) * along_u)
+        light[k], rate[k] = _at(board, dx, dy, half_box)

@@ -107,16 +107,6 @@ class CameraMotion:
         place = np.asarray(self.pose.position_m, np.float64)
         return Camera(place, self.velocity_m_s, self.turn, self.turning)
 
-    @property
-    def of_directions(self) -> Motion:
-        """Velocities in the world of places that turn with the camera, by their places from it."""
-        return Motion(self.turning.T @ self.turn, self.velocity_m_s)
-
-    @property
-    def of_ground(self) -> Motion:
-        """Velocities in the camera's axes of places that stand still in the world."""
-        return Motion(self.turning @ self.turn.T, -self.turn @ self.velocity_m_s)
-
 
 def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotion:
     """Return the motion at stream time `t_ns`; at the start, where a path may begin, from poses after it only."""
@@ -229,9 +219,13 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         sight = Sight(self._owners.facets, self._renderer.facets, projection, motion.camera.place, motion.turn)
         smooth = self._smooth if with_rate else self._smooth._replace(rate=np.zeros((0, 0), np.float32))
         samples, posts, sun = float(self._world.parameters.samples), self._posts, self._sun
+        # Velocities of places by where they are: in the world, of those that turn with the camera, and in its axes, of
+        # the ground.
+        of_directions = Motion(motion.turning.T @ motion.turn, motion.velocity_m_s)
+        of_ground = Motion(motion.turning @ motion.turn.T, -motion.turn @ motion.velocity_m_s)
 
         def shade(band: int, thread: int) -> None:
-            shade_rows(_rows(band, height), sight, motion.of_directions, posts, sun, self._tiles[thread], smooth)
+            shade_rows(_rows(band, height), sight, of_directions, posts, sun, self._tiles[thread], smooth)
 
         self._pool.each(shade, -(-height // _BAND))
         faint = _FAINT * float(smooth.light.mean())
@@ -245,7 +239,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
             )
 
         def follow(band: int, thread: int) -> None:
-            rate_of_doubtful(_rows(band, height), sight, motion.of_ground, smooth.doubtful, light, rate)
+            rate_of_doubtful(_rows(band, height), sight, of_ground, smooth.doubtful, light, rate)
 
         for work in (refine, follow) if with_rate else (refine,):
             self._pool.each(work, -(-height // _BAND))
