@@ -101,12 +101,12 @@ class RayTree(NamedTuple):
 
 
 @kernel
-def _boxes_met(boxes: Floats, k: int, point: Point, inverse: Point, size: Point) -> int:
+def _boxes_met(boxes: Floats, k: int, point: Point, inverse: Point, size: Point) -> Any:
     """Return the boxes of a row that a ray meets, a bit each; `size` is that of `inverse`.
 
-    How many there are is read from the array: the compiler unrolls a loop whose length it knows, and makes no vectors.
+    Their number is read from the array: the compiler unrolls a loop of constant length, and makes no vectors of it.
     """
-    met = 0
+    met: Any = np.int64(0)
     for j in range(boxes.shape[2]):
         # The part of the ray within the box's slabs: from the middle of each slab by half its length.
         tx = (boxes[k, 0, j] - point[0]) * inverse[0]
@@ -121,9 +121,9 @@ def _boxes_met(boxes: Floats, k: int, point: Point, inverse: Point, size: Point)
 
 
 @kernel
-def _triangles_met(leaves: Floats, k: int, point: Point, sun: Point) -> int:
+def _triangles_met(leaves: Floats, k: int, point: Point, sun: Point) -> Any:
     """Return the triangles of leaf k that a ray meets, from either side, a bit each (Moller and Trumbore 1997)."""
-    met = 0
+    met: Any = np.int64(0)
     for j in range(leaves.shape[2]):
         first = leaves[k, 0, j], leaves[k, 1, j], leaves[k, 2, j]
         u = leaves[k, 3, j] - first[0], leaves[k, 4, j] - first[1], leaves[k, 5, j] - first[2]
@@ -162,7 +162,7 @@ def first_met(tree: RayTree, point: Point, sun: Point) -> int:
             continue
         triangles = _triangles_met(tree.leaves, leaf, point, sun)
         if triangles:
-            return LEAF * leaf + _LOWEST[triangles]
+            return int(LEAF * leaf + _LOWEST[triangles])
     return SUNLIT
 
 
