@@ -126,7 +126,6 @@ class StarField(Scene):
         self._sun = unit(parameters.sun.direction)
         self._arrays = LastArrays()
         self._boxes: Boxes = np.empty((0, 4), np.int64)
-        self._changed: Region | None = None
         self._cone_cosine = max(0.05, math.cos(min(math.pi, 1.2 * self._pinhole.widest_rad + 0.02)))
 
     @property
@@ -162,11 +161,6 @@ class StarField(Scene):
         """Write the light and its time derivative, both in closed form."""
         self._draw(t_ns, light, rate)
 
-    @property
-    def changed(self) -> Region | None:
-        """The boxes of the points in this light frame and in the one before."""
-        return self._changed
-
     def stars_at(self, t_ns: int) -> tuple[Floats, Floats]:
         """Return columns and rows, (n, 2), and magnitudes, (n,), of the stars in or near the light frame of `t_ns`."""
         camera = self.camera_path.pose(self.path_time.scene_ns(t_ns))
@@ -191,7 +185,7 @@ class StarField(Scene):
         before, self._boxes = self._boxes, np.empty((len(points), 4), np.int64)
         boxes_of(points, self._sigma_px, self._size, self._boxes)
         boxes = np.concatenate([before, self._boxes])
-        self._changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
+        self.changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the light frame, (n, 5).

@@ -14,6 +14,7 @@ from emulator.photometry.reflectance import (
     LommelSeeliger,
     LunarLambert,
     Sun,
+    Water,
     henyey_greenstein,
 )
 
@@ -128,6 +129,40 @@ def test_a_glossy_surface_shines_where_a_mirror_would_and_gives_what_it_says():
     e = (np.arange(20000) + 0.5) / 20000 * math.pi / 2
     thrown = 2 * math.pi * np.trapezoid(law.reflect(np.ones_like(e), np.cos(e), e) * np.cos(e) * np.sin(e), e)
     assert thrown == pytest.approx(0.6, rel=0.03)
+
+
+def test_water_mirrors_the_sun_as_often_as_slopes_drawn_at_random():
+    """Facets with normal slopes (variance s / 2 on each axis) under the Sun at 40 degrees, each by what it catches."""
+    law, angle = Water(5.0), math.radians(40.0)
+    slope2 = 0.003 + 0.00512 * 5.0
+    slopes = np.random.default_rng(4).normal(0, math.sqrt(slope2 / 2), (2_000_000, 2))
+    normals = np.column_stack([-slopes, np.ones(len(slopes))])
+    catch = normals @ [math.sin(angle), 0.0, math.cos(angle)]  # m2 of the beam for a m2 of the ground under the facet
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    cosine = normals @ [math.sin(angle), 0.0, math.cos(angle)]
+    along = np.sqrt(1 - (1 - cosine**2) / 1.34**2)
+    share = (
+        ((cosine - 1.34 * along) / (cosine + 1.34 * along)) ** 2
+        + ((1.34 * cosine - along) / (1.34 * cosine + along)) ** 2
+    ) / 2
+    leaves = 2 * cosine[:, None] * normals - [math.sin(angle), 0.0, math.cos(angle)]
+    for turned in (-0.6, -0.9, -0.4):
+        middle = np.array([math.sin(turned), 0.0, math.cos(turned)])
+        radius = 0.06
+        power = (share * catch)[leaves @ middle > math.cos(radius)].sum() / len(slopes)
+        expected = power / (2 * math.pi * (1 - math.cos(radius)) * middle[2])
+        found = law.reflect(math.cos(angle), middle[2], angle - turned)
+        assert float(found) == pytest.approx(expected, rel=0.03)
+
+
+def test_water_is_the_same_both_ways_dark_at_night_and_finite_at_the_horizon():
+    law = Water(7.0)
+    mu0, mu, phase = np.array([0.9, 0.2, 0.5, 1e-3]), np.array([0.4, 0.6, 1e-3, 1e-3]), np.array([1.2, 0.9, 1.7, 3.1])
+    np.testing.assert_allclose(law.reflect(mu0, mu, phase) * mu, law.reflect(mu, mu0, phase) * mu0, rtol=1e-9)
+    assert float(law.reflect(1.0, 1.0, 0.0)) == pytest.approx((0.34 / 2.34) ** 2 / (4 * math.pi * 0.03884))
+    assert not law.reflect(np.array([0.0, -0.5]), np.array([0.5, 0.5]), 1.0).any()
+    grid = np.linspace(0.0, 1.0, 101)
+    assert np.isfinite(law.reflect(grid[:, None], grid, np.abs(np.arccos(grid[:, None]) + np.arccos(grid)))).all()
 
 
 @pytest.mark.parametrize(
