@@ -16,11 +16,14 @@ the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F =
     glossy              r = A mu0 / pi + S (m + 8) / (8 pi) (n.h)^m mu0,  n.h = (mu0 + mu) / (2 cos(g / 2))
                         (Blinn's lobe around the mirror's direction, normalised: foil, solar cells, bare metal)
 
-    water               r = F(g / 2) e^(-tan^2 b / s) / (4 pi s mu cos^4 b (1 + V(mu0) + V(mu))),  cos b = n.h
+    water               r = T F(g / 2) e^(-tan^2 b / s) / (4 pi s mu cos^4 b (1 + V(mu0) + V(mu))),  cos b = n.h
                         s = 0.003 + 0.00512 W, the mean square slope of waves in wind of W m/s
                         (Cox and Munk 1954, J. Opt. Soc. Am. 44, 838: mirrors of any direction; F is Fresnel's share)
                         V(x) = (e^(-a^2) / (a sqrt(pi)) - erfc(a)) / 2,  a = x / sqrt(s (1 - x^2)), waves behind waves
                         (Smith 1967, IEEE Trans. Antennas Propag. 15, 668; for both directions Ross et al. 2005)
+                        T = e^(-0.126 (m(mu0) + m(mu))),  m(x) = (x^2 + 2 H / (pi R))^(-1/2), through the Earth's air:
+                        Rayleigh scattering, 0.0973 at 550 nm (Bucholtz 1995, Appl. Opt. 34, 2765), in the mean of 400
+                        to 700 nm; m is 1 / x, at the horizon Chapman's sqrt(pi R / 2 H), H = 8 km
 
 with the phase function of Henyey and Greenstein, its mean over all directions 1, b < 0 scattering light back:
 
@@ -237,7 +240,7 @@ class Glossy:
 
 @dataclass(frozen=True)
 class Water:
-    """The glint of the Sun on waves, beside another law for the light from under them.
+    """The glint of the Sun on an ocean under clear air, beside another law for the light from under the waves.
 
     Attributes
     ----------
@@ -257,20 +260,18 @@ class Water:
         lit, seen = np.maximum(mu0, _LEAST), np.maximum(np.abs(mu), _LEAST)
         upright2 = np.clip((lit + seen) / (2 * cosine), _LEAST, 1) ** 2
         mirrors = np.exp((1 - 1 / upright2) / slope2) / (4 * math.pi * slope2 * upright2**2)
-        shown = 1 / (seen * (1 + _behind_waves(lit, slope2) + _behind_waves(seen, slope2)))
-        return np.asarray(np.where(np.asarray(mu0) > 0, _fresnel(cosine) * mirrors * shown, 0.0))
+        refracted = np.sqrt(_WATER_INDEX**2 - 1 + cosine**2)  # the index times the cosine under water
+        across = (cosine - refracted) / (cosine + refracted)
+        along = (_WATER_INDEX**2 * cosine - refracted) / (_WATER_INDEX**2 * cosine + refracted)
+        hidden = 1 + _behind_waves(lit, slope2) + _behind_waves(seen, slope2)
+        air = np.exp(-_AIR_DEPTH * (1 / np.sqrt(lit**2 + _AIR_CURVED) + 1 / np.sqrt(seen**2 + _AIR_CURVED)))
+        r = air * (across**2 + along**2) / 2 * mirrors / (seen * hidden)
+        return np.asarray(np.where(np.asarray(mu0) > 0, r, 0.0))
 
 
 _LEAST = 1e-4  # of a cosine: nearer to the horizon the law of water stays as it is there
 _WATER_INDEX = 1.34
-
-
-def _fresnel(cosine: Floats) -> Floats:
-    """Return the share of unpolarised light that water mirrors, by the cosine of incidence."""
-    along = np.sqrt(_WATER_INDEX**2 - 1 + cosine**2)  # the index times the cosine under water
-    across = (cosine - along) / (cosine + along)
-    inside = (_WATER_INDEX**2 * cosine - along) / (_WATER_INDEX**2 * cosine + along)
-    return np.asarray((across**2 + inside**2) / 2)
+_AIR_DEPTH, _AIR_CURVED = 0.126, 2 * 8.0 / (math.pi * 6371.0)
 
 
 def _behind_waves(cosine: Floats, slope2: float) -> Floats:

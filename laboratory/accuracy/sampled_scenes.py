@@ -182,8 +182,7 @@ class _Body:
 
     def hides(self, starts: _Floats, rays: _Floats) -> npt.NDArray[np.bool_]:
         """Return whether each ray meets the surface, (n,)."""
-        hit = self._scene.run(starts.astype(np.float32), rays.astype(np.float32), query="OCCLUDED")
-        return np.asarray(hit >= 0)
+        return np.asarray(self._scene.run(starts.astype(np.float32), rays.astype(np.float32), query="OCCLUDED") >= 0)
 
     def at(self, facets: _Ints, eye: _Floats, rays: _Floats) -> _Floats:
         """Return of each ray that meets a small facet: its length, normal, albedo, water and lift there, (n, 7)."""
@@ -250,15 +249,13 @@ def _at_hits(
         out[k, 0] = ((ax + s * ux + r * vx) * dx + (ay + s * uy + r * vy) * dy + (az + s * uz + r * vz) * dz) / (
             dx * dx + dy * dy + dz * dz
         )
-        for i in range(1, 6):
-            out[k, i] = 0.0
+        out[k, 1:6] = 0.0
         for corner in range(3):
             own = shares[part[0], corner] * (1.0 - s - r) + shares[part[1], corner] * s + shares[part[2], corner] * r
             for i in range(5):
                 out[k, 1 + i] += own * values[f, corner, i]
         length = math.sqrt(out[k, 1] ** 2 + out[k, 2] ** 2 + out[k, 3] ** 2)
-        for i in range(1, 4):
-            out[k, i] /= max(length, 1e-12)
+        out[k, 1:4] /= max(length, 1e-12)
 
 
 class SampledBodies(SampledScene):
@@ -309,9 +306,8 @@ class SampledBodies(SampledScene):
         if self._p.shadows:
             lit[lit] = ~self._hidden(starts[lit] * body.radius_m, sun[lit], pose, poses)
         law, detail, sun_w_m2 = body.table.reflectance, body.table.detail, self._p.sun.irradiance_w_m2
-        radiance = np.where(lit, sun_w_m2 * law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
-        radiance += self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0)
-        radiance *= there[:, 4]
+        direct = np.where(lit, sun_w_m2 * law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
+        radiance = there[:, 4] * (direct + self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0))
         if isinstance(detail, Clouds):
             radiance += np.where(lit, there[:, 5] * sun_w_m2 * Water(detail.wind_m_s).reflect(mu0, mu, phase), 0.0)
         return radiance, lit

@@ -137,7 +137,7 @@ class Checkerboard(Scene):
         else:
             _turned(board, light, rate)
 
-    def _rests_in(self, light: Light, rate: Light | None) -> bool:
+    def _rests_in(self, light: Light, rate: Light) -> bool:
         """Return whether the board does not move and these are the arrays of the last call."""
         rests = self._arrays.are(light, rate) and self.parameters.speed_px_s == 0
         self.changed = NOTHING if rests else None

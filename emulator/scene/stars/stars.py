@@ -224,7 +224,9 @@ class StarField(Scene):
         if not distance.all():
             raise SceneError(f"at {scene_ns * 1e-9:g} s the camera is inside one of the scene's points")
         to_point = away / distance[:, None]
-        shine = np.array([p.albedo * p.radius_m**2 for p in self._p.points]) / distance**2 * _phase(to_point, self._sun)
+        angle = np.arccos(np.clip(-to_point @ self._sun, -1, 1))
+        phase = (np.sin(angle) + (math.pi - angle) * np.cos(angle)) / math.pi
+        shine = np.array([p.albedo * p.radius_m**2 for p in self._p.points]) / distance**2 * phase
         boresight = camera.world_from_body[:, 2]
         is_ahead = to_point @ boresight > self._cone_cosine
         to_point[~is_ahead] = boresight
@@ -238,9 +240,3 @@ def stars_of(parameters: StarsParameters) -> Stars:
     if parameters.catalogue == "gaia":
         return load_gaia(parameters.faintest_g, parameters.epoch_year)
     return load_stars(parameters.faintest_v, parameters.epoch_year)
-
-
-def _phase(to_point: Floats, sun: Floats) -> Floats:
-    """Return the phase law of a Lambert sphere, 1 when fully lit."""
-    angle = np.arccos(np.clip(-to_point @ sun, -1, 1))
-    return np.asarray((np.sin(angle) + (math.pi - angle) * np.cos(angle)) / math.pi)

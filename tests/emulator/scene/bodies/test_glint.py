@@ -64,11 +64,12 @@ def light_of(drawn):
 
 
 @pytest.fixture
-def all_water(monkeypatch):
+def airless_ball_of_water(monkeypatch):
     monkeypatch.setattr("emulator.scene.bodies.world.detailed", lambda *_: sea())
+    monkeypatch.setattr("emulator.photometry.reflectance._AIR_DEPTH", 0.0)
 
 
-@pytest.mark.usefixtures("all_water")
+@pytest.mark.usefixtures("airless_ball_of_water")
 def test_a_ball_of_waves_gives_the_flux_of_a_mirror_ball_and_its_brightness_in_the_middle_of_the_glint():
     """A mirror ball gives E R^2 F / 4 d^2 in any direction; tilted mirrors give it times the mean of 1 / cos b."""
     distance_m, pinhole = 300 * RADIUS_M, Pinhole(240, 240, 30_000.0)
