@@ -15,6 +15,7 @@ from emulator.photometry.reflectance import (
     LunarLambert,
     Sun,
     Water,
+    _behind_waves,
     henyey_greenstein,
 )
 
@@ -169,6 +170,16 @@ def test_water_mirrors_the_sun_as_often_as_slopes_drawn_at_random():
         expected = power / (2 * math.pi * (1 - math.cos(radius)) * middle[2])
         found = without_air(law, math.cos(angle), middle[2], angle - turned)
         assert float(found) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("cosine", [0.02, 0.1, 0.3])
+def test_waves_hide_behind_waves_as_their_slopes_towards_the_eye_do(cosine):
+    """Smith: the mean by which slopes along the line of sight, of variance s / 2, are steeper than it, over its own."""
+    slope2, height = 0.04, cosine / math.sqrt(1 - cosine**2)
+    slope = np.linspace(height, height + 3, 200_001)
+    likely = np.exp(-(slope**2) / slope2) / math.sqrt(math.pi * slope2)
+    expected = np.trapezoid((slope - height) * likely, slope) / height
+    assert float(_behind_waves(np.array(cosine), slope2)) == pytest.approx(expected, rel=1e-5)
 
 
 def test_water_is_the_same_both_ways_dark_at_night_and_finite_at_the_horizon():

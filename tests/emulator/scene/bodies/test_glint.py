@@ -126,19 +126,26 @@ def test_water_lies_where_the_ocean_is_not_under_cloud():
 
 def test_the_glint_brightens_open_water_alone(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    pinhole, parameters = Pinhole(160, 160, 400.0), scene(planet(0.3, **OPEN_SEA), 7 * RADIUS_M)
-    with_glint = light_of(RasterBodies(parameters, pinhole))
-    made = detailed(load_mesh(find_shape("globe"), RADIUS_M), parameters.bodies[0].detail, 8 * 6 * RADIUS_M / 400.0)
-    for water in (made.water, np.zeros(made.faces.shape)):
+    body = planet(0.3, seed=11, path=OPEN_SEA["path"])  # half of the water in the glint is under cloud
+    pinhole, parameters = Pinhole(160, 160, 400.0), scene(body, 7 * RADIUS_M)
+    made, lights = detailed(load_mesh(find_shape("globe"), RADIUS_M), body.detail, RADIUS_M / 60), []
+    for water in (made.water, np.ones(made.faces.shape), np.zeros(made.faces.shape)):
         mesh = dataclasses.replace(made, water=water)
         monkeypatch.setattr("emulator.scene.bodies.world.detailed", lambda *_, mesh=mesh: mesh)
-        without = light_of(RasterBodies(parameters, pinhole))
-    gain = with_glint - without
-    assert gain.min() > -1e-4 * with_glint.max()
-    assert gain.max() > 20.0
-    cloudy = without > 0.6 * SUN_W_M2 / math.pi * 0.7  # nearly straight under the Sun: thick cloud
-    assert cloudy.any()
-    assert gain[cloudy].max() < 0.2 * gain.max()
+        lights.append(light_of(RasterBodies(parameters, pinhole)))
+    gain, most, without = lights[0] - lights[2], lights[1] - lights[2], lights[2]
+    y, x = (np.mgrid[:160, :160] + 0.5 - 80) / 400.0
+    square = 1 + x * x + y * y  # a ray (x, y, -1) from 7 radii above the middle
+    near = (7 - np.sqrt(np.maximum(49 - 48 * square, 0))) / square
+    incidence = near * x * math.sin(PHASE_RAD) + (7 - near) * math.cos(PHASE_RAD)
+    bright = most > 0.3 * most.max()
+    albedo = without * math.pi / (0.3 * SUN_W_M2 * incidence) * 0.05 / made.albedo.min()
+    free = 1 - (albedo - 0.05) / 0.65  # of cloud over the ocean: its albedo is that share 0.05, the rest 0.7
+    assert (free[bright] < 0.3).sum() > 20
+    assert (free[bright] > 0.9).sum() > 20
+    shown = gain[bright] / most[bright]
+    assert np.abs(shown - free[bright]).mean() < 0.02
+    assert (shown < free[bright] + 0.1).all()
 
 
 def test_the_truth_by_rays_has_the_same_glint(monkeypatch, tmp_path):
@@ -152,6 +159,19 @@ def test_the_truth_by_rays_has_the_same_glint(monkeypatch, tmp_path):
     assert drawn[row, column] == pytest.approx(
         true[row, column], rel=0.045
     )  # 2 % by straight lines, of sides 1.5 times as long
+
+
+@pytest.mark.parametrize("wind_m_s", [1.0, 7.0])
+def test_facets_are_as_small_as_the_glint_needs_however_small_the_planet_is_in_the_frame(wind_m_s):
+    mesh = clouded(load_mesh(find_shape("globe"), RADIUS_M), Clouds(wind_m_s=wind_m_s), RADIUS_M)
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+
+    def lobe(places):  # of mirrors by their tilt, the Sun behind the eye
+        cosine2 = (places[..., 0] / np.linalg.norm(places, axis=-1)) ** 2
+        return np.exp((1 - 1 / cosine2) / (0.003 + 0.00512 * wind_m_s))
+
+    wrong = np.abs(lobe(middles) - lobe(mesh.vertices)[mesh.faces].mean(axis=1))
+    assert wrong.max() < 0.02 * 1.5**2 * 4 / 3  # in the middle of a facet a third more than on a side as long
 
 
 def test_meshes_carry_water_through_every_change():
