@@ -167,7 +167,7 @@ def test_facets_are_as_small_as_the_glint_needs_however_small_the_planet_is_in_t
     middles = mesh.vertices[mesh.faces].mean(axis=1)
 
     def lobe(places):  # of mirrors by their tilt, the Sun behind the eye
-        cosine2 = (places[..., 0] / np.linalg.norm(places, axis=-1)) ** 2
+        cosine2 = np.maximum(places[..., 0] / np.linalg.norm(places, axis=-1), 1e-3) ** 2
         return np.exp((1 - 1 / cosine2) / (0.003 + 0.00512 * wind_m_s))
 
     wrong = np.abs(lobe(middles) - lobe(mesh.vertices)[mesh.faces].mean(axis=1))
