@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import NOTHING, LastArrays, Light, Region
+from emulator.light import NOTHING, LastArrays, Light
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.raster.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
@@ -170,14 +170,8 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._owners = Owners.of(width, height)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
-        self._changed: Region | None = None
         self._arrays = LastArrays()
         self._frame_ns: int | None = None
-
-    @property
-    def changed(self) -> Region | None:
-        """The part of the last light frame that may differ from the one before it in the same arrays."""
-        return self._changed
 
     def geometry(self, rays: Rays | None = None) -> TerrainGeometry:
         """Return depth, flow and labels of the ground, from the facets that were drawn."""
@@ -204,7 +198,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
         self._shade(motion, light, rate, with_rate=with_rate)
         self._frame_ns = t_ns
-        self._changed = None if before is None else self._drawn.union(before)
+        self.changed = None if before is None else self._drawn.union(before)
 
     def close(self) -> None:
         """End the threads and close the port; a second call does nothing."""
