@@ -107,6 +107,9 @@ class Scene(ABC):
     that draws, and releases them in `close`.
     """
 
+    changed: Region | None = None
+    """The part of the last frame that may differ from the one before it in the same arrays; None: all of it."""
+
     @property
     @abstractmethod
     def size(self) -> tuple[int, int]:
@@ -182,11 +185,6 @@ class Scene(ABC):
 
         `rays` are those of the pixels; None: the scene's own. The scene must stay open.
         """
-        return None
-
-    @property
-    def changed(self) -> Region | None:
-        """The part of the last frame that may differ from the one before it in the same arrays; None: all of it."""
         return None
 
     @abstractmethod

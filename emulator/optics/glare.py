@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import LastArrays, Light, OtherLight, PixelLight, Region, Scene
+from emulator.light import LastArrays, Light, OtherLight, PixelLight, Scene
 from emulator.optics.lens import LensParameters
 from firmware_protocol.compiled import entry_of, kernel
 
@@ -173,12 +173,6 @@ class Veiled(OtherLight):
         self._places = np.arange(width, dtype=np.float32)
         self._before = self._last = _Scattered(0, np.zeros(cells), np.zeros(cells))
         self._arrays = LastArrays()
-        self._changed: Region | None = None
-
-    @property
-    def changed(self) -> Region | None:
-        """The empty region if nothing changed; else all of the frame."""
-        return self._changed
 
     @property
     def pixel_light(self) -> PixelLight | None:
@@ -200,7 +194,7 @@ class Veiled(OtherLight):
         """Write the light of the scene, with what is scattered, to `outs`; nothing where they have it already."""
         changed = self.scene.changed
         still = self._arrays.are(*outs) and changed is not None and changed.empty
-        self._changed = changed if still else None
+        self.changed = changed if still else None
         if still:
             self._before, self._last = self._last, self._last._replace(t_ns=t_ns)
             return

@@ -228,17 +228,11 @@ class Through(OtherLight):
         self._workers = None if self._taps is None else BlurWorkers(self._taps, blurs_last, threads)
         self._blurred = [np.zeros(shape, np.float32) for _ in range(2)] if self._bent is not None else []
         self._arrays = LastArrays()
-        self._changed: Region | None = None
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
         return self._size
-
-    @property
-    def changed(self) -> Region | None:
-        """The changed region of the scene, wider by the blur; None, where the lens bends lines."""
-        return self._changed
 
     @property
     def pixel_light(self) -> PixelLight | None:
@@ -269,10 +263,10 @@ class Through(OtherLight):
     def _pass(self, outs: tuple[Light, ...]) -> None:
         """Apply the lens to the light of the scene, where it may differ from the contents of `outs`."""
         changed = self.scene.changed if self._arrays.are(*outs) and self._bent is None else None
-        self._changed = None if changed is None else changed.grown(self._reach_px, self._size)
-        if self._changed is not None and self._changed.empty:
+        self.changed = None if changed is None else changed.grown(self._reach_px, self._size)
+        if self.changed is not None and self.changed.empty:
             return
-        part = (self._changed or Region(0, self._size[1], 0, self._size[0])).bounds
+        part = (self.changed or Region(0, self._size[1], 0, self._size[0])).bounds
         pictures: Sequence[Light] = self._inner[: len(outs)]
         if self._bent is None and self._workers is not None:
             self._workers(pictures, part, outs)

@@ -16,15 +16,22 @@ the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F =
     glossy              r = A mu0 / pi + S (m + 8) / (8 pi) (n.h)^m mu0,  n.h = (mu0 + mu) / (2 cos(g / 2))
                         (Blinn's lobe around the mirror's direction, normalised: foil, solar cells, bare metal)
 
+    water               r = T F(g / 2) e^(-tan^2 b / s) / (4 pi s mu cos^4 b (1 + V(mu0) + V(mu))),  cos b = n.h
+                        s = 0.003 + 0.00512 W, the mean square slope of waves in wind of W m/s
+                        (Cox and Munk 1954, J. Opt. Soc. Am. 44, 838: mirrors of any direction; F is Fresnel's share)
+                        V(x) = (e^(-a^2) / (a sqrt(pi)) - erfc(a)) / 2,  a = x / sqrt(s (1 - x^2)), waves behind waves
+                        (Smith 1967, IEEE Trans. Antennas Propag. 15, 668; for both directions Ross et al. 2005)
+                        T = e^(-0.126 (m(mu0) + m(mu))),  m(x) = (x^2 + 2 H / (pi R))^(-1/2), through the Earth's air:
+                        Rayleigh scattering, 0.0973 at 550 nm (Bucholtz 1995, Appl. Opt. 34, 2765), in the mean of 400
+                        to 700 nm; m is 1 / x, at the horizon Chapman's sqrt(pi R / 2 H), H = 8 km
+
 with the phase function of Henyey and Greenstein, its mean over all directions 1, b < 0 scattering light back:
 
     P(g) = (1 - b^2) / (1 + 2 b cos g + b^2)^(3/2)
 
-On the night side (mu0 <= 0) r is 0. Each law gives its GLSL text too, the same formula in float32, for the renderer:
+On the night side (mu0 <= 0) r is 0. The laws of a rig give their GLSL text too, the same formula in float32:
 
-    vec2 phase_terms(float phase)                          the terms of the phase angle alone, for each vertex
-    float reflect_at(float mu0, float mu, vec2 terms)      the rest, for each fragment
-    float reflect_sun(float mu0, float mu, float phase)    both at once
+    float reflect_sun(float mu0, float mu, float phase)
 
 All light is counted in the band that a silicon pixel and an eye share, 400 to 700 nm. There sunlight at 1 au is
 
@@ -84,7 +91,7 @@ class Lambert:
 
     def glsl(self) -> str:
         """Return the law as GLSL; see the module docstring."""
-        return _glsl("vec2(0.0)", f"return {self.albedo / math.pi!r} * mu0;")
+        return _glsl(f"return {self.albedo / math.pi!r} * mu0;")
 
 
 @dataclass(frozen=True)
@@ -114,7 +121,7 @@ class LommelSeeliger:
     def glsl(self) -> str:
         """Return the law as GLSL; see the module docstring."""
         share = self.single_scattering_albedo / (4 * math.pi)
-        return _glsl(f"vec2({share!r} * {_HG.format(b=self.asymmetry)}, 0.0)", "return terms.x * seeliger(mu0, mu);")
+        return _glsl(f"return {share!r} * {_HG.format(b=self.asymmetry)} * seeliger(mu0, mu);")
 
 
 @dataclass(frozen=True)
@@ -146,7 +153,8 @@ class LunarLambert:
         share = f"clamp(1.0 + {g} * (-0.019 + {g} * (2.42e-4 - 1.46e-6 * {g})), 0.0, 1.0)"
         scale = f"{self.albedo / math.pi!r} * exp(-0.9 * phase)"
         return _glsl(
-            f"{scale} * vec2(2.0 * {share}, 1.0 - {share})", "return terms.x * seeliger(mu0, mu) + terms.y * mu0;"
+            f"vec2 terms = {scale} * vec2(2.0 * {share}, 1.0 - {share});"
+            " return terms.x * seeliger(mu0, mu) + terms.y * mu0;"
         )
 
 
@@ -190,10 +198,9 @@ class Hapke:
         gamma = math.sqrt(1 - w)
         surge = f"(1.0 + {self.surge!r} / (1.0 + tan(0.5 * phase) / {self.surge_width!r}))"
         return _glsl(
-            f"vec2({surge} * {_HG.format(b=self.asymmetry)}, 0.0)",
             "float often = (1.0 + 2.0 * mu0) * (1.0 + 2.0 * mu)"
             f" / ((1.0 + 2.0 * mu0 * {gamma!r}) * (1.0 + 2.0 * mu * {gamma!r})) - 1.0;"
-            f" return {w / (4 * math.pi)!r} * seeliger(mu0, mu) * (terms.x + often);",
+            f" return {w / (4 * math.pi)!r} * seeliger(mu0, mu) * ({surge} * {_HG.format(b=self.asymmetry)} + often);"
         )
 
 
@@ -226,10 +233,53 @@ class Glossy:
         """Return the law as GLSL; see the module docstring."""
         lobe = self.shine * (self.sharpness + 8) / (8 * math.pi)
         return _glsl(
-            "vec2(0.5 / max(cos(0.5 * phase), 1e-6), 0.0)",
-            "float halfway = min((mu0 + mu) * terms.x, 1.0);"
-            f" return mu0 * ({self.albedo / math.pi!r} + {lobe!r} * pow(halfway, {self.sharpness!r}));",
+            "float halfway = min((mu0 + mu) * (0.5 / max(cos(0.5 * phase), 1e-6)), 1.0);"
+            f" return mu0 * ({self.albedo / math.pi!r} + {lobe!r} * pow(halfway, {self.sharpness!r}));"
         )
+
+
+@dataclass(frozen=True)
+class Water:
+    """The glint of the Sun on an ocean under clear air, beside another law for the light from under the waves.
+
+    Attributes
+    ----------
+    wind_m_s : W, the speed of the wind 12 m above the water.
+    """
+
+    wind_m_s: float
+
+    @property
+    def slope2(self) -> float:
+        """Return s of the module docstring."""
+        return 0.003 + 0.00512 * self.wind_m_s
+
+    def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
+        """Return r, 1/sr."""
+        slope2, cosine = self.slope2, np.maximum(np.cos(np.asarray(phase_rad) / 2), 1e-6)
+        lit, seen = np.maximum(mu0, _LEAST), np.maximum(np.abs(mu), _LEAST)
+        upright2 = np.clip((lit + seen) / (2 * cosine), _LEAST, 1) ** 2
+        mirrors = np.exp((1 - 1 / upright2) / slope2) / (4 * math.pi * slope2 * upright2**2)
+        refracted = np.sqrt(_WATER_INDEX**2 - 1 + cosine**2)  # the index times the cosine under water
+        across = (cosine - refracted) / (cosine + refracted)
+        along = (_WATER_INDEX**2 * cosine - refracted) / (_WATER_INDEX**2 * cosine + refracted)
+        hidden = 1 + _behind_waves(lit, slope2) + _behind_waves(seen, slope2)
+        air = np.exp(-_AIR_DEPTH * (1 / np.sqrt(lit**2 + _AIR_CURVED) + 1 / np.sqrt(seen**2 + _AIR_CURVED)))
+        r = air * (across**2 + along**2) / 2 * mirrors / (seen * hidden)
+        return np.asarray(np.where(np.asarray(mu0) > 0, r, 0.0))
+
+
+_LEAST = 1e-4  # of a cosine: nearer to the horizon the law of water stays as it is there
+_WATER_INDEX = 1.34
+_AIR_DEPTH, _AIR_CURVED = 0.126, 2 * 8.0 / (math.pi * 6371.0)
+
+
+def _behind_waves(cosine: Floats, slope2: float) -> Floats:
+    """Return V of the module docstring."""
+    from scipy.special import erfc  # loaded where it is used: most scenes have no water
+
+    a = cosine / np.sqrt(slope2 * np.maximum(1 - cosine**2, _TINY))
+    return np.asarray((np.exp(-a * a) / (a * math.sqrt(math.pi)) - erfc(a)) / 2)
 
 
 Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke | Glossy
@@ -238,14 +288,12 @@ Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke | Glossy
 _HG = "(1.0 - ({b!r}) * ({b!r})) / pow(1.0 + 2.0 * ({b!r}) * cos(phase) + ({b!r}) * ({b!r}), 1.5)"
 
 
-def _glsl(terms: str, body: str) -> str:
+def _glsl(body: str) -> str:
     """Wrap a formula: unlit points are black, and the cosine of emission counts by its magnitude."""
     return (
         "float seeliger(float mu0, float mu) { return mu0 / max(mu0 + mu, 1e-12); }\n"
-        f"vec2 phase_terms(float phase) {{ return {terms}; }}\n"
-        "float reflect_at(float mu0, float mu, vec2 terms) {\n"
+        "float reflect_sun(float mu0, float mu, float phase) {\n"
         f"    if (mu0 <= 0.0) return 0.0;\n    mu = abs(mu);\n    {body}\n}}\n"
-        "float reflect_sun(float mu0, float mu, float phase) { return reflect_at(mu0, mu, phase_terms(phase)); }\n"
     )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
-from emulator.light import NOTHING, LastArrays, Light, Region, Scene
+from emulator.light import NOTHING, LastArrays, Light, Scene
 from transports.needs import Need
 
 
@@ -78,7 +78,6 @@ class Blank(Scene):
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
         self._arrays = LastArrays()
-        self._changed: Region | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -93,15 +92,10 @@ class Blank(Scene):
         """Write zeros."""
         self._clear(light, rate)
 
-    @property
-    def changed(self) -> Region | None:
-        """Nothing, once the arrays were written."""
-        return self._changed
-
     def _clear(self, light: Light, rate: Light | None) -> None:
         """Write zeros, unless these are the arrays of the last call."""
         are_black = self._arrays.are(light, rate)
-        self._changed = NOTHING if are_black else None
+        self.changed = NOTHING if are_black else None
         if are_black:
             return
         light.fill(0)

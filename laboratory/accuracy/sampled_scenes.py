@@ -39,9 +39,9 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole
 from emulator.light import Light, MachineLacks, Scene, SceneError
-from emulator.photometry.reflectance import Sun
+from emulator.photometry.reflectance import Sun, Water
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds
 from emulator.scene.bodies.world import BodyWorld
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.scene.terrain.table import TerrainParameters
@@ -162,13 +162,14 @@ class _Body:
         if table.smooth:
             wanted = math.ceil(_SIDES_A_PIXEL * float(side.mean()) * mesh.radius_m / pixel_m)
             self.cuts = max(min(wanted, math.isqrt(_MOST_FACETS // len(corners))), _LEAST_CUTS)
-            self._lift, albedo = _LIFT * side / self.cuts, mesh.vertex_albedo[mesh.faces]
-            normals = mesh.normals[mesh.faces]
+            self._lift, normals = _LIFT * side / self.cuts, mesh.normals[mesh.faces]
+            albedo, water = mesh.tints(lambda values: mesh.at_vertices(values)[mesh.faces])
         else:
             self.cuts, self._lift = 1, np.full(len(corners), _FLAT_LIFT)
-            albedo = np.ones(mesh.faces.shape) if mesh.albedo is None else mesh.albedo
+            albedo, water = mesh.albedo, mesh.water
             normals = np.repeat((flat / np.linalg.norm(flat, axis=1, keepdims=True))[:, None], 3, axis=1)
-        self._values = np.concatenate([normals, albedo[:, :, None]], axis=2)
+        tints = [np.full(mesh.faces.shape, k) if v is None else v for k, v in ((1.0, albedo), (0.0, water))]
+        self._values = np.concatenate([normals, np.stack(tints, axis=2)], axis=2)
         self._shares, self._parts = _lattice(self.cuts)
         self._points = np.round(_curved(corners, normals, self._shares) * 2**22) / 2**22  # exact in float32
         faces = (self._parts + len(self._shares) * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
@@ -181,14 +182,13 @@ class _Body:
 
     def hides(self, starts: _Floats, rays: _Floats) -> npt.NDArray[np.bool_]:
         """Return whether each ray meets the surface, (n,)."""
-        hit = self._scene.run(starts.astype(np.float32), rays.astype(np.float32), query="OCCLUDED")
-        return np.asarray(hit >= 0)
+        return np.asarray(self._scene.run(starts.astype(np.float32), rays.astype(np.float32), query="OCCLUDED") >= 0)
 
     def at(self, facets: _Ints, eye: _Floats, rays: _Floats) -> _Floats:
-        """Return of each ray that meets a small facet: its length, normal, albedo and lift there, (n, 6)."""
-        out = np.empty((len(facets), 6))
+        """Return of each ray that meets a small facet: its length, normal, albedo, water and lift there, (n, 7)."""
+        out = np.empty((len(facets), 7))
         _at_hits(facets, eye, rays, (self._points, self._shares, self._parts, self._values), out)
-        out[:, 5] = self._lift[facets // len(self._parts)]
+        out[:, 6] = self._lift[facets // len(self._parts)]
         return out
 
 
@@ -222,12 +222,12 @@ def _curved(corners: _Floats, normals: _Floats, shares: _Floats) -> _Floats:
 def _at_hits(
     facets: _Ints, eye: _Floats, rays: _Floats, surface: tuple[_Floats, _Floats, _Ints, _Floats], out: _Floats
 ) -> None:
-    """Write length, normal and albedo of rays at small facets that they meet.
+    """Write length, normal, albedo and water of rays at small facets that they meet.
 
     Parameters
     ----------
     surface : points of facets, (facets, places, 3); shares of the corners at these, (places, 3); places at the corners
-        of each part, (parts, 3); normals and albedo at the corners of facets, (facets, 3, 4).
+        of each part, (parts, 3); normals, albedo and water at the corners of facets, (facets, 3, 5).
     """
     points, shares, parts, values = surface
     for k in range(len(facets)):
@@ -249,15 +249,13 @@ def _at_hits(
         out[k, 0] = ((ax + s * ux + r * vx) * dx + (ay + s * uy + r * vy) * dy + (az + s * uz + r * vz) * dz) / (
             dx * dx + dy * dy + dz * dz
         )
-        for i in range(1, 5):
-            out[k, i] = 0.0
+        out[k, 1:6] = 0.0
         for corner in range(3):
             own = shares[part[0], corner] * (1.0 - s - r) + shares[part[1], corner] * s + shares[part[2], corner] * r
-            for i in range(4):
+            for i in range(5):
                 out[k, 1 + i] += own * values[f, corner, i]
         length = math.sqrt(out[k, 1] ** 2 + out[k, 2] ** 2 + out[k, 3] ** 2)
-        for i in range(1, 4):
-            out[k, i] /= max(length, 1e-12)
+        out[k, 1:4] /= max(length, 1e-12)
 
 
 class SampledBodies(SampledScene):
@@ -304,13 +302,15 @@ class SampledBodies(SampledScene):
         toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
         mu0, mu, phase = ((normals * sun).sum(axis=1), (normals * toward).sum(axis=1), _angle(toward, sun))
         lit = mu0 > 0
-        starts = eye + there[:, :1] * rays + there[:, 5:] * normals
+        starts = eye + there[:, :1] * rays + there[:, 6:] * normals
         if self._p.shadows:
             lit[lit] = ~self._hidden(starts[lit] * body.radius_m, sun[lit], pose, poses)
-        law = body.table.reflectance
-        radiance = np.where(lit, self._p.sun.irradiance_w_m2 * law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
-        radiance += self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0)
-        return there[:, 4] * radiance, lit
+        law, detail, sun_w_m2 = body.table.reflectance, body.table.detail, self._p.sun.irradiance_w_m2
+        direct = np.where(lit, sun_w_m2 * law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
+        radiance = there[:, 4] * (direct + self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0))
+        if isinstance(detail, Clouds):
+            radiance += np.where(lit, there[:, 5] * sun_w_m2 * Water(detail.wind_m_s).reflect(mu0, mu, phase), 0.0)
+        return radiance, lit
 
     def _hidden(self, starts_m: _Floats, to_sun: _Floats, pose: Pose, poses: list[Pose]) -> npt.NDArray[np.bool_]:
         """Return whether a body stands before the Sun, (n,), for places and directions in the frame at `pose`."""

@@ -6,7 +6,8 @@ A planet like the Earth from space has oceans, land and clouds at the vertices o
 
 29 % is land. Clouds lie in belts: much at the equator and beyond 45 degrees, little at 25 degrees. Albedo is relative:
 `with_albedo` scales it to a mean of 1 over the surface, so the body's reflectance is that of the whole body, 0.3 for
-the Earth. Left out: the glint of the Sun on water, the haze above the limb, colours, and any real geography.
+the Earth. Open water, the share of ocean without cloud or ice, has the glint of the Sun too (`Water`), 0.012 more.
+Left out: light from the air itself, before the limb and some 30 km above it, colours, and any real geography.
 
 The patterns come from noise, a smooth and seeded random function of the position in space; roughness uses it too. One
 octave is gradient noise: at each point of a cubic lattice a direction from a hash of the point and the seed, and
@@ -36,6 +37,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.photometry.reflectance import Water
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lit_surface import cut_facets, split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
@@ -267,16 +269,19 @@ def fractal_noise(points: Floats, longest_m: float, shortest_m: float, gain: flo
 _LAND = 0.29
 _OCEAN, _ICE, _CLOUD = 0.05, 0.6, 0.7
 _ICE_SINE = 0.93
-_MOST_FACETS = 100_000
+_MOST_FACETS, _TOO_LARGE = 100_000, 4 / math.sqrt(3) / 1.5**2  # sides are 1.5 times as long as they should be
+_LINEAR_WITHIN = 0.02  # of the glint's height, by a straight line over a facet: h^2 / (4 s) over h radians of the globe
 
 
 def clouded(mesh: Mesh, p: Clouds, facet_m: float) -> Mesh:
-    """Return a round body with facets of about `facet_m` and the albedo of a clouded planet."""
+    """Return a round body with facets of about `facet_m`, or as its glint needs, and albedo and water of a planet."""
     radius_m = float(np.linalg.norm(mesh.vertices, axis=1).mean())
+    facet_m = min(facet_m, radius_m * math.sqrt(4 * _LINEAR_WITHIN * Water(p.wind_m_s).slope2))
     round_ = _round(mesh, radius_m)
-    while _side_m(round_) > 1.5 * facet_m and 4 * len(round_.faces) <= _MOST_FACETS:
+    while facet_m**2 < _TOO_LARGE * round_.area_m2 / len(round_.faces) and 4 * len(round_.faces) <= _MOST_FACETS:
         round_ = _round(split_sides(round_, np.ones(round_.faces.shape, bool)), radius_m)
-    return with_albedo(round_, _albedo(round_.vertices / radius_m, p))
+    albedo, water = _albedo_and_water(round_.vertices / radius_m, p)
+    return dataclasses.replace(with_albedo(round_, albedo), water=water[round_.faces])
 
 
 def _round(mesh: Mesh, radius_m: float) -> Mesh:
@@ -284,19 +289,16 @@ def _round(mesh: Mesh, radius_m: float) -> Mesh:
     return dataclasses.replace(mesh, vertices=radius_m * normals, normals=normals)
 
 
-def _side_m(mesh: Mesh) -> float:
-    return float(np.sqrt(mesh.area_m2 / len(mesh.faces) * 4 / np.sqrt(3)))
-
-
-def _albedo(places: Floats, p: Clouds) -> Floats:
-    """Return the albedo at places on the unit sphere, not yet brought to any mean."""
+def _albedo_and_water(places: Floats, p: Clouds) -> tuple[Floats, Floats]:
+    """Return the albedo at places on the unit sphere, not yet brought to any mean, and the share of open water."""
     height = fractal_noise(places, 1.6, 0.04, 0.6, 3 * p.seed)
     dryness = 0.5 + 0.25 * fractal_noise(places, 0.8, 0.1, 0.5, 3 * p.seed + 1)
     land = _step((height - np.quantile(height, 1 - _LAND)) / 0.1)
     ground = _OCEAN + land * (0.07 + 0.16 * np.clip(dryness, 0, 1))
     ice = _step((np.abs(places[:, 2]) + 0.02 * height - _ICE_SINE) / 0.03)
     ground = ground + ice * (_ICE - ground)
-    return ground + _cover(places, p) * (_CLOUD - ground)
+    cover = _cover(places, p)
+    return ground + cover * (_CLOUD - ground), (1 - land) * (1 - ice) * (1 - cover)
 
 
 def _cover(places: Floats, p: Clouds) -> Floats:

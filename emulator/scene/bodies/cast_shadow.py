@@ -84,7 +84,7 @@ def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
     return area + 0.5 * (px * qy - py * qx)
 
 
-_LEAF = 4  # triangles
+LEAF = 4  # triangles
 
 Floats = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -120,7 +120,7 @@ class TriangleTree(NamedTuple):
 
 def build_tree(triangles: Floats) -> TriangleTree:
     """Return the tree of (m, 3, 3) corners, m; at least one."""
-    depth = max(0, math.ceil(math.log2(max(len(triangles) / _LEAF, 1.0))))
+    depth = max(0, math.ceil(math.log2(max(len(triangles) / LEAF, 1.0))))
     starts = np.array([round(k * len(triangles) / 2**depth) for k in range(2**depth + 1)], np.int32)
     order = np.arange(len(triangles))
     sort_by_leaves(triangles.mean(axis=1), starts, depth, order)

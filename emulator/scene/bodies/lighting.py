@@ -1,9 +1,9 @@
 """Radiance of bodies in sunlight at the points of their surfaces, and its rate of change, with shadows: on the CPU.
 
-    L = E_sun r(mu0, mu, g) share + ambient r(mu, mu, 0)
+    L = E_sun r(mu0, mu, g) share + ambient r(mu, mu, 0) + E_sun glint(mu0, mu, g) share water
 
-with a law of reflection r and the visible share of the Sun's disc. Near a shadow edge mu0 is the mean over the visible
-part of the disc, so the light is smooth in time. Shadows:
+with a law of reflection r, the visible share of the Sun's disc, and the glint on open water of a planet (`Water`). Near
+a shadow edge mu0 is the mean over the visible part of the disc, so the light is smooth in time. Shadows:
 
     smooth bodies        rays at vertices (`sun_rays`), and polygons on facets that an edge crosses (`shadow_edges`), in
                          the shadows of all that is rigidly fixed to the body; sides are cut before (`curved_sides`)
@@ -31,6 +31,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
 from emulator.geometry.camera import Pinhole
+from emulator.photometry.reflectance import Water
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
 from emulator.raster import Facets, join, prepare
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
@@ -41,7 +42,7 @@ from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_edges import MARGIN_PX, FrameFacets, Lights, ShadowEdges, Suns
 from emulator.scene.bodies.shadow_polygons import Dark, Polygons, SharpShadows, Surroundings, receivers_of
 from emulator.scene.bodies.sun_rays import Window
-from emulator.scene.bodies.table import BodiesParameters
+from emulator.scene.bodies.table import BodiesParameters, Clouds
 from emulator.scene.bodies.world import RigidGroup, rigid_groups
 from emulator.threads import ThreadPool
 from emulator.trajectory.pose import Pose, Timescale, Trajectory
@@ -206,10 +207,12 @@ class _Lit:
     lean: Floats
     law: Law
     albedo: Floats | None
+    water: Floats | None
     group: int
     middle_m: Vector
     radius_m: float
     marked: Bytes
+    sea: Water | None = None
     first_point: int = 0
     facets: tuple[int, int] = (0, 0)
     sharp: bool = False
@@ -335,9 +338,9 @@ class Lighting:
                 side_m = mean_side_m(placed.points, surface.faces)
                 edges = ShadowEdges(root, tree, placed.points, placed.normals, side_m, point, self._pool)
             facets = facet, facet + len(surface.faces)
-            lit.append(
-                replace(placed, first_point=point, facets=facets, sharp=k in sharp, edges=edges, sides=sides.get(k))
-            )
+            sea = Water(body.detail.wind_m_s) if isinstance(body.detail, Clouds) else None
+            placed = replace(placed, sea=sea, sharp=k in sharp, edges=edges, sides=sides.get(k))
+            lit.append(replace(placed, first_point=point, facets=facets))
             point, facet = point + len(surface.points), facets[1]
         return lit
 
@@ -392,12 +395,16 @@ class Lighting:
                 self._cast(body, tree, group, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
         irradiance = self._sun.irradiance_w_m2
+        glint = self._glint(body, count)  # before `write_radiance` overwrites the angles
         write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
         if (body.sharp or body.edges is not None) and self._ambient > 0:
             write_radiance(body.law, 0.0, self._ambient, step_s, chosen, count, angles, shares, room, dark)
         if body.albedo is not None:
             out *= body.albedo
             dark *= body.albedo
+        if glint is not None:
+            out[0, chosen[:count]] += glint[0]
+            out[1, chosen[:count]] += (glint[1] - glint[0]) / step_s
         if body.edges is not None:
             window = self._window(group)
             hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
@@ -407,6 +414,17 @@ class Lighting:
             polygons.append(body.edges.cut(Lights(*out, *dark), suns, window, facets))
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
+
+    def _glint(self, body: _Lit, count: int) -> Floats | None:
+        """Return the Sun's glint on open water at the chosen points, now and an instant later, (2, count)."""
+        if body.sea is None or body.water is None:
+            return None
+        water, out = body.water[self._chosen[:count]], np.zeros((2, count))
+        wet = np.flatnonzero(water)
+        mu0, mu, chord2 = self._angles[:, wet].reshape(3, 2, -1)
+        light = self._sun.irradiance_w_m2 * self._shares[:, wet] * water[wet]
+        out[:, wet] = light * body.sea.reflect(mu0, mu, 2 * np.arcsin(np.sqrt(chord2) / 2))
+        return out
 
     def _window(self, group: _Seen) -> Window:
         """Return the part of a group's space that the camera sees."""
@@ -462,7 +480,7 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) ->
     points, normals = surface.points @ turn + pose.position_m, surface.normals @ turn
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    return _Lit(points, normals, surface.lean, law, surface.albedo, group, middle, radius_m, marked)
+    return _Lit(points, normals, surface.lean, law, surface.albedo, surface.water, group, middle, radius_m, marked)
 
 
 def _turned(motion: Motion, k: int) -> float:

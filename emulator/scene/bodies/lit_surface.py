@@ -42,6 +42,7 @@ class Surface:
         that are not lower than this under its tangent plane.
     smooth : True: normals are interpolated.
     albedo : (e,) of each radiance, relative to the body's law of reflection; None: 1 everywhere.
+    water : (e,) share of open water; None: no water.
     middles : (m, 3) int32, the vertex in the middle of each side that may be cut, see `curved_sides`; None: no side.
     """
 
@@ -53,6 +54,7 @@ class Surface:
     lean: Floats
     smooth: bool
     albedo: Floats | None = None
+    water: Floats | None = None
     middles: Faces | None = None
 
 
@@ -67,16 +69,15 @@ def _smooth(mesh: Mesh) -> Surface:
     np.minimum.at(least, mesh.faces, cosines)
     lean = np.where(least > 0, np.sqrt(np.maximum(1 - least * least, 0)), 1.0) + 1e-9
     points = mesh.vertices + _LIFT * mean_side_m(mesh.vertices, mesh.faces) * mesh.normals
-    albedo = None if mesh.albedo is None else mesh.vertex_albedo
-    return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True, albedo)
+    tints = mesh.tints(mesh.at_vertices)
+    return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True, *tints)
 
 
 def _flat(mesh: Mesh) -> Surface:
     """Merge corners at one vertex whose normals round to the same value; rounding may split some, which is harmless."""
     normals = np.repeat(_facet_normals(mesh), 3, axis=0)
-    key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE)])
-    if mesh.albedo is not None:
-        key = np.column_stack([key, mesh.albedo.ravel()])
+    tints = [values.ravel() for values in (mesh.albedo, mesh.water) if values is not None]
+    key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE), *tints])
     _, first, shade = np.unique(key, axis=0, return_index=True, return_inverse=True)
     shade = shade.ravel()
     middles = np.repeat(mesh.vertices[mesh.faces].mean(axis=1), 3, axis=0)
@@ -84,9 +85,9 @@ def _flat(mesh: Mesh) -> Surface:
     inside = sums / np.bincount(shade)[:, None]
     points = mesh.vertices[mesh.faces.ravel()[first]] * (1 - _INWARD) + _INWARD * inside
     shades = shade.astype(np.int32).reshape(-1, 3)
-    albedo = None if mesh.albedo is None else mesh.albedo.ravel()[first]
     lean = np.full(len(points), 1e-9)
-    return Surface(mesh.vertices, mesh.faces, shades, points, normals[first], lean, False, albedo)
+    chosen = mesh.tints(lambda values: values.ravel()[first])
+    return Surface(mesh.vertices, mesh.faces, shades, points, normals[first], lean, False, *chosen)
 
 
 def shadow_triangles(mesh: Mesh) -> Floats:
@@ -126,10 +127,9 @@ def near_in_memory(mesh: Mesh) -> Mesh:
     vertices = faces.ravel()[np.sort(first)]
     number = np.empty(len(mesh.vertices), np.int32)
     number[vertices] = np.arange(len(vertices))
-    albedo = None if mesh.albedo is None else mesh.albedo[order]
-    return replace(
-        mesh, vertices=mesh.vertices[vertices], faces=number[faces], normals=mesh.normals[vertices], albedo=albedo
-    )
+    albedo, water = mesh.tints(lambda values: values[order])
+    places, normals = mesh.vertices[vertices], mesh.normals[vertices]
+    return replace(mesh, vertices=places, faces=number[faces], normals=normals, albedo=albedo, water=water)
 
 
 def _interleaved(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
@@ -166,7 +166,7 @@ def middles_of(mesh: Mesh, split: Bools) -> tuple[Faces, npt.NDArray[np.intp]]:
 def split_sides(mesh: Mesh, split: Bools) -> Mesh:
     """Return a mesh with a vertex in the middle of the sides of `split`, (m, 3), and the facets cut there.
 
-    Both facets of a side must have the same value. Normals and albedo of new vertices are means of the side's ends.
+    Both facets of a side must have the same value. Normals, albedo and water of new vertices are means of its ends.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     sides, number = middles_of(mesh, split)
@@ -175,19 +175,10 @@ def split_sides(mesh: Mesh, split: Bools) -> Mesh:
     new_normals = normals[sides].sum(axis=1)
     length = np.linalg.norm(new_normals, axis=1, keepdims=True)
     new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
-    albedo = mesh.albedo
-    if albedo is not None:
-        between = (albedo + np.roll(albedo, -1, axis=1)) / 2
-        albedo = cut_facets(albedo, between, split)
-    return Mesh(
-        np.concatenate([vertices, vertices[sides].mean(axis=1)]),
-        cut_facets(faces, middle, split).astype(np.int32),
-        np.concatenate([normals, new_normals]),
-        mesh.dropped_facets,
-        mesh.open_edges,
-        mesh.was_inside_out,
-        albedo,
-    )
+    albedo, water = mesh.tints(lambda values: cut_facets(values, (values + np.roll(values, -1, axis=1)) / 2, split))
+    vertices, normals = np.concatenate([vertices, vertices[sides].mean(axis=1)]), np.concatenate([normals, new_normals])
+    faces = cut_facets(faces, middle, split).astype(np.int32)
+    return replace(mesh, vertices=vertices, faces=faces, normals=normals, albedo=albedo, water=water)
 
 
 def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools) -> npt.NDArray[Any]:

@@ -61,6 +61,7 @@ class Mesh:
     was_inside_out : True: the source had all facets the wrong way round.
     albedo : (m, 3) float64, brightness at the corners of each facet relative to the law of reflection; None: 1
         everywhere. On a smooth surface the corners at a vertex agree.
+    water : (m, 3) float64, share of open water at the corners, 0 to 1, which has the glint of the Sun; None: no water.
     """
 
     vertices: _Points
@@ -70,6 +71,7 @@ class Mesh:
     open_edges: int = 0
     was_inside_out: bool = False
     albedo: _Points | None = None
+    water: _Points | None = None
 
     @cached_property
     def radius_m(self) -> float:
@@ -86,12 +88,14 @@ class Mesh:
         """The surface area."""
         return float(np.linalg.norm(facet_vectors(self.vertices, self.faces), axis=1).sum())
 
-    @property
-    def vertex_albedo(self) -> _Points:
-        """Relative albedo of each vertex, (n,): the mean of the corners there."""
-        if self.albedo is None:
-            return np.ones(len(self.vertices))
-        sums = np.bincount(self.faces.ravel(), self.albedo.ravel(), len(self.vertices))
+    def tints(self, change: Callable[[_Points], _Points]) -> tuple[_Points | None, _Points | None]:
+        """Return albedo and water, each as `change` returns it; None stays None."""
+        albedo, water = (None if values is None else change(values) for values in (self.albedo, self.water))
+        return albedo, water
+
+    def at_vertices(self, values: _Points) -> _Points:
+        """Return values of vertices, (n,): the mean of those at corners, (m, 3)."""
+        sums = np.bincount(self.faces.ravel(), values.ravel(), len(self.vertices))
         return np.asarray(sums / np.bincount(self.faces.ravel(), minlength=len(self.vertices)))
 
     @property

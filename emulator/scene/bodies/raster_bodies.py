@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import NOTHING, LastArrays, Light, PixelLight, Region, SceneError
+from emulator.light import NOTHING, LastArrays, Light, PixelLight, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Renderer, Screen, View
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
@@ -258,13 +258,7 @@ class RasterBodies(WorldScene[BodyWorld]):
         self._renderer = Renderer(self._lit.topology, screen, threads)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
-        self._changed: Region | None = None
         self._arrays = LastArrays()
-
-    @property
-    def changed(self) -> Region | None:
-        """The part of the last light frame that may differ from the one before it in the same arrays."""
-        return self._changed
 
     def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
         """Return depth, flow and labels of the bodies, from shapes and poses alone."""
@@ -281,7 +275,7 @@ class RasterBodies(WorldScene[BodyWorld]):
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
         before = self._drawn if self._arrays.are(light, rate) else None
         self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
-        self._changed = None if before is None else self._drawn.union(before)
+        self.changed = None if before is None else self._drawn.union(before)
 
     @property
     def pixel_light(self) -> PixelLight:

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 
 FADED = 1.5
-_NO_ALBEDO: Floats = np.empty((0, 3))
+_NOTHING: Floats = np.empty((0, 3))
 _PER_FEATURE = 8  # numbers between 0 and 1 that shape one of them
 
 
@@ -156,7 +156,7 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     corners = cell[mesh.faces]
     a, b, c = corners.T
     kept = _distinct(corners[(a != b) & (b != c) & (c != a)])
-    albedo = None if mesh.albedo is None else _mean(mesh.vertex_albedo[:, None], cell, count)[kept, 0]
+    tints = mesh.tints(lambda values: _mean(mesh.at_vertices(values)[:, None], cell, count)[kept, 0])
     if len(kept) > 0.9 * len(mesh.faces) or not len(kept):
         return mesh
     vertices = _mean(mesh.vertices, cell, count)
@@ -165,7 +165,7 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals serves
     normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
     facets = kept.astype(np.int32)
-    return Mesh(vertices, facets, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, albedo)
+    return Mesh(vertices, facets, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, *tints)
 
 
 def _mean(
@@ -426,11 +426,11 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         digest.update(array.tobytes())
     sources = checksum_of(Path(__file__).parent)
     made_from = (digest.hexdigest(), detail, pixel_m, sources, np.__version__)
-    points, faces, albedo = cached_arrays(
+    points, faces, albedo, water = cached_arrays(
         "detail",
         made_from,
         lambda: _arrays_of(_with_detail(mesh, detail, pixel_m)),
-        (Kind(np.float64, 2), Kind(np.int32, 2), Kind(np.float64, 2)),
+        (Kind(np.float64, 2), Kind(np.int32, 2), Kind(np.float64, 2), Kind(np.float64, 2)),
     )
     return dataclasses.replace(
         mesh,
@@ -438,13 +438,14 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         normals=np.ascontiguousarray(points[:, 3:]),
         faces=faces,
         albedo=albedo if len(albedo) else None,
+        water=water if len(water) else None,
     )
 
 
-def _arrays_of(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int32], Floats]:
-    """Return vertices beside normals (n, 6), facets, and albedo, which is empty where the mesh has none."""
-    albedo = _NO_ALBEDO if mesh.albedo is None else mesh.albedo
-    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, albedo
+def _arrays_of(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int32], Floats, Floats]:
+    """Return vertices beside normals (n, 6), facets, albedo and water; these are empty where the mesh has none."""
+    albedo, water = (_NOTHING if values is None else values for values in (mesh.albedo, mesh.water))
+    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, albedo, water
 
 
 def _with_detail(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:

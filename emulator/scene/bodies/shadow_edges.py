@@ -33,6 +33,7 @@ from emulator.scene.bodies.cast_shadow import Point, TriangleTree
 from emulator.scene.bodies.compiled import entry, kernel
 from emulator.scene.bodies.shadow_polygons import Polygons, Triangles
 from emulator.scene.bodies.sun_rays import (
+    RayTree,
     Verdicts,
     Window,
     corner,
@@ -136,10 +137,10 @@ class _Forms(NamedTuple):
 
 
 @kernel
-def _forms(corners: Floats, t: int, edge: int, q: Point, d: Point) -> _Forms:
+def _forms(leaves: Floats, t: int, edge: int, q: Point, d: Point) -> _Forms:
     """Return the forms of an edge of triangle t and of the side q + s d."""
-    first = corner(corners, t, edge)
-    e = minus(corner(corners, t, (edge + 1) % 3), first)
+    first = corner(leaves, t, edge)
+    e = minus(corner(leaves, t, (edge + 1) % 3), first)
     return _Forms(cross(minus(first, q), e), cross(d, e), e)
 
 
@@ -152,18 +153,18 @@ def _share_at(forms: _Forms, sun: Point) -> float:
 
 
 @kernel
-def _leave(corners: Floats, t: int, q: Point, d: Point, before: float, sun: Point) -> tuple[float, int]:
+def _leave(leaves: Floats, t: int, q: Point, d: Point, before: float, sun: Point) -> tuple[float, int]:
     """Return the largest s up to `before` at which the side enters the shadow of triangle t, and through which edge.
 
     The edge is 3 where the side passes through the triangle's own plane.
     """
     last, through = -1e30, 3
     for edge in range(3):
-        s = _share_at(_forms(corners, t, edge, q, d), sun)
+        s = _share_at(_forms(leaves, t, edge, q, d), sun)
         if last < s <= before:
             last, through = s, edge
-    first = corner(corners, t, 0)
-    normal = cross(minus(corner(corners, t, 1), first), minus(corner(corners, t, 2), first))
+    first = corner(leaves, t, 0)
+    normal = cross(minus(corner(leaves, t, 1), first), minus(corner(leaves, t, 2), first))
     falls = dot(d, normal)
     if falls != 0.0:
         s = dot(minus(first, q), normal) / falls
@@ -198,7 +199,7 @@ def _rims(forms: _Forms, s: float, suns: Suns, narrow: float) -> _Crossing:
 
 
 @kernel
-def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Suns, narrow: float) -> _Crossing:
+def _cross(tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, narrow: float) -> _Crossing:
     """Return where a shadow's edge crosses the side from vertex `lit` to vertex `dark`."""
     q = row(receiver.lifted, lit)
     d = minus(row(receiver.lifted, dark), q)
@@ -209,14 +210,14 @@ def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Su
     for _ in range(_MOST_TRIANGLES):
         if triangle < 0:
             break
-        s, edge = _leave(tree.corners, triangle, q, d, at, sun)
+        s, edge = _leave(tree.leaves, triangle, q, d, at, sun)
         at = s - _PAST
         if at <= 0.0:
             return _Crossing(_PAST, 0.0, _PAST, 0.0)
         before = triangle
         triangle = first_met(tree, plus(q, at, d), sun)
         if triangle < 0 and edge < 3:
-            return _rims(_forms(tree.corners, before, edge, q, d), s, suns, narrow)
+            return _rims(_forms(tree.leaves, before, edge, q, d), s, suns, narrow)
     return _Crossing(at, 0.0, at, 0.0)
 
 
@@ -271,7 +272,7 @@ def _narrow(receiver: Receiver, a: int, b: int, window: Window) -> float:
 
 @kernel
 def _cross_once(  # noqa: PLR0913, PLR0917
-    tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Suns, window: Window, sides: Sides
+    tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, window: Window, sides: Sides
 ) -> _Crossing:
     """Return `_cross` of a side; the facet on its other side, which comes soon, finds it among the last ones."""
     k = (lit * 31 + dark) % _LAST_SIDES
@@ -309,7 +310,7 @@ def list_crossed(
 
 @entry
 def cut_facets(  # noqa: PLR0913, PLR0917
-    tree: TriangleTree,
+    tree: RayTree,
     receiver: Receiver,
     corners: Numbers,
     crossed: Longs,
@@ -381,7 +382,7 @@ class ShadowEdges:
     ) -> None:  # fmt: skip
         lifted = np.ascontiguousarray(vertices + _LIFT * side_m * normals)
         self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, first)
-        self._body, self._tree, self._pool = body, tree, pool
+        self._body, self._tree, self._pool = body, RayTree.of(tree), pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
         self._crossed = np.zeros(0, np.int64)

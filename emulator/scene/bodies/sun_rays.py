@@ -3,7 +3,7 @@
 A ray ends at the first triangle that it meets, whichever side that shows, so no light leaks where surfaces pass through
 each other. A result is used again while it is certain to be the same:
 
-    hidden     the triangle that hid the Sun is tested first: if it still does, no ray is needed
+    hidden     the leaf whose triangle hid the Sun is tested first: if one still does, no ray is needed
     sunlit     no triangle reaches into a cone around the Sun's direction, so the Sun may move within that cone
 
 A result does not depend on those before it, only the time that it takes. Most points of an asteroid keep theirs for
@@ -18,16 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import (
-    DUST,
-    Point,
-    TriangleTree,
-    after,
-    box_in_cone,
-    disc_axes,
-    inverse_of,
-    triangle_area,
-)
+from emulator.scene.bodies.cast_shadow import DUST, LEAF, Point, TriangleTree, covered, inverse_of
 from emulator.scene.bodies.compiled import entry, kernel
 
 Floats = npt.NDArray[np.float64]
@@ -36,6 +27,8 @@ Numbers = npt.NDArray[np.int32]
 SUNLIT, UNKNOWN = -1, -2
 _WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
 _NO_CONE = 2.0  # a cosine that none exceeds
+_ABOVE = (1 << 56) - 1
+_LOWEST = np.array([(bits & -bits).bit_length() - 1 for bits in range(256)])  # bit that is set in eight
 _LASTS = 10  # light frames, at least, for which a cone is worth its search
 
 
@@ -46,10 +39,10 @@ def row(points: Floats, k: int) -> Point:
 
 
 @kernel
-def corner(corners: Floats, k: int, number: int) -> Point:
-    """Return corner 0, 1 or 2 of triangle k."""
-    at = 3 * number
-    return corners[k, at], corners[k, at + 1], corners[k, at + 2]
+def corner(leaves: Floats, k: int, number: int) -> Point:
+    """Return corner 0, 1 or 2 of triangle k of the leaves of a `RayTree`."""
+    triangle, at = leaves[k // LEAF, :, k % LEAF], 3 * number
+    return triangle[at], triangle[at + 1], triangle[at + 2]
 
 
 @kernel
@@ -76,73 +69,101 @@ def cross(a: Point, b: Point) -> Point:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
-def _meets(corners: Floats, k: int, point: Point, sun: Point) -> bool:
-    """Return whether a ray meets triangle k, from either side (Moller and Trumbore 1997)."""
-    first = corner(corners, k, 0)
-    u = minus(corner(corners, k, 1), first)
-    v = minus(corner(corners, k, 2), first)
-    across = cross(sun, v)
-    volume = dot(u, across)
-    side = math.copysign(1.0, volume)
-    volume *= side
-    away = minus(point, first)
-    along_u = dot(away, across) * side
-    if along_u < 0.0 or along_u > volume:
-        return False
-    around = cross(away, u)
-    along_v = dot(sun, around) * side
-    if along_v < 0.0 or along_u + along_v > volume:
-        return False
-    return bool(dot(v, around) * side > 0.0)
+class RayTree(NamedTuple):
+    """A tree for rays: three levels of a binary one are one, so that eight boxes or four triangles are one vector.
+
+    Node i of the binary tree has the boxes 8 i to 8 i + 7 below it.
+
+    Attributes
+    ----------
+    binary : the tree.
+    boxes : (any, 6, 8) m, middle and half the sides of its nodes 8 k to 8 k + 7.
+    leaves : (leaves, 9, 4) m, the corners of the triangles of each leaf; 0 where it has fewer. Triangle 4 i + j is
+        the one in column j of leaf i.
+    first : the number of boxes that a ray tests first, those of the highest level that has whole nodes below it.
+    """
+
+    binary: TriangleTree
+    boxes: Floats
+    leaves: Floats
+    first: int
+
+    @classmethod
+    def of(cls, tree: TriangleTree) -> RayTree:
+        """Return the same tree for rays."""
+        boxes = np.zeros((-(-len(tree.boxes) // 8) * 8, 6))
+        boxes[: len(tree.boxes)] = tree.boxes
+        leaves, sizes = np.zeros((len(tree.starts) - 1, 9, LEAF)), np.diff(tree.starts)
+        for k in range(LEAF):
+            leaves[sizes > k, :, k] = tree.corners[tree.starts[:-1][sizes > k] + k]
+        depth = len(leaves).bit_length() - 1
+        return cls(tree, boxes.reshape(-1, 8, 6).transpose(0, 2, 1).copy(), leaves, 1 << (depth % 3 or min(depth, 3)))
 
 
 @kernel
-def first_met(tree: TriangleTree, point: Point, sun: Point) -> int:
-    """Return the first triangle, in the order of the tree, between a point and the Sun's middle; SUNLIT for none."""
-    boxes, starts = tree.boxes, tree.starts
-    ix = inverse_of(sun[0])
-    iy = inverse_of(sun[1])
-    iz = inverse_of(sun[2])
-    leaves, node = len(starts) - 1, 1
-    while True:
+def _boxes_met(boxes: Floats, k: int, point: Point, inverse: Point, size: Point) -> Any:
+    """Return the boxes of a row that a ray meets, a bit each; `size` is that of `inverse`.
+
+    Their number is read from the array: the compiler unrolls a loop of constant length, and makes no vectors of it.
+    """
+    met: Any = np.int64(0)
+    for j in range(boxes.shape[2]):
         # The part of the ray within the box's slabs: from the middle of each slab by half its length.
-        tx = (boxes[node, 0] - point[0]) * ix
-        ty = (boxes[node, 1] - point[1]) * iy
-        tz = (boxes[node, 2] - point[2]) * iz
-        rx = boxes[node, 3] * abs(ix)
-        ry = boxes[node, 4] * abs(iy)
-        rz = boxes[node, 5] * abs(iz)
-        if max(tx - rx, ty - ry, tz - rz, 0.0) <= min(tx + rx, ty + ry, tz + rz):
-            if node < leaves:
-                node *= 2
-                continue
-            for k in range(np.int64(starts[node - leaves]), np.int64(starts[node - leaves + 1])):
-                if _meets(tree.corners, k, point, sun):
-                    return k
-        node = after(node)
-        if node == 1:
-            return SUNLIT
+        tx = (boxes[k, 0, j] - point[0]) * inverse[0]
+        ty = (boxes[k, 1, j] - point[1]) * inverse[1]
+        tz = (boxes[k, 2, j] - point[2]) * inverse[2]
+        rx = boxes[k, 3, j] * size[0]
+        ry = boxes[k, 4, j] * size[1]
+        rz = boxes[k, 5, j] * size[2]
+        enter = max(tx - rx, ty - ry, tz - rz, 0.0)
+        met |= np.int64(enter <= min(tx + rx, ty + ry, tz + rz)) << j
+    return met
 
 
 @kernel
-def _is_clear(tree: TriangleTree, point: Point, sun: Point, tangent: float) -> bool:
-    """Return whether no triangle reaches into a cone around the Sun's direction."""
-    starts = tree.starts
-    axes = disc_axes(sun, tangent)
-    inverse = (inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2]))
-    leaves, node = len(starts) - 1, 1
-    while True:
-        if box_in_cone(tree.boxes, node, point[0], point[1], point[2], sun, inverse, tangent):
-            if node < leaves:
-                node *= 2
-                continue
-            for k in range(starts[node - leaves], starts[node - leaves + 1]):
-                if triangle_area(tree.corners, k, point[0], point[1], point[2], axes) > DUST:
-                    return False
-        node = after(node)
-        if node == 1:
-            return True
+def _triangles_met(leaves: Floats, k: int, point: Point, sun: Point) -> Any:
+    """Return the triangles of leaf k that a ray meets, from either side, a bit each (Moller and Trumbore 1997)."""
+    met: Any = np.int64(0)
+    for j in range(leaves.shape[2]):
+        first = leaves[k, 0, j], leaves[k, 1, j], leaves[k, 2, j]
+        u = leaves[k, 3, j] - first[0], leaves[k, 4, j] - first[1], leaves[k, 5, j] - first[2]
+        v = leaves[k, 6, j] - first[0], leaves[k, 7, j] - first[1], leaves[k, 8, j] - first[2]
+        across = cross(sun, v)
+        volume = dot(u, across)
+        side = math.copysign(1.0, volume)
+        volume *= side
+        away = minus(point, first)
+        around = cross(away, u)
+        along_u, along_v = dot(away, across) * side, dot(sun, around) * side
+        is_inside = (along_u >= 0.0) & (along_v >= 0.0) & (along_u + along_v <= volume)
+        met |= np.int64(is_inside & (dot(v, around) * side > 0.0)) << j
+    return met
+
+
+@kernel
+def first_met(tree: RayTree, point: Point, sun: Point) -> int:
+    """Return the first triangle, in the order of the tree, between a point and the Sun's middle; SUNLIT for none."""
+    inverse = inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2])
+    size = abs(inverse[0]), abs(inverse[1]), abs(inverse[2])
+    k: Any = np.int64(tree.first >> 3)
+    # Boxes that were met, eight bits a level, the present one lowest: a stack in one number.
+    met = _boxes_met(tree.boxes, k, point, inverse, size) & ((1 << tree.first) - 1) << (tree.first & 7)
+    while met:
+        if met & 255 == 0:
+            met = met >> 8 & _ABOVE
+            k >>= 3
+            continue
+        node = 8 * k + _LOWEST[met & 255]
+        met &= met - 1
+        leaf = node - len(tree.leaves)
+        if leaf < 0:
+            k = node
+            met = met << 8 | _boxes_met(tree.boxes, k, point, inverse, size)
+            continue
+        triangles = _triangles_met(tree.leaves, leaf, point, sun)
+        if triangles:
+            return int(LEAF * leaf + _LOWEST[triangles])
+    return SUNLIT
 
 
 class Verdicts(NamedTuple):
@@ -195,7 +216,7 @@ def depth_in(window: Window, point: Point) -> float:
 
 @entry
 def look_to_sun(  # noqa: PLR0913, PLR0917
-    tree: TriangleTree,
+    tree: RayTree,
     points: Floats,
     chosen: Numbers,
     part: tuple[int, int],
@@ -223,11 +244,10 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
         if depth_in(window, point) == 0.0:
             is_hidden[k] = -1
             continue
-        triangle = hiding[k]
-        if triangle >= 0 and _meets(tree.corners, triangle, point, towards):
+        if hiding[k] >= 0 and _triangles_met(tree.leaves, hiding[k] // LEAF, point, towards):
             is_hidden[k] = 1
             continue
-        if triangle == SUNLIT and dot(row(suns, k), towards) > suns[k, 3]:
+        if hiding[k] == SUNLIT and dot(row(suns, k), towards) > suns[k, 3]:
             is_hidden[k] = 0
             continue
         hiding[k] = first_met(tree, point, towards)
@@ -240,7 +260,7 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
         for _ in range(_CONES):
             if wide < _LASTS * moved_rad:
                 break
-            if _is_clear(tree, point, towards, math.tan(wide)):
+            if covered(tree.binary, point, towards, math.tan(wide), 0.0, DUST) < DUST:
                 for j in range(3):
                     suns[k, j] = sun[j]
                 suns[k, 3] = math.cos(wide)

@@ -72,12 +72,14 @@ class Clouds:
     ----------
     seed : seed of continents and clouds.
     cloud_cover : share of the surface under clouds, about.
+    wind_m_s : wind over the oceans: the glint of the Sun on their waves is wider and fainter with more.
     facet_px : facets are made about this large, pixels at the camera's closest.
     """
 
     kind: ClassVar[str] = "clouds"
     seed: Seed = 1
     cloud_cover: Share = 0.6
+    wind_m_s: Annotated[float, Meta(ge=0, le=15)] = 7.0
     facet_px: Annotated[float, Meta(ge=1, le=1000)] = 8.0
 
     def __post_init__(self) -> None:

@@ -31,7 +31,7 @@ import numpy.typing as npt
 from numba import njit
 
 from emulator.geometry.camera import Cycle, Given, Rays, SceneGeometry, Seen
-from emulator.light import NOTHING, LastArrays, Light, PixelLight, Region, Scene
+from emulator.light import NOTHING, LastArrays, Light, PixelLight, Scene
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.compiled import entry_of
 
@@ -93,7 +93,7 @@ class Checkerboard(Scene):
         self._middle = np.float32((parameters.bright + parameters.dark) / 2)
         self._half = np.float32((parameters.bright - parameters.dark) / 2)
         self._arrays = LastArrays()
-        self._changed: Region | None = None
+        self._spare = np.zeros(size[::-1], np.float32)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -107,8 +107,7 @@ class Checkerboard(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`, (height, width) float32."""
-        if not self._rests_in(out, None):
-            self._draw(t_ns, out)
+        self.light_and_rate(t_ns, out, self._spare)
 
     def _board(self, t_ns: int) -> _Board:
         period_px, half = 2.0 * self.parameters.square_px, float(self._half)
@@ -123,15 +122,6 @@ class Checkerboard(Scene):
             self._middle,
         )
 
-    def _draw(self, t_ns: int, out: Light) -> None:
-        board = self._board(t_ns)
-        if self._sin == 0.0:
-            (width, height), half = self._size, self._half
-            wave_x, wave_y = _box_wave(width, board.cos, board.u), _box_wave(height, board.cos, board.v)
-            _outer(wave_x, wave_y * half, self._middle, out)
-        else:
-            _turned(board, out)
-
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, both in closed form."""
         if self._rests_in(light, rate):
@@ -145,18 +135,12 @@ class Checkerboard(Scene):
             by_wave = slope_y * (half * np.float32(-float(self._v.rate_hz)))
             _outer_and_rate(wave_x, slope_x, wave_y * half, by_slope, by_wave, self._middle, light, rate)
         else:
-            _turned(board, light)
-            _turned_rate(board, rate)
+            _turned(board, light, rate)
 
-    @property
-    def changed(self) -> Region | None:
-        """The changed region: empty once the arrays hold a board that does not move."""
-        return self._changed
-
-    def _rests_in(self, light: Light, rate: Light | None) -> bool:
+    def _rests_in(self, light: Light, rate: Light) -> bool:
         """Return whether the board does not move and these are the arrays of the last call."""
         rests = self._arrays.are(light, rate) and self.parameters.speed_px_s == 0
-        self._changed = NOTHING if rests else None
+        self.changed = NOTHING if rests else None
         return rests
 
     def geometry(self, rays: Rays | None = None) -> BoardGeometry:
@@ -224,15 +208,6 @@ def _box_slope(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
 
 
 @_entry
-def _outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], middle: np.float32, out: Light) -> None:
-    """out[y, x] = middle + along_x[x] * along_y[y]; the compiler turns the plain row loop into vectors."""
-    for y in range(along_y.size):
-        row, scale = out[y], along_y[y]
-        for x in range(along_x.size):
-            row[x] = middle + along_x[x] * scale
-
-
-@_entry
 def _outer_and_rate(  # noqa: PLR0913, PLR0917
     wave: npt.NDArray[np.float32],
     slope: npt.NDArray[np.float32],
@@ -243,7 +218,7 @@ def _outer_and_rate(  # noqa: PLR0913, PLR0917
     light: Light,
     rate: Light,
 ) -> None:
-    """Fill light as `_outer` does, and its time derivative in the same pass: both rows stay in the nearest cache.
+    """Fill light, middle + wave[x] scale[y], and its time derivative in the same pass: both rows stay in the cache.
 
     Parameters
     ----------
@@ -259,32 +234,23 @@ def _outer_and_rate(  # noqa: PLR0913, PLR0917
             rate_row[x] = slope[x] * of_slope + wave[x] * of_wave
 
 
-@_entry
-def _turned(board: _Board, out: Light) -> None:
-    """Fill `out` for a board turned against the pixel rows."""
-    height, width = out.shape
+@njit(inline="always")
+def _at(board: _Board, dx: float, dy: float) -> tuple[np.float32, np.float32]:
+    """Light of a turned board's pixel, dx and dy from the middle of the light frame, and its time derivative."""
     half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
-    for y in range(height):
-        row, dy = out[y], y + 0.5 - 0.5 * height
-        for x in range(width):
-            dx = x + 0.5 - 0.5 * width
-            u = _mean(board.u + dx * board.cos + dy * board.sin, half_box)
-            v = _mean(board.v - dx * board.sin + dy * board.cos, half_box)
-            row[x] = board.middle + board.half * np.float32(min(1.0, max(-1.0, u * v)))
+    u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
+    along_u, along_v = _mean(u, half_box), _mean(v, half_box)
+    rate = board.u_speed * _slope(u, half_box) * along_v + board.v_speed * _slope(v, half_box) * along_u
+    return board.middle + board.half * np.float32(min(1.0, max(-1.0, along_u * along_v))), np.float32(rate)
 
 
 @_entry
-def _turned_rate(board: _Board, out: Light) -> None:
-    """Fill with the time derivative of `_turned`."""
-    height, width = out.shape
-    half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
+def _turned(board: _Board, light: Light, rate: Light) -> None:
+    """Fill light and rate for a board turned against the pixel rows."""
+    height, width = light.shape
     for y in range(height):
-        row, dy = out[y], y + 0.5 - 0.5 * height
         for x in range(width):
-            dx = x + 0.5 - 0.5 * width
-            u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
-            by_u = board.u_speed * _slope(u, half_box) * _mean(v, half_box)
-            row[x] = np.float32(by_u + board.v_speed * _slope(v, half_box) * _mean(u, half_box))
+            light[y, x], rate[y, x] = _at(board, x + 0.5 - 0.5 * width, y + 0.5 - 0.5 * height)
 
 
 @_entry
@@ -295,13 +261,8 @@ def _listed(
     light: npt.NDArray[np.float32],
     rate: npt.NDArray[np.float32],
 ) -> None:
-    """Compute `_turned` and `_turned_rate` for some pixels of a frame of `size`."""
+    """Compute `_turned` for some pixels of a frame of `size`."""
     width, height = size
-    half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
     for k in range(pixels.size):
         dy, dx = pixels[k] // width + 0.5 - 0.5 * height, pixels[k] % width + 0.5 - 0.5 * width
-        u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
-        along_u, along_v = _mean(u, half_box), _mean(v, half_box)
-        light[k] = board.middle + board.half * np.float32(min(1.0, max(-1.0, along_u * along_v)))
-        by_u = board.u_speed * _slope(u, half_box) * along_v
-        rate[k] = np.float32(by_u + board.v_speed * _slope(v, half_box) * along_u)
+        light[k], rate[k] = _at(board, dx, dy)

@@ -126,7 +126,6 @@ class StarField(Scene):
         self._sun = unit(parameters.sun.direction)
         self._arrays = LastArrays()
         self._boxes: Boxes = np.empty((0, 4), np.int64)
-        self._changed: Region | None = None
         self._cone_cosine = max(0.05, math.cos(min(math.pi, 1.2 * self._pinhole.widest_rad + 0.02)))
 
     @property
@@ -162,11 +161,6 @@ class StarField(Scene):
         """Write the light and its time derivative, both in closed form."""
         self._draw(t_ns, light, rate)
 
-    @property
-    def changed(self) -> Region | None:
-        """The boxes of the points in this light frame and in the one before."""
-        return self._changed
-
     def stars_at(self, t_ns: int) -> tuple[Floats, Floats]:
         """Return columns and rows, (n, 2), and magnitudes, (n,), of the stars in or near the light frame of `t_ns`."""
         camera = self.camera_path.pose(self.path_time.scene_ns(t_ns))
@@ -191,7 +185,7 @@ class StarField(Scene):
         before, self._boxes = self._boxes, np.empty((len(points), 4), np.int64)
         boxes_of(points, self._sigma_px, self._size, self._boxes)
         boxes = np.concatenate([before, self._boxes])
-        self._changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
+        self.changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the light frame, (n, 5).
@@ -230,7 +224,9 @@ class StarField(Scene):
         if not distance.all():
             raise SceneError(f"at {scene_ns * 1e-9:g} s the camera is inside one of the scene's points")
         to_point = away / distance[:, None]
-        shine = np.array([p.albedo * p.radius_m**2 for p in self._p.points]) / distance**2 * _phase(to_point, self._sun)
+        angle = np.arccos(np.clip(-to_point @ self._sun, -1, 1))
+        phase = (np.sin(angle) + (math.pi - angle) * np.cos(angle)) / math.pi
+        shine = np.array([p.albedo * p.radius_m**2 for p in self._p.points]) / distance**2 * phase
         boresight = camera.world_from_body[:, 2]
         is_ahead = to_point @ boresight > self._cone_cosine
         to_point[~is_ahead] = boresight
@@ -244,9 +240,3 @@ def stars_of(parameters: StarsParameters) -> Stars:
     if parameters.catalogue == "gaia":
         return load_gaia(parameters.faintest_g, parameters.epoch_year)
     return load_stars(parameters.faintest_v, parameters.epoch_year)
-
-
-def _phase(to_point: Floats, sun: Floats) -> Floats:
-    """Return the phase law of a Lambert sphere, 1 when fully lit."""
-    angle = np.arccos(np.clip(-to_point @ sun, -1, 1))
-    return np.asarray((np.sin(angle) + (math.pi - angle) * np.cos(angle)) / math.pi)

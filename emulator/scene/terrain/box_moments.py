@@ -77,6 +77,18 @@ def half_at(context: Any, moments: Any, place: Any) -> Any:
     return _types.float32(moments, _types.int64), generate
 
 
+def _adding(moments: Any, sums: Any, numbers: int) -> tuple[Any, Any]:
+    """Return signature and generator of an intrinsic that adds the means over a box of so many `numbers` to `sums`."""
+
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        first, out = (_array(context, builder, signature, arguments, k) for k in (0, 3))
+        _add(builder, first, arguments[1:3], builder.gep(out, [arguments[4]]))
+        return context.get_dummy_value()
+
+    long, real = _types.int64, _types.float32
+    return _types.void(moments, _types.UniTuple(long, 3), _types.UniTuple(real, numbers), sums, long), generate
+
+
 @_intrinsic
 def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any) -> Any:
     """Add the mean of the moments over a box, times `weight` and both half sides, to MOMENTS `sums` from `at` on.
@@ -88,14 +100,7 @@ def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any
     box : middle x and y in posts of the level, half sides, weight; the box is within the level.
     sums : (n,) float32.
     """
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-        first, out = (_array(context, builder, signature, arguments, k) for k in (0, 3))
-        _add(builder, first, arguments[1:3], builder.gep(out, [arguments[4]]))
-        return context.get_dummy_value()
-
-    long, real = _types.int64, _types.float32
-    return _types.void(moments, _types.UniTuple(long, 3), _types.UniTuple(real, 5), sums, long), generate
+    return _adding(moments, sums, 5)
 
 
 @_intrinsic
@@ -104,14 +109,7 @@ def add_box_and_rate(context: Any, moments: Any, level: Any, box: Any, sums: Any
 
     `box` is as in `add_box`, and behind it the posts of the level that the box moves a second, x and y.
     """
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-        first, out = (_array(context, builder, signature, arguments, k) for k in (0, 3))
-        _add(builder, first, arguments[1:3], builder.gep(out, [arguments[4]]))
-        return context.get_dummy_value()
-
-    long, real = _types.int64, _types.float32
-    return _types.void(moments, _types.UniTuple(long, 3), _types.UniTuple(real, 7), sums, long), generate
+    return _adding(moments, sums, 7)
 
 
 def _array(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any, k: int) -> Any:

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import NOTHING, LastArrays, Light, Region
+from emulator.light import NOTHING, LastArrays, Light
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.raster.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
@@ -107,16 +107,6 @@ class CameraMotion:
         place = np.asarray(self.pose.position_m, np.float64)
         return Camera(place, self.velocity_m_s, self.turn, self.turning)
 
-    @property
-    def of_directions(self) -> Motion:
-        """Velocities in the world of places that turn with the camera, by their places from it."""
-        return Motion(self.turning.T @ self.turn, self.velocity_m_s)
-
-    @property
-    def of_ground(self) -> Motion:
-        """Velocities in the camera's axes of places that stand still in the world."""
-        return Motion(self.turning @ self.turn.T, -self.turn @ self.velocity_m_s)
-
 
 def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotion:
     """Return the motion at stream time `t_ns`; at the start, where a path may begin, from poses after it only."""
@@ -180,14 +170,8 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._owners = Owners.of(width, height)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
-        self._changed: Region | None = None
         self._arrays = LastArrays()
         self._frame_ns: int | None = None
-
-    @property
-    def changed(self) -> Region | None:
-        """The part of the last light frame that may differ from the one before it in the same arrays."""
-        return self._changed
 
     def geometry(self, rays: Rays | None = None) -> TerrainGeometry:
         """Return depth, flow and labels of the ground, from the facets that were drawn."""
@@ -214,7 +198,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
         self._shade(motion, light, rate, with_rate=with_rate)
         self._frame_ns = t_ns
-        self._changed = None if before is None else self._drawn.union(before)
+        self.changed = None if before is None else self._drawn.union(before)
 
     def close(self) -> None:
         """End the threads and close the port; a second call does nothing."""
@@ -229,9 +213,13 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         sight = Sight(self._owners.facets, self._renderer.facets, projection, motion.camera.place, motion.turn)
         smooth = self._smooth if with_rate else self._smooth._replace(rate=np.zeros((0, 0), np.float32))
         samples, posts, sun = float(self._world.parameters.samples), self._posts, self._sun
+        # Velocities of places by where they are: in the world, of those that turn with the camera, and in its axes, of
+        # the ground.
+        of_directions = Motion(motion.turning.T @ motion.turn, motion.velocity_m_s)
+        of_ground = Motion(motion.turning @ motion.turn.T, -motion.turn @ motion.velocity_m_s)
 
         def shade(band: int, thread: int) -> None:
-            shade_rows(_rows(band, height), sight, motion.of_directions, posts, sun, self._tiles[thread], smooth)
+            shade_rows(_rows(band, height), sight, of_directions, posts, sun, self._tiles[thread], smooth)
 
         self._pool.each(shade, -(-height // _BAND))
         faint = _FAINT * float(smooth.light.mean())
@@ -245,7 +233,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
             )
 
         def follow(band: int, thread: int) -> None:
-            rate_of_doubtful(_rows(band, height), sight, motion.of_ground, smooth.doubtful, light, rate)
+            rate_of_doubtful(_rows(band, height), sight, of_ground, smooth.doubtful, light, rate)
 
         for work in (refine, follow) if with_rate else (refine,):
             self._pool.each(work, -(-height // _BAND))

@@ -14,6 +14,8 @@ from emulator.photometry.reflectance import (
     LommelSeeliger,
     LunarLambert,
     Sun,
+    Water,
+    _behind_waves,
     henyey_greenstein,
 )
 
@@ -128,6 +130,66 @@ def test_a_glossy_surface_shines_where_a_mirror_would_and_gives_what_it_says():
     e = (np.arange(20000) + 0.5) / 20000 * math.pi / 2
     thrown = 2 * math.pi * np.trapezoid(law.reflect(np.ones_like(e), np.cos(e), e) * np.cos(e) * np.sin(e), e)
     assert thrown == pytest.approx(0.6, rel=0.03)
+
+
+def test_the_glint_passes_the_air_twice():
+    law, mu0, mu, phase = Water(7.0), np.array([1.0, 0.5, 0.7]), np.array([1.0, 0.5, 0.4]), np.array([0.0, 2.0, 1.8])
+    through = law.reflect(mu0, mu, phase) / without_air(law, mu0, mu, phase)
+    np.testing.assert_allclose(through, np.exp(-0.126 * (1 / mu0 + 1 / mu)), rtol=2e-3)  # flat air, far from the limb
+    grazing = float(law.reflect(1.0, 0.0, 1.5) / without_air(law, 1.0, 0.0, 1.5))
+    assert -math.log(grazing) == pytest.approx(0.126 * (1 + math.sqrt(math.pi * 6371 / 16)), rel=0.01)
+    mean = np.mean(0.0973 * (np.linspace(400, 700, 3001) / 550) ** -4.05)  # Bucholtz's power at these wavelengths
+    assert mean == pytest.approx(0.126, rel=0.01)
+
+
+def without_air(law, *angles):
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("emulator.photometry.reflectance._AIR_DEPTH", 0.0)
+        return law.reflect(*angles)
+
+
+def test_water_mirrors_the_sun_as_often_as_slopes_drawn_at_random():
+    """Facets with normal slopes (variance s / 2 on each axis) under the Sun at 40 degrees, each by what it catches."""
+    law, angle = Water(5.0), math.radians(40.0)
+    slope2 = 0.003 + 0.00512 * 5.0
+    slopes = np.random.default_rng(4).normal(0, math.sqrt(slope2 / 2), (2_000_000, 2))
+    normals = np.column_stack([-slopes, np.ones(len(slopes))])
+    catch = normals @ [math.sin(angle), 0.0, math.cos(angle)]  # m2 of the beam for a m2 of the ground under the facet
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    cosine = normals @ [math.sin(angle), 0.0, math.cos(angle)]
+    along = np.sqrt(1 - (1 - cosine**2) / 1.34**2)
+    share = (
+        ((cosine - 1.34 * along) / (cosine + 1.34 * along)) ** 2
+        + ((1.34 * cosine - along) / (1.34 * cosine + along)) ** 2
+    ) / 2
+    leaves = 2 * cosine[:, None] * normals - [math.sin(angle), 0.0, math.cos(angle)]
+    for turned in (-0.6, -0.9, -0.4):
+        middle = np.array([math.sin(turned), 0.0, math.cos(turned)])
+        radius = 0.06
+        power = (share * catch)[leaves @ middle > math.cos(radius)].sum() / len(slopes)
+        expected = power / (2 * math.pi * (1 - math.cos(radius)) * middle[2])
+        found = without_air(law, math.cos(angle), middle[2], angle - turned)
+        assert float(found) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("cosine", [0.02, 0.1, 0.3])
+def test_waves_hide_behind_waves_as_their_slopes_towards_the_eye_do(cosine):
+    """Smith: the mean by which slopes along the line of sight, of variance s / 2, are steeper than it, over its own."""
+    slope2, height = 0.04, cosine / math.sqrt(1 - cosine**2)
+    slope = np.linspace(height, height + 3, 200_001)
+    likely = np.exp(-(slope**2) / slope2) / math.sqrt(math.pi * slope2)
+    expected = np.trapezoid((slope - height) * likely, slope) / height
+    assert float(_behind_waves(np.array(cosine), slope2)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_water_is_the_same_both_ways_dark_at_night_and_finite_at_the_horizon():
+    law = Water(7.0)
+    mu0, mu, phase = np.array([0.9, 0.2, 0.5, 1e-3]), np.array([0.4, 0.6, 1e-3, 1e-3]), np.array([1.2, 0.9, 1.7, 3.1])
+    np.testing.assert_allclose(law.reflect(mu0, mu, phase) * mu, law.reflect(mu, mu0, phase) * mu0, rtol=1e-9)
+    assert float(without_air(law, 1.0, 1.0, 0.0)) == pytest.approx((0.34 / 2.34) ** 2 / (4 * math.pi * 0.03884))
+    assert not law.reflect(np.array([0.0, -0.5]), np.array([0.5, 0.5]), 1.0).any()
+    grid = np.linspace(0.0, 1.0, 101)
+    assert np.isfinite(law.reflect(grid[:, None], grid, np.abs(np.arccos(grid[:, None]) + np.arccos(grid)))).all()
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def test_the_surface_stays_closed_and_its_normals_are_those_of_its_facets():
 def test_albedo_has_the_stated_mean_and_spread():
     body = weathered(ball(300.0, 5), dataclasses.replace(PLAIN, boulders_km2=0.0, craters=0.0), 1.0)
     assert mean_over_area(body) == pytest.approx(1, abs=1e-12)
-    assert body.vertex_albedo.std() == pytest.approx(0.1, rel=0.25)
+    assert body.at_vertices(body.albedo).std() == pytest.approx(0.1, rel=0.25)
 
 
 def test_roughness_has_the_stated_slope():

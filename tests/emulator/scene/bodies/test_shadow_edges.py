@@ -13,7 +13,7 @@ from emulator.scene.bodies.lit_surface import mean_side_m, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.shadow_edges import FrameFacets, Lights, ShadowEdges, Suns
-from emulator.scene.bodies.sun_rays import UNKNOWN, Verdicts, Window, first_met, look_to_sun
+from emulator.scene.bodies.sun_rays import SUNLIT, UNKNOWN, RayTree, Verdicts, Window, first_met, look_to_sun
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
 from emulator.trajectory.parameters import FixedPath, SpinPath
@@ -142,7 +142,7 @@ def eros():
 def test_verdicts_are_those_of_embree():
     pytest.importorskip("embreex", reason="the ray caster of the test group")
     mesh = eros()
-    tree = build_tree(mesh.vertices[mesh.faces])
+    tree = RayTree.of(build_tree(mesh.vertices[mesh.faces]))
     points = mesh.vertices + 0.02 * 100.0 * mesh.normals
     other = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     for sun in (unit([1.0, 0.2, 0.1]), unit([-0.1, 0.9, -0.5]), unit([0.3, 0.3, 1.0])):
@@ -162,7 +162,7 @@ def look(tree, points, sun, verdicts, moved_rad=0.0):
 def test_earlier_results_change_nothing():
     """A Sun that wanders for a while by small and large steps: each result equals that of a fresh search."""
     mesh = eros()
-    tree, points = build_tree(mesh.vertices[mesh.faces]), mesh.vertices + 2.0 * mesh.normals
+    tree, points = RayTree.of(build_tree(mesh.vertices[mesh.faces])), mesh.vertices + 2.0 * mesh.normals
     verdicts, random, sun = Verdicts.unknown(len(points)), np.random.default_rng(5), unit([1.0, 0.1, 0.2])
     used = 0
     for step in (0.0, 1e-4, 1e-4, 1e-3, 1e-3, 0.02, 1e-4, 0.5, 1e-3, 1e-3):
@@ -177,10 +177,30 @@ def test_earlier_results_change_nothing():
 def test_a_ray_stops_at_either_side_of_a_triangle():
     corners = np.array([[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]])
     for triangle in (corners, corners[:, ::-1]):
-        tree = build_tree(np.ascontiguousarray(triangle))
+        tree = RayTree.of(build_tree(np.ascontiguousarray(triangle)))
         assert first_met(tree, (0.2, 0.2, 0.0), (0.0, 0.0, 1.0)) == 0
         assert first_met(tree, (0.2, 0.2, 2.0), (0.0, 0.0, 1.0)) < 0
         assert first_met(tree, (0.6, 0.6, 0.0), (0.0, 0.0, 1.0)) < 0
+
+
+@pytest.mark.parametrize("count", [1, 3, 5, 9, 17, 40, 100, 300, 600, 1100])
+def test_trees_of_all_depths_have_the_triangles_that_rays_meet(count):
+    """Beside the solution of point + t sun = first + a u + b v for each ray and triangle."""
+    random, spread = np.random.default_rng(count), count ** (1 / 3)
+    triangles = random.normal(size=(count, 1, 3)) * spread + random.normal(size=(count, 3, 3))
+    tree, middles = RayTree.of(build_tree(triangles)), triangles[random.integers(count, size=200)].mean(axis=1)
+    for axis in (unit([0.3, -0.5, 0.8]), np.array([0.0, 0.0, 1.0])):
+        points = middles + random.normal(size=(200, 3)) * 0.5 - random.normal(size=(200, 1)) * spread * axis
+        found = np.array([first_met(tree, tuple(point), tuple(axis)) for point in points])
+        ordered = tree.leaves.transpose(0, 2, 1).reshape(-1, 3, 3)
+        first, u, v = ordered[:, 0], ordered[:, 1] - ordered[:, 0], ordered[:, 2] - ordered[:, 0]
+        is_one = np.linalg.norm(np.cross(u, v), axis=1) > 0
+        system = np.stack([np.broadcast_to(-axis, u.shape), u, v], axis=2)[is_one]
+        t, a, b = np.linalg.solve(system[None], (points[:, None] - first[is_one])[..., None])[..., 0].transpose(2, 0, 1)
+        met = (t > 0) & (a >= 0) & (b >= 0) & (a + b <= 1)
+        numbers = np.flatnonzero(is_one)[met.argmax(axis=1)]
+        np.testing.assert_array_equal(found, np.where(met.any(axis=1), numbers, SUNLIT))
+        assert met.any()
 
 
 def scene(threads=1, **more):
