@@ -3,8 +3,8 @@
     cycling.py CLIENT CYCLES TIMEOUT_S [--streams events,triggers,imu,frames] [--device NAME]
 
 CLIENT is the module of a driver (dv1, dv2, nd), NAME a camera by neuromorphic_drivers' name. The last line is a JSON
-object: `cycles` done, the `slowest_s`, and the open `files` of the process after the first and the last one. The
-program fails when a stream stays away for too long.
+object: `cycles` done, the `seconds` that they took, the `slowest_s`, and the open `files` of the process after the
+first and the last one. The program fails when a stream stays away for too long.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ def main() -> None:
         took.append(cycle(client, asked))
         files.append(len(list(Path("/proc/self/fd").iterdir())))
         print(f"{len(took)}: {took[-1]:.1f} s", file=sys.stderr, flush=True)
-    print(json.dumps({"cycles": len(took), "slowest_s": max(took), "files": [files[0], files[-1]]}))
+    took_s = {"seconds": round(sum(took)), "slowest_s": max(took)}
+    print(json.dumps({"cycles": len(took), **took_s, "files": [files[0], files[-1]]}))
 
 
 if __name__ == "__main__":
