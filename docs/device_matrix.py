@@ -210,7 +210,8 @@ while they stream; *opened often* is closed amid the streams again and again, [s
 
 _COUNTS = """## Counts
 
-Of the tests above that record their length: the last run of each, and the client's time in the guest.
+The last run of each test that records its length, and the client's time in the guest. QEMU emulates the guest's
+processor (no KVM), so each opening takes seconds, and more on a machine with other work, as in these runs.
 
 | camera | client | amount | time | date | machine |
 |---|---|---|---|---|---|"""
