@@ -206,7 +206,16 @@ python docs/device_matrix.py
 | –, or no row | the camera does not have it |
 
 A number is that of the test below the table; a letter is that of a note. Settings are changed, and cameras unplugged,
-while they stream; *opened often* is closed amid the streams again and again."""
+while they stream; *opened often* is closed amid the streams again and again, [so often](#counts)."""
+
+_COUNTS = """## Counts
+
+The last run of each test that records its length, and the client's time in the guest. QEMU emulates the guest's
+processor (no KVM), so each opening takes seconds, and more beside other work: in the runs
+of 2026-11-27 the two cores had a load of 6 to 10.
+
+| camera | client | amount | time | date | machine |
+|---|---|---|---|---|---|"""
 
 
 def cell_word(column: str, outcomes: Iterable[str]) -> str:
@@ -310,13 +319,24 @@ def _line(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
+def counts(rows: Sequence[Row]) -> str:
+    """Return the table of the rows that have an amount."""
+    lines = [
+        _line((CAMERAS[row["camera"]].name, str(CLIENTS[row["client"]]), row["amount"], f"{row['seconds']} s",
+               row["date"], row["machine"]))
+        for row in rows
+        if "amount" in row
+    ]  # fmt: skip
+    return "\n".join([_COUNTS, *lines])
+
+
 def page(rows: Sequence[Row]) -> str:
     """Return the page of these outcomes."""
     dates = sorted({row["date"] for row in rows})
     span = " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]]))
     tables = [_Table(keys, rows).text() for keys in TABLES]
     not_run = ["## Not run", "", _line(("client", "cameras", "reason")), "|---|---|---|", *map(_line, NOT_RUN)]
-    return "\n\n".join([_HEAD.replace("{dates}", span), *tables, "\n".join(not_run)]) + "\n"
+    return "\n\n".join([_HEAD.replace("{dates}", span), *tables, counts(rows), "\n".join(not_run)]) + "\n"
 
 
 def load() -> list[Row]:

@@ -8,7 +8,9 @@ A test declares what it shows beside its assertions, and has that cell of the pa
     @pytest.mark.shows("davis346", "{driver.name}", "opens", "events")
 
 Camera and client are keys of docs/device_matrix.py. Names in braces are the test's parameters. A run replaces the
-outcomes of the tests that it ran, and keeps those of others with their date; a test that never ran is "not run".
+outcomes of the tests that it ran, and keeps those of others with their date; a test that never ran is "not run". A test
+whose length is chosen records it, `record_property("amount", "100 cycles")`, with its "seconds": its row has these and
+the machine.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from __future__ import annotations
 import datetime
 import json
 import os
+import platform
+import re
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +30,7 @@ __all__ = ["declared", "pytest_itemcollected", "pytest_runtest_logreport", "pyte
 FILE = os.environ.get("EVSTIM_MATRIX", "")
 PROPERTY = "shows"
 REASON_CHARACTERS = 160
+MEASURED = ("amount", "seconds")
 
 Row = dict[str, Any]
 _rows: dict[str, list[Row]] = {}
@@ -64,11 +69,20 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Take the outcome of a test: of its call, or of what failed before or after it."""
-    rows = dict(report.user_properties).get(PROPERTY)
+    properties = dict(report.user_properties)
+    rows = properties.get(PROPERTY)
     if rows is None or (report.when != "call" and report.passed):
         return
     outcome, reason = outcome_of(report)
-    _rows[report.nodeid] = [row | of_test(report.nodeid, outcome, reason) for row in rows]
+    measured = {name: properties[name] for name in MEASURED if name in properties}
+    measured |= {"machine": machine()} if measured else {}
+    _rows[report.nodeid] = [row | of_test(report.nodeid, outcome, reason) | measured for row in rows]
+
+
+def machine() -> str:
+    """Return the number of cores and the processor's name, as Linux has it."""
+    models = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    return f"{os.cpu_count()} cores of an {models[0] if models else platform.machine()}"
 
 
 def of_test(name: str, outcome: str, reason: str) -> Row:

@@ -109,6 +109,17 @@ def test_the_clients_have_the_versions_that_the_tests_install():
     assert versions == {key: package.partition("==")[2] for key, package in packages.items()}
 
 
+def test_an_amount_stands_in_its_table_with_time_date_and_machine(monkeypatch):
+    monkeypatch.setattr(shown, "_rows", {})
+    one = report("passed", measured=[("amount", "opened 100 times"), ("seconds", 251)])
+    shown.pytest_runtest_logreport(one)
+    ((row,),) = shown._rows.values()
+    text = device_matrix.page([row]).partition("## Counts")[2].partition("\n## ")[0]
+    line = f"| Prophesee EVK4 HD | neuromorphic_drivers 0.18.2 | opened 100 times | 251 s | {row['date']} |"
+    assert f"{line} {shown.machine()} |" in text
+    assert text.count("Prophesee") == 1
+
+
 def item(*marks, **parameters):
     found = [SimpleNamespace(args=mark) for mark in marks]
     return SimpleNamespace(
@@ -119,10 +130,11 @@ def item(*marks, **parameters):
     )
 
 
-def report(outcome, when="call", nodeid="tests/a.py::test_b", longrepr=None):
+def report(outcome, when="call", nodeid="tests/a.py::test_b", longrepr=None, measured=()):
     rows = [{"camera": "evk4", "client": "nd", "what": ["opens"]}]
     states = {name: name == outcome for name in ("passed", "failed", "skipped")}
-    return SimpleNamespace(nodeid=nodeid, when=when, longrepr=longrepr, user_properties=[("shows", rows)], **states)
+    properties = [("shows", rows), *measured]
+    return SimpleNamespace(nodeid=nodeid, when=when, longrepr=longrepr, user_properties=properties, **states)
 
 
 def test_a_declaration_is_filled_with_the_parameters_of_the_test(monkeypatch):

@@ -10,6 +10,8 @@ as that of a real camera. Ten million events of each driver, with what comes bes
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,7 +45,12 @@ CASES = [pytest.param("davis346", driver, id=driver.name) for driver in DRIVERS]
 @pytest.mark.shows("{model}", "{driver.name}", "opens", "events", "frames", "imu", "triggers")
 @pytest.mark.parametrize(("model", "driver"), CASES)
 def test_every_stream_is_seen_as_it_was_delivered(
-    guest: Guest, model: str, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
+    guest: Guest,
+    model: str,
+    driver: Driver,
+    driver_pythons: dict[str, Path],
+    tmp_path: Path,
+    record_property: Callable[[str, object], None],
 ) -> None:
     text, streams, usb_id = MODELS[model]
     writes_a_file = driver.adds_host_time and model == "davis346"
@@ -55,8 +62,11 @@ def test_every_stream_is_seen_as_it_was_delivered(
         RunningRig(tmp_path, layout=layout, more=more, text=text) as rig,
         Attachment(guest, rig.port, model=usb_id),
     ):
+        started_s = time.monotonic()
         seen = Streaming(guest, driver, driver_pythons[driver.name], EVENTS, *asked, timeout_s=TIMEOUT_S).wait()
+        record_property("seconds", round(time.monotonic() - started_s))
     assert len(seen.events) >= EVENTS
+    record_property("amount", f"{len(seen.events)} events, with frames, samples and edges")
     delivered = rig.delivered
     offset_us = assert_same_streams(driver, seen, delivered)
     assert_same_frames(driver, seen, delivered, offset_us)

@@ -1,10 +1,11 @@
 """Opens and closes a camera again and again; each time it is closed as soon as all its streams have come.
 
-    cycling.py CLIENT CYCLES TIMEOUT_S [--streams events,triggers,imu,frames] [--device NAME]
+    cycling.py CLIENT CYCLES TIMEOUT_S [--streams events,triggers,imu,frames] [--device NAME] [--seconds S]
 
 CLIENT is the module of a driver (dv1, dv2, nd), NAME a camera by neuromorphic_drivers' name. The last line is a JSON
-object: `cycles` done, the `slowest_s`, and the open `files` of the process after the first and the last one. The
-program fails when a stream stays away for too long.
+object: `cycles` done, the `seconds` that they took, the `slowest_s`, and the open `files` of the process after the
+first and the last one. The program fails when a stream stays away for too long. After --seconds it begins no other
+cycle.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ def arguments() -> Namespace:
         "--streams", type=lambda names: names.split(","), default=["events", "triggers", "imu", "frames"]
     )
     parser.add_argument("--device", default="inivation_davis346")
+    parser.add_argument("--seconds", type=float, default=float("inf"))
     options = parser.parse_args()
     for stream in ("triggers", "imu", "frames"):
         setattr(options, stream, stream in options.streams)
@@ -58,11 +60,12 @@ def main() -> None:
     asked = arguments()
     client = import_module(asked.client)
     took, files = [], []
-    for _ in range(asked.cycles):
+    while len(took) < asked.cycles and sum(took) < asked.seconds:
         took.append(cycle(client, asked))
         files.append(len(list(Path("/proc/self/fd").iterdir())))
         print(f"{len(took)}: {took[-1]:.1f} s", file=sys.stderr, flush=True)
-    print(json.dumps({"cycles": len(took), "slowest_s": max(took), "files": [files[0], files[-1]]}))
+    took_s = {"seconds": round(sum(took)), "slowest_s": max(took)}
+    print(json.dumps({"cycles": len(took), **took_s, "files": [files[0], files[-1]]}))
 
 
 if __name__ == "__main__":

@@ -129,7 +129,9 @@ std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, s
     });
     const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(timeout_s);
     stream->start();
-    while (seen < count && std::chrono::steady_clock::now() < end && stream->wait_next_buffer() >= 0) {
+    // A guest that stood still has many events in one buffer: it reads on until each change is made.
+    while ((seen < count || steps_done < changes) && std::chrono::steady_clock::now() < end &&
+           stream->wait_next_buffer() >= 0) {
         auto data = stream->get_latest_raw_data();
         if (data) {
             decoder->decode(data.data(), data.data() + data.size());
