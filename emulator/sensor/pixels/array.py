@@ -107,13 +107,12 @@ class PixelArray(PixelMethod):
         fields, p = aligned_zeros((blocks, layout.FIELDS, layout.BLOCK)), self.parameters
         # Those beyond the sensor's end rest in the dark: no leak, in units of ON, comes near their reference.
         fields[:, [Field.LOG_LIGHT, Field.FILTERED, Field.SECOND]] = np.log(self._light_constants.dark)
-        fields[:, Field.REFERENCE], fields[:, Field.ON], fields[:, Field.OFF] = 1e30, 1.0, np.inf
+        fields[:, [Field.REFERENCE, Field.ON, Field.OFF]] = np.array([[1e30], [1.0], [np.inf]])
+        fields[:, [Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL]] = np.inf
         pixels = layout.draw(p, self.seed)
         layout.put_field(fields, Field.ON, pixels.on)
         layout.put_field(fields, Field.OFF, pixels.off)
         layout.put_field(fields, Field.LEAK, pixels.leak_hz * layout.take_field(fields, Field.ON, self._pixels))
-        for field in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL):
-            fields[:, field] = np.inf
         memory = layout.noise_memory(p, self.seed, blocks * layout.BLOCK) if p.noise.rms else np.empty(0, np.float32)
         positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * layout.BLOCK, np.int64)
         return layout.PixelState(fields, positions, 0, 0, False, memory)

@@ -253,18 +253,17 @@ def _calm_window(t: float, limit: float, now: _Signal, curve: _Curve, a: _State)
     The signal does not turn, so it is nearest to a threshold at one end. The window ends at `limit`; after a reset, if
     that is too far, when the noise has forgotten the reset, or at a quarter of that time, and so on.
     """
-    room = room_of((t - a.reset) * 1e-9, now.value, now.noise, a)
     to, after = limit, _signal(limit, curve)
     forgotten = a.reset + _FORGOTTEN / min(now.noise.a1, now.noise.a2) * 1e9
     while True:
         calm_s, gone = (to - t) * 1e-9, after.value - now.value
         louder = now.noise if now.noise.sigma > after.noise.sigma else after.noise
         rate = max(now.noise.rate, after.noise.rate)
+        slower = now.noise if now.noise.rate < after.noise.rate else after.noise  # it has forgotten less of the reset
+        room = room_of((t - a.reset) * 1e-9, now.value, slower, a)
         on, off = room.on - max(gone, 0.0), room.off + min(gone, 0.0)
         c = min(min(on, off) / louder.sigma, INFINITE)
-        # Noise that grows brings both thresholds nearer.
         nu = _fastest(now.speed, after.speed, gone / calm_s) / (louder.sigma * rate)
-        nu += abs(c) * max(-now.narrowing, -after.narrowing, 0.0) / rate
         bound_hz = bound_of(c, nu, louder) * rate / louder.rate
         if abs(on - off) < 0.5 * louder.sigma:
             bound_hz *= 2  # of both thresholds

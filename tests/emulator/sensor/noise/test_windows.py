@@ -84,6 +84,41 @@ def test_no_hazard_in_a_calm_time_is_above_its_bound(pole, ages):
     assert calm > 100
 
 
+def highest_over_bound(along, pixel, tables):
+    """Return the highest hazard in a calm window from the start of a curve over its bound; 0 without such a window."""
+    limit = stretches(along)[0][1]
+    to, bound_hz, *_ = passage._calm_window(0.0, limit, passage._signal(0.0, along), along, pixel)
+    return max(hazard_at(x * to, along, pixel, tables) - NEVER_HZ for x in INSIDE) / bound_hz if to > 0 else 0.0
+
+
+@pytest.mark.parametrize("pole", [2 * np.pi * 4050, 2 * np.pi * 13000])
+def test_noise_that_runs_towards_a_threshold_is_below_the_bound(pole):
+    """Slopes of 4.5 deviations, shortly after a reset: the mean of the noise overshoots its value there."""
+    rng, tables, ratios = np.random.default_rng(11), hazard_tables(), []
+    for _ in range(300):
+        along = curve(rng, pole)
+        now = passage._signal(0.0, along)
+        sigma, slope = now.noise.sigma, 4.5 * now.noise.sigma * now.noise.rate * rng.choice([-1, 1])
+        age_s = rng.uniform(0, 3) / min(now.noise.a1, now.noise.a2)
+        pixel = state(now.value + rng.uniform(-0.2, 0.2), -1e9 * age_s, 0.2 * sigma * rng.normal(), slope)
+        ratios.append(highest_over_bound(along, pixel, tables))
+    assert np.count_nonzero(ratios) > 50
+    assert max(ratios) <= 1
+
+
+def test_noise_that_slows_down_remembers_the_reset():
+    """The receptor's rate falls by 200 in 0.2 ms: what was forgotten at its old rate is not, and the signal follows."""
+    rng, tables, ratios = np.random.default_rng(12), hazard_tables(), []
+    for _ in range(300):
+        rate, span_ns = 10 ** rng.uniform(3.6, 4.3), 2e5
+        piece = Piece(0.0, span_ns, 0.0, 0.1, 0.0, 0.0, rate, rate / 200)
+        along = passage._Curve(piece, 1 / span_ns, 0, 0.0, 0.0, 0.033, 0.0, 0.0)
+        pixel = state(rng.uniform(-0.08, 0.0), -1e9 * rng.uniform(2, 10) / rate, 0.075)
+        ratios.append(highest_over_bound(along, pixel, tables))
+    assert np.count_nonzero(ratios) > 50
+    assert max(ratios) <= 1
+
+
 def test_a_search_for_a_time_stops_just_before_the_signal_is_there():
     rng, near = np.random.default_rng(7), 0
     for _ in range(200):
