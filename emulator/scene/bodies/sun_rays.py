@@ -4,7 +4,7 @@ A ray ends at the first triangle that it meets, whichever side that shows, so no
 each other. A result is used again while it is certain to be the same:
 
     hidden     the leaf whose triangle hid the Sun is tested first: if one still does, no ray is needed
-    sunlit     no triangle reaches into a cone around the Sun's direction, so the Sun may move within that cone
+    sunlit     no outside of a triangle shows in a cone around the Sun's direction: the Sun may move within that cone
 
 A result does not depend on those before it, only the time that it takes. Most points of an asteroid keep theirs for
 minutes; those near a shadow edge get a ray each time.
@@ -27,8 +27,8 @@ Numbers = npt.NDArray[np.int32]
 SUNLIT, UNKNOWN = -1, -2
 _WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
 _NO_CONE = 2.0  # a cosine that none exceeds
-_ABOVE = (1 << 56) - 1
-_LOWEST = np.array([(bits & -bits).bit_length() - 1 for bits in range(256)])  # bit that is set in eight
+_ABOVE = (1 << 56) - 1  # a stack of eight levels without its lowest one
+_LOWEST = np.array([(bits & -bits).bit_length() - 1 for bits in range(256)])  # lowest bit that is set in eight
 _LASTS = 10  # light frames, at least, for which a cone is worth its search
 
 
