@@ -14,6 +14,7 @@ from evstim import SerialReceiver
 
 WINDOW_US = 100_000
 STALE_S = 0.5
+MIN_EVENTS = 1000  # a line that opens within a window gives its last events only: their mean may be anywhere
 
 
 class Centroid:
@@ -21,8 +22,8 @@ class Centroid:
 
     Attributes
     ----------
-    x, y : pixels, of the last complete window.
-    is_fresh : False when no window was completed in the last half second, or the line is lost.
+    x, y : pixels, of the last window with enough events.
+    is_fresh : False when there was no such window in the last half second, or the line is lost.
     """
 
     def __init__(self, address: str) -> None:
@@ -55,7 +56,7 @@ class Centroid:
 
     def _complete(self, next_window: int) -> None:
         x, y, count = self._sum
-        if count:
+        if count >= MIN_EVENTS:
             self.x, self.y, self._updated_s = x / count, y / count, time.monotonic()
             self.windows += 1
         self._window, self._sum = next_window, [0, 0, 0]

@@ -1,16 +1,20 @@
 """The tutorial: its programs on one running rig, and its page, which prints them as they are."""
 
+import importlib
 import re
 import runpy
 import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 import firmware_protocol.c
 from evstim.testing.running_rig import RunningRig
+from firmware_protocol.events import EVENT
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples/tutorial"
@@ -22,6 +26,24 @@ def test_the_page_prints_the_programs():
     blocks = re.findall(r"^```(?:python|c|toml)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     assert len(blocks) >= 4
     assert [block for block in blocks if not any(block in program for program in programs)] == []
+
+
+def test_the_rest_of_a_window_is_no_position(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    flight_code = importlib.import_module("centroid")
+    parts = [events_at(0, x=10, count=150), events_at(100_000, x=170, count=3_000), events_at(200_000, x=10, count=1)]
+    monkeypatch.setattr(flight_code, "SerialReceiver", lambda _: Mock(take_events=Mock(side_effect=parts)))
+    monkeypatch.setattr(flight_code.serial, "Serial", Mock(return_value=Mock(in_waiting=0)))
+    centroid = flight_code.Centroid("port")
+    centroid.poll()
+    centroid.poll()
+    assert (centroid.is_fresh, centroid.windows) == (False, 0)  # 150 events that came after the line opened
+    centroid.poll()
+    assert (centroid.is_fresh, centroid.windows, centroid.x, centroid.y) == (True, 1, 170.0, 120.0)
+
+
+def events_at(t_us, x, count):
+    return np.array([(t_us, x, 120, True)] * count, EVENT)
 
 
 @pytest.mark.system
