@@ -4,12 +4,13 @@ import asyncio
 import errno
 import itertools
 import time
+from types import SimpleNamespace
 
 import can
 import pytest
 
 from firmware_protocol.can_frames.frame import Frame
-from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
+from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message, wall_less_monotonic_ns
 from transports.can_bus.kind import CanLink
 
 CHANNELS = itertools.count()
@@ -153,3 +154,17 @@ def test_the_kernels_time_of_a_frame_is_used_however_late_it_is_read(monkeypatch
 
     begun_ns, t_ns, ended_ns = asyncio.run(received())
     assert begun_ns <= t_ns + age_s * 1_000_000_000 + 1000 <= ended_ns + 2000
+
+
+def test_a_process_that_is_stopped_between_two_clocks_does_not_take_their_difference_from_then(monkeypatch):
+    now_ns, stops_ns = 0, iter([700_000, 0, 0, 0, 0, 900_000, 0, 0])  # after each reading of a clock
+
+    def read(offset_ns):
+        nonlocal now_ns
+        seen_ns = now_ns + offset_ns
+        now_ns += 100 + next(stops_ns, 0)
+        return seen_ns
+
+    clocks = SimpleNamespace(monotonic_ns=lambda: read(0), time_ns=lambda: read(10**18))
+    monkeypatch.setattr("transports.can_bus.bus.time", clocks)
+    assert abs(wall_less_monotonic_ns() - 10**18) <= 100
