@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock
 
 # What the tests need: GL as the check of the CPU renderer, a machine to boot Linux in, and Debian's own tools in it.
-APT_TEST := libegl1 libgl1 libgl1-mesa-dri qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0 can-utils iproute2 gcc libc6-dev gcc-arm-none-eabi qemu-system-arm chromium tshark aravis-tools-cli gir1.2-aravis-0.8 python3-gi linuxptp xvfb python3-tk
+APT_TEST := libegl1 libgl1 libgl1-mesa-dri qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0 v4l-utils make can-utils iproute2 gcc libc6-dev gcc-arm-none-eabi qemu-system-arm chromium tshark aravis-tools-cli gir1.2-aravis-0.8 python3-gi linuxptp xvfb python3-tk
 
 # The tests start hundreds of processes, each of which would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE

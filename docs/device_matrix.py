@@ -57,6 +57,8 @@ CLIENTS = {
     "eventcv": Client("EventCV (neuromorphic_drivers 0.17 inside)", "1.0.8"),
     "libcaer": Client("libcaer", "3.3.15"),
     "openeb": Client("OpenEB (HAL and Treuzell plugin)", "5.1.1"),
+    "openeb_v4l2": Client("OpenEB (HAL and V4L2 plugin)", "5.1.1"),
+    "v4l2ctl": Client("v4l2-ctl", "1.22.1"),
     "aravis": Client("Aravis", "of Debian, 0.8"),
     "viva": Client("viva-genicam", "0.10.0"),
     "linux": Client("Linux kernel and Debian's usbip"),
@@ -148,6 +150,8 @@ CAMERAS = {
         lacks=_IMX636_LACKS,
         limits={("nd", "opens"): "it has no driver for this sensor"},
     ),
+    "evk4_v4l2": Camera("IMX636 on V4L2", ("openeb_v4l2", "v4l2ctl"), lacks=_IMX636_LACKS),
+    "genx320_v4l2": Camera("GenX320 on V4L2", ("openeb_v4l2", "v4l2ctl"), lacks=_IMX636_LACKS),
     "triton2": Camera(
         "LUCID Triton2 EVS (GigE Vision)",
         ("nd", "aravis", "viva"),
@@ -168,11 +172,16 @@ TABLES = (
     ("dvxplorer",),
     ("dvxplorer_micro", "dvxplorer_micro_firmware9"),
     ("genx320",),
+    ("evk4_v4l2", "genx320_v4l2"),
     ("triton2",),
 )
 """Keys of the cameras of each table."""
 
-HEADINGS = {"silkyevcam_hd": "Siblings of the EVK4", "dvxplorer_micro": "DVXplorer Micro"}
+HEADINGS = {
+    "silkyevcam_hd": "Siblings of the EVK4",
+    "dvxplorer_micro": "DVXplorer Micro",
+    "evk4_v4l2": "Sensors on V4L2",
+}
 """Heading of a table of several cameras, by its first one."""
 
 NOT_RUN = (

@@ -93,14 +93,6 @@ def parsed_size(text: str | None) -> tuple[int, int] | None:
     return int(size[1]), int(size[2])
 
 
-def parsed_address(option: str, text: str, least_port: int = 1) -> tuple[str, int]:
-    """Return (host, port) of text such as "127.0.0.1:10015"; raises Failure."""
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not least_port <= int(port) <= 65535:
-        raise Failure(f"{option}: {text!r} is not HOST:PORT, such as 127.0.0.1:10015", WRONG_USE)
-    return host.strip("[]"), int(port)
-
-
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn errors of a recording that is read into Failure."""

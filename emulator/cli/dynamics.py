@@ -13,8 +13,8 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.cli.checks import failures, parsed_address
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, failing, print_result
+from emulator.cli.checks import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, failing, parsed_address, print_result
 from emulator.cli.run import summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics import flight

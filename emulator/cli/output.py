@@ -71,6 +71,14 @@ class Failure(Exception):
         self.exit_code = exit_code
 
 
+def parsed_address(option: str, text: str, least_port: int = 1) -> tuple[str, int]:
+    """Return (host, port) of text such as "127.0.0.1:10015"; raises Failure."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not least_port <= int(port) <= 65535:
+        raise Failure(f"{option}: {text!r} is not HOST:PORT, such as 127.0.0.1:10015", WRONG_USE)
+    return host.strip("[]"), int(port)
+
+
 @contextmanager
 def failing(exit_code: int, *errors: type[Exception], at: str = "") -> Iterator[None]:
     """Turn errors into Failure; with `at`, an option or a file, it is named before the reason."""

@@ -68,6 +68,7 @@ _VERBS = {
         "bench": (f"{_LABORATORY}.bench:verbs", "Measure the speeds that the documentation quotes."),
     },
     "Connect": {
+        "v4l2": (f"{_CLI}.v4l2:v4l2", "Show a Prophesee camera on USB as a sensor on Linux's camera interface."),
         "gadget": (f"{_CLI}.gadget:verbs", "Make or remove the USB gadget for a camera on a real cable."),
         "dbc": (f"{_CLI}.listen.can:dbc", "Write the DBC file of a rig's CAN link."),
         "export": (f"{_CLI}.export:export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),

@@ -12,8 +12,19 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import failures, parsed_address
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, failing, print_result, status
+from emulator.cli.checks import failures
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    WRONG_USE,
+    Failure,
+    Json,
+    failing,
+    parsed_address,
+    print_result,
+    status,
+)
 from emulator.cli.run import NO_FILES, Files, RunParts, rig_with_options, run_with_files, summary, summary_lines
 from emulator.cli.run_summary import latency_text
 from emulator.report.pictures import check_pillow, grey_png

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from tests.guest.cache import made_once
 
-__all__ = ["GuestUnavailable", "Kernel", "build_initramfs", "fetch_kernel"]
+__all__ = ["GuestUnavailable", "Kernel", "build_initramfs", "fetch_kernel", "prepare_step"]
 
 ROOT_MODULES = ("virtio_pci", "virtio_net", "9pnet_virtio", "9p", "overlay")
 FOLDERS = ("bin", "modules", "proc", "host", "upper", "root")
@@ -95,15 +95,15 @@ def _newest_package() -> str:
 def _unpack(package: str, release: str, tree: Path) -> None:
     """Download `package` beside `tree`, into a folder that holds nothing else, and lay it out in `tree`."""
     scratch = tree.parent
-    _step(["apt-get", "download", package], scratch)
-    _step(["dpkg-deb", "-x", str(next(scratch.glob("*.deb"))), str(tree)], scratch)
+    prepare_step(["apt-get", "download", package], scratch)
+    prepare_step(["dpkg-deb", "-x", str(next(scratch.glob("*.deb"))), str(tree)], scratch)
     if not (tree / "lib").exists():  # since Debian 13 the modules lie under /usr/lib
         (tree / "lib").symlink_to("usr/lib")
-    _step(["depmod", "-b", str(tree), release], scratch)
+    prepare_step(["depmod", "-b", str(tree), release], scratch)
 
 
-def _step(command: list[str], folder: Path) -> str:
-    """Run one command of the preparation and return what it printed."""
+def prepare_step(command: list[str], folder: Path) -> str:
+    """Run one command of the preparation in a folder; return what it printed, or raise GuestUnavailable."""
     environment = os.environ | {"PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
     try:
         done = subprocess.run(
@@ -123,7 +123,7 @@ def _module_files(kernel: Kernel) -> list[Path]:
     files: dict[Path, None] = {}
     for module in ROOT_MODULES:
         command = ["modprobe", "-d", str(kernel.tree), "-S", kernel.release, "--show-depends", module]
-        for line in _step(command, kernel.tree).splitlines():
+        for line in prepare_step(command, kernel.tree).splitlines():
             if line.startswith("insmod "):
                 files[Path(line.removeprefix("insmod ").strip())] = None
     return list(files)

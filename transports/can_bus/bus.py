@@ -329,7 +329,9 @@ def wall_less_monotonic_ns() -> int:
     """Return the difference of the two clocks by the fastest of three readings: a process may be stopped within one."""
     readings = []
     for _ in range(3):
-        before_ns, wall_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        before_ns = time.monotonic_ns()
+        wall_ns = time.time_ns()
+        after_ns = time.monotonic_ns()
         readings.append((after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2))
     return min(readings)[1]
 

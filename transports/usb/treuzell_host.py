@@ -7,9 +7,8 @@ the two, which powers the chip, is omitted: the emulated camera needs none.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from firmware_protocol.events import Events
 from firmware_protocol.evt.evt2 import Evt2Decoder
@@ -19,6 +18,7 @@ from firmware_protocol.genx320 import device as genx320
 from firmware_protocol.genx320 import registers as genx320_registers
 from firmware_protocol.imx636.evk4 import BOARDS
 from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, Address
+from firmware_protocol.prophesee.registers import Form
 from firmware_protocol.prophesee.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from firmware_protocol.prophesee.usb import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT
 from transports.usb.host import CameraHost, PeerBroken, StreamSettings, UnsuitableDevice, UsbHost
@@ -28,27 +28,42 @@ EVK4_IDS = frozenset(board.usb_id for board in (*BOARDS.values(), genx320.BOARD)
 
 _OLDEST_RELEASE = 0x03_0800
 _DEVICE = bytes(4)
-_EVT3 = ((Address.FORMAT, 0x0007_0001), (Address.OCTETS, 0x0001_E085))
-_START = (*_EVT3, (Address.OUTPUT, 0), (Address.TIME, 0x645), (Address.ARRAY, 0xF000_5442))
+_Writes = tuple[tuple[int, int], ...]
+_FORMATS: Mapping[Form, _Writes] = {
+    "evt3": ((Address.FORMAT, 0x0007_0001), (Address.OCTETS, 0x0001_E085)),
+    "evt21-legacy": ((Address.FORMAT, 0x0007_0003), (Address.OCTETS, 0x0001_E005)),
+}
+_START = ((Address.OUTPUT, 0), (Address.TIME, 0x645), (Address.ARRAY, 0xF000_5442))
 _STOP = ((Address.ARRAY, 0xF000_5042), (Address.OUTPUT, 2), (Address.TIME, 0x644))
 _GENX = genx320_registers.Address
-_GENX_START = ((_GENX.FORMAT, 2), (_GENX.OUTPUT, 0), (_GENX.TIME, 0x195), (_GENX.ARRAY, 0xC02))
+_GENX_FORMATS: Mapping[Form, _Writes] = {
+    "evt21": ((_GENX.FORMAT, 2),),
+    "evt3": ((_GENX.FORMAT, 1),),
+    "evt2": ((_GENX.FORMAT, 0),),
+}
+_GENX_START = ((_GENX.OUTPUT, 0), (_GENX.TIME, 0x195), (_GENX.ARRAY, 0xC02))
 _GENX_STOP = ((_GENX.ARRAY, 0x802), (_GENX.OUTPUT, 2), (_GENX.TIME, 0x194))
-
-_Writes = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
 class _Sensor:
-    """The registers that the driver of a sensor writes; `trigger_off`, `trigger_on` are one register each."""
+    """The registers that the driver of a sensor writes; `trigger_off`, `trigger_on` are one register each.
+
+    `formats`: registers of each form of the words, the first of which a driver reads unless it is given another.
+    """
 
     name: str
+    formats: Mapping[Form, _Writes] = field(default_factory=lambda: _FORMATS)
     start: _Writes = _START
     stop: _Writes = _STOP
     trigger_off: tuple[int, int] = (Address.TRIGGER, 0xC1FF)
     trigger_on: tuple[int, int] = (Address.TRIGGER, 0xC5FF)
-    decoder: Callable[[], Evt3Decoder | Evt2Decoder] = Evt3Decoder
     size: tuple[int, int] = SIZE
+
+    @property
+    def form(self) -> Form:
+        """Form that a driver reads."""
+        return next(iter(self.formats))
 
 
 _CHIPS: Mapping[int, _Sensor] = {
@@ -56,11 +71,11 @@ _CHIPS: Mapping[int, _Sensor] = {
     GEN41.number: _Sensor("a Gen4.1"),
     genx320_registers.CHIP: _Sensor(
         "a GenX320",
+        _GENX_FORMATS,
         _GENX_START,
         _GENX_STOP,
         (_GENX.EVENT_TYPES, 0xC1FF),
         (_GENX.EVENT_TYPES, 0xC5FF),
-        partial(Evt2Decoder, "evt21"),
         genx320_registers.SIZE,
     ),
 }
@@ -89,24 +104,46 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
 
     def __init__(self, host: UsbHost) -> None:
         self._sensor = _CHIPS[IMX636.number]
+        self._decoder: Evt3Decoder | Evt2Decoder | None = None
         super().__init__(host)
-        self._decoder = self._sensor.decoder()
 
     @property
     def faults(self) -> WordFaults:
         """Always none: any bits are a valid word."""
         return WordFaults()
 
+    @property
+    def chip(self) -> int:
+        """Number of the sensor, in its register 0014."""
+        return self.read_register(Address.CHIP)
+
     def start(self, settings: StreamSettings | None = None) -> None:
         """Start the stream of events; the camera's time begins at zero, so no reset is needed."""
+        form = self._sensor.form
+        self._decoder, self._edges = Evt3Decoder() if form == "evt3" else Evt2Decoder(form), []
+        self.start_words(form, settings)
+
+    def start_words(self, form: Form, settings: StreamSettings | None = None) -> None:
+        """Start the stream in words of a form, for `read_words`."""
         settings = settings or StreamSettings()
-        self.stop()
-        self._decoder, self._edges = self._sensor.decoder(), []
+        self.stop_words()
         self.write_register(*(self._sensor.trigger_on if settings.edges else self._sensor.trigger_off))
         self._host.clear_halt(DATA_ENDPOINT & 15)
         self._reader = self._host.stream(DATA_ENDPOINT & 15, settings.transfer_bytes, settings.transfers)
-        for address, value in self._sensor.start:
+        for address, value in (*self._sensor.formats[form], *self._sensor.start):
             self.write_register(address, value)
+
+    def read_words(self, timeout_s: float) -> bytes | None:
+        """Return the next transfer's words as they are; None when none came in time."""
+        if self._reader is None:
+            raise RuntimeError("the camera is not started")
+        return self._reader.read(timeout_s)
+
+    def stop_words(self) -> list[bytes]:
+        """Stop the camera and the stream; return the transfers that were still in transit."""
+        self._end_stream()
+        reader, self._reader = self._reader, None
+        return reader.close() if reader else []
 
     def _end_stream(self) -> None:
         for address, value in self._sensor.stop:
@@ -159,6 +196,7 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
         return tuple(texts.split("\0")[:-1]) or ("",)
 
     def _decode(self, data: bytes) -> Events:
+        assert self._decoder is not None, "`start` makes it"
         events, edges = self._decoder.decode(data)
         self._edges.append(edges)
         return events

@@ -7,9 +7,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from emulator.cli.checks import parsed_address
 from emulator.cli.listen import Limits, Source, listen_to
-from emulator.cli.output import LACKING, WRONG_USE, Failure, Json, failing, status
+from emulator.cli.output import LACKING, WRONG_USE, Failure, Json, failing, parsed_address, status
 from emulator.rig.kinds import LINKS
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET

@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import parsed_address, prepared
+from emulator.cli.checks import prepared
 from emulator.cli.listen import Limits, Source, listen_to
-from emulator.cli.output import LACKING, WRONG_USE, Failure, Flag, Json, failing, status
+from emulator.cli.output import LACKING, WRONG_USE, Failure, Flag, Json, failing, parsed_address, status
 from emulator.cli.run_summary import latency_text
 from emulator.run.kernels import DECODER
 from firmware_protocol.packets import telecommands as requests
