@@ -1,6 +1,6 @@
 """Prophesee's sensors as their drivers show them on Linux (V4L2), and the registers that their settings write.
 
-The kernel module `c/v4l2/evstim_v4l2.c` makes the devices of a sensor that a program describes, and reads from that
+The kernel module in `c/v4l2` makes the devices of a sensor that a program describes, and reads from that
 program how clients set them; it draws the messages. Here are both sides' octets, in the machine's order:
 
     message 1, sensor      32 name, 32 serial, 6 u32: width, height, octets of a buffer, crop, formats, controls;

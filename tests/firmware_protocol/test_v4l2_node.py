@@ -19,7 +19,7 @@ from firmware_protocol.imx636 import evk4
 from firmware_protocol.imx636 import registers as imx636
 from firmware_protocol.v4l2 import NODE_SENSORS, REQUEST_BYTES, NodeSettings, Request, answer
 
-MODULE = firmware_protocol.c.FOLDER / "v4l2" / "evstim_v4l2.c"
+MODULE = firmware_protocol.c.FOLDER / "v4l2" / "evstim_v4l2.h"
 CHIPS = {
     "genx320": (genx320.CHIP, genx320.Registers, genx320_selection.Selection),
     "imx636": (imx636.IMX636.number, imx636.Registers, evk4.Selection),
