@@ -1,7 +1,7 @@
 """Prophesee's sensors as their drivers show them on Linux (V4L2), and the registers that their settings write.
 
-The kernel module in `c/v4l2` makes the devices of a sensor that a program describes, and reads from that
-program how clients set them; it draws the messages. Here are both sides' octets, in the machine's order:
+The kernel module in `c/v4l2` makes the devices of a sensor that a program describes, and gives that program the
+settings of clients. The messages, in the machine's order of octets (`evstim_v4l2.h` has them in C):
 
     message 1, sensor      32 name, 32 serial, 6 u32: width, height, octets of a buffer, crop, formats, controls;
                            4 u32 pixel formats, 4 u32 codes on the bus, 16 controls
