@@ -63,9 +63,20 @@ std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, s
             }
         });
     const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(timeout_s);
+    const auto is_read = [&] {
+        return seen >= count && limited_from_us >= 0 && last_us >= limited_from_us + after_changes_us;
+    };
     stream->start();
-    while ((seen < count || limited_from_us < 0 || last_us < limited_from_us + after_changes_us) && std::chrono::steady_clock::now() < end &&
-           stream->wait_next_buffer() >= 0) {
+    while (!is_read() && std::chrono::steady_clock::now() < end) {
+        if (stream->wait_next_buffer() < 0) {
+            if (seen) {
+                break;
+            }
+            // OpenEB starts its thread before the stream, and the thread ends where it polls first: start once more.
+            stream->stop();
+            stream->start();
+            continue;
+        }
         auto data = stream->get_latest_raw_data();
         if (data) {
             decoder->decode(data.data(), data.data() + data.size());
