@@ -132,7 +132,7 @@ def sensor(guest: Guest, tmp_path: Path, model: str) -> Iterator[RunningRig]:
 
 
 def wait_for_devices(guest: Guest, *, there: bool = True, within_s: float = 240.0) -> None:
-    """Wait until the devices have come or gone: one program of the guest waits, and no connection is made for a look."""
+    """Wait until the devices have come or gone: a program of the guest waits, without a connection for each look."""
     test = f"[ {'' if there else '!'} -e {SUBDEVICE} ]"
     guest.check(
         ["sh", "-c", f"for i in $(seq {2 * within_s:.0f}); do {test} && exit 0; sleep 0.5; done; exit 1"], 2 * within_s
