@@ -67,7 +67,7 @@ def v4l2(
         )
     with failing(LACKING, UsbHostError, NodeError), closing(driver_of(host)) as camera:
         if not isinstance(camera, TreuzellHost):
-            raise Failure(f"{camera.model} has no driver on V4L2: an EVK4 or a GenX320 has", WRONG_USE)
+            raise Failure(f"{camera.model}: no driver on V4L2 is known for it", WRONG_USE)
         with closing(Node(camera, opened(file), 1024 * buffer_kib)) as node:
             status.print(f"{camera.model} serial {camera.info.serial} is the sensor {node.sensor_name}; Ctrl-C ends it")
             started_s = time.monotonic()

@@ -40,12 +40,21 @@ genx320mp_cx3_issd.h, genx320_roi_driver.cpp, genx320_erc.cpp and others); OpenM
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.registers import ChipRegisters, Form, NoRegister, SensorSurroundings
+from firmware_protocol.prophesee.treuzell import RegisterBus
+from firmware_protocol.prophesee.v4l2 import (
+    EVT3_FORMAT,
+    NodeSensor,
+    PixelFormat,
+    RateRegisters,
+    Window,
+    bias_controls,
+)
 
 SIZE = (320, 320)
 WINDOWS, MASKS = 18, 16
@@ -272,3 +281,43 @@ class Registers(ChipRegisters):
         if address & 3 or not 0 <= address < _END:
             raise NoRegister(f"no register at 0x{address:08X}")
         return address // 4
+
+
+_V4L2_LIMITS = {
+    "fo": (19, 39),
+    "hpf": (0, 127),
+    "diff_on": (24, 60),
+    "diff": (41, 51),
+    "diff_off": (19, 50),
+    "refr": (0, 127),
+}
+_LATCHES_ON = 1 << 1
+
+
+def _select_windows(bus: RegisterBus, windows: Sequence[Window], outside: bool) -> None:
+    """Write all windows, and have the sensor set the latches of its pixels by them."""
+    for k, window in enumerate(windows):
+        bus.write_register(Address.WINDOWS + 8 * k, (window.x + window.width) << 16 | window.x)
+        bus.write_register(Address.WINDOWS + 8 * k + 4, (window.y + window.height) << 16 | window.y)
+    bus.write_register(Address.ARRAY, bus.read_register(Address.ARRAY) | _LATCHES_ON)
+    bus.write_register(Address.WINDOW_CONTROL, len(windows) << 3 | outside << 2 | 3)
+
+
+V4L2_SENSOR = NodeSensor(
+    "genx320",
+    SIZE,
+    (EVT3_FORMAT, PixelFormat(b"PSE2", 0x5303, "evt21"), PixelFormat(b"PSEE", 0x5300, "evt2")),
+    bias_controls(BIASES, _V4L2_LIMITS),
+    0x7F,
+    RateRegisters(
+        Address.RATE_PERIOD,
+        Address.RATE_EVENTS,
+        period_us=100,
+        initial_events=1000,
+        on=((Address.RATE_DROPS, 4), (Address.RATE, 1)),
+        off=((Address.RATE_DROPS, 0),),
+    ),
+    _select_windows,
+    has_windows=True,
+)
+"""The sensor on V4L2."""

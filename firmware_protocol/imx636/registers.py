@@ -38,7 +38,7 @@ public: 0 here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -46,6 +46,15 @@ import numpy as np
 
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.registers import ChipRegisters, Form, NoRegister, SensorSurroundings
+from firmware_protocol.prophesee.treuzell import RegisterBus
+from firmware_protocol.prophesee.v4l2 import (
+    EVT3_FORMAT,
+    NodeSensor,
+    PixelFormat,
+    RateRegisters,
+    Window,
+    bias_controls,
+)
 
 SIZE = (1280, 720)
 PIXEL_MASKS = 64
@@ -252,3 +261,36 @@ class Registers(ChipRegisters):
         if not is_register(address):
             raise NoRegister(f"no register at 0x{address:08X}")
         return address // 4 if address < _LOW_END else (address - _SYSTEM + _LOW_END) // 4
+
+
+_V4L2_LIMITS = dict.fromkeys(("fo", "hpf", "diff_on", "diff", "diff_off", "refr"), (0, 255))
+_MASKS_TAKE_EFFECT = 1 << 1 | 1 << 5 | 1 << 6
+
+
+def _select_windows(bus: RegisterBus, windows: Sequence[Window], outside: bool) -> None:
+    """Write one window and have the masks of it take effect, with those of the columns and of the rows together."""
+    window = windows[0]
+    bus.write_register(Address.WINDOW_START, window.y << 16 | window.x)
+    bus.write_register(Address.WINDOW_END, (window.y + window.height) << 16 | (window.x + window.width))
+    bus.write_register(Address.WINDOW, 1)
+    bus.write_register(Address.ARRAY, bus.read_register(Address.ARRAY) | _MASKS_TAKE_EFFECT)
+
+
+V4L2_SENSOR = NodeSensor(
+    "imx636",
+    SIZE,
+    (EVT3_FORMAT, PixelFormat(b"PSE1", 0x5301, "evt21-legacy")),
+    bias_controls(BIASES, _V4L2_LIMITS),
+    0xFF,
+    RateRegisters(
+        Address.RATE_PERIOD,
+        Address.RATE_EVENTS,
+        period_us=200,
+        initial_events=4000,
+        on=((Address.RATE_ON, 1), (Address.RATE_DROPS, 1), (Address.RATE_STATE, 1)),
+        off=((Address.RATE_DROPS, 0),),
+    ),
+    _select_windows,
+    has_windows=False,
+)
+"""The sensor on V4L2."""

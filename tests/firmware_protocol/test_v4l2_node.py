@@ -17,12 +17,12 @@ from firmware_protocol.genx320 import registers as genx320
 from firmware_protocol.genx320 import selection as genx320_selection
 from firmware_protocol.imx636 import evk4
 from firmware_protocol.imx636 import registers as imx636
-from firmware_protocol.v4l2 import NODE_SENSORS, REQUEST_BYTES, NodeSettings, Request, answer
+from firmware_protocol.prophesee.v4l2 import REQUEST_BYTES, NodeSettings, Request, answer
 
 MODULE = firmware_protocol.c.FOLDER / "v4l2" / "evstim_v4l2.h"
 CHIPS = {
-    "genx320": (genx320.CHIP, genx320.Registers, genx320_selection.Selection),
-    "imx636": (imx636.IMX636.number, imx636.Registers, evk4.Selection),
+    "genx320": (genx320.V4L2_SENSOR, genx320.Registers, genx320_selection.Selection),
+    "imx636": (imx636.V4L2_SENSOR, imx636.Registers, evk4.Selection),
 }
 DIFF_ON = {"genx320": 0x1104, "imx636": 0x1010}
 USER = 0x980900
@@ -32,8 +32,7 @@ class Chip:
     """A sensor's registers, the selection of its events, and its settings on V4L2."""
 
     def __init__(self, name):
-        number, registers, selection = CHIPS[name]
-        self.sensor = NODE_SENSORS[number]
+        self.sensor, registers, selection = CHIPS[name]
         self.registers = registers()
         self.selection = selection(self.registers)
         self.settings = NodeSettings(self.sensor, self)
@@ -70,7 +69,7 @@ def test_the_layouts_are_those_of_the_module(tmp_path):
     subprocess.run(["cc", tmp_path / "sizes.c", "-o", tmp_path / "sizes"], check=True)
     sizes = subprocess.run([tmp_path / "sizes"], check=True, capture_output=True, text=True).stdout
     sensor, control, request, controls_at = map(int, sizes.split())
-    for one in NODE_SENSORS.values():
+    for one, *_ in CHIPS.values():
         assert len(one.description("serial", 65536)) == 4 + sensor
         assert len(bytes(one.controls[0])) == control
         # The last control stands where the compiler puts it.

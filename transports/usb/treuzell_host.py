@@ -17,10 +17,11 @@ from firmware_protocol.fx3.decoded import WordFaults
 from firmware_protocol.genx320 import device as genx320
 from firmware_protocol.genx320 import registers as genx320_registers
 from firmware_protocol.imx636.evk4 import BOARDS
-from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, Address
+from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, V4L2_SENSOR, Address
 from firmware_protocol.prophesee.registers import Form
 from firmware_protocol.prophesee.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from firmware_protocol.prophesee.usb import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT
+from firmware_protocol.prophesee.v4l2 import NodeSensor
 from transports.usb.host import CameraHost, PeerBroken, StreamSettings, UnsuitableDevice, UsbHost
 
 EVK4_IDS = frozenset(board.usb_id for board in (*BOARDS.values(), genx320.BOARD))
@@ -50,6 +51,7 @@ class _Sensor:
     """The registers that the driver of a sensor writes; `trigger_off`, `trigger_on` are one register each.
 
     `formats`: registers of each form of the words, the first of which a driver reads unless it is given another.
+    `node`: the sensor on V4L2.
     """
 
     name: str
@@ -59,6 +61,7 @@ class _Sensor:
     trigger_off: tuple[int, int] = (Address.TRIGGER, 0xC1FF)
     trigger_on: tuple[int, int] = (Address.TRIGGER, 0xC5FF)
     size: tuple[int, int] = SIZE
+    node: NodeSensor | None = None
 
     @property
     def form(self) -> Form:
@@ -67,7 +70,7 @@ class _Sensor:
 
 
 _CHIPS: Mapping[int, _Sensor] = {
-    IMX636.number: _Sensor("an IMX636 or IMX646"),
+    IMX636.number: _Sensor("an IMX636 or IMX646", node=V4L2_SENSOR),
     GEN41.number: _Sensor("a Gen4.1"),
     genx320_registers.CHIP: _Sensor(
         "a GenX320",
@@ -77,6 +80,7 @@ _CHIPS: Mapping[int, _Sensor] = {
         (_GENX.EVENT_TYPES, 0xC1FF),
         (_GENX.EVENT_TYPES, 0xC5FF),
         genx320_registers.SIZE,
+        genx320_registers.V4L2_SENSOR,
     ),
 }
 """Sensors by the number in their register 0014."""
@@ -113,9 +117,9 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
         return WordFaults()
 
     @property
-    def chip(self) -> int:
-        """Number of the sensor, in its register 0014."""
-        return self.read_register(Address.CHIP)
+    def node(self) -> NodeSensor | None:
+        """The sensor as its driver on V4L2 shows it, if it has one."""
+        return self._sensor.node
 
     def start(self, settings: StreamSettings | None = None) -> None:
         """Start the stream of events; the camera's time begins at zero, so no reset is needed."""

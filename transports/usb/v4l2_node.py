@@ -2,7 +2,7 @@
 
     camera on USB  <-- words, registers -->  this program  <-- messages -->  evstim_v4l2.ko  <-- V4L2 -->  the client
 
-The module and its messages are those of `firmware_protocol.v4l2`. A client that queues no buffers stops the
+The module and its messages are those of `firmware_protocol.prophesee.v4l2`. A client that queues no buffers stops the
 camera's stream, as a slow host on USB does: the camera buffers, drops, and counts what it dropped. A receiver of MIPI
 would lose the words itself, uncounted.
 """
@@ -16,8 +16,7 @@ import select
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from firmware_protocol.v4l2 import (
-    NODE_SENSORS,
+from firmware_protocol.prophesee.v4l2 import (
     REQUEST_BYTES,
     WORDS_HEADER,
     NodeSettings,
@@ -62,12 +61,11 @@ class Node:
     """
 
     def __init__(self, camera: TreuzellHost, file: int, buffer_bytes: int) -> None:
-        chip = camera.chip
-        if chip not in NODE_SENSORS:
-            raise UnsuitableDevice(f"{camera.model}: no driver on V4L2 is known for its sensor {chip:08x}")
+        if camera.node is None:
+            raise UnsuitableDevice(f"{camera.model}: no driver on V4L2 is known for its sensor")
         self.counts = Forwarded()
         self._camera = camera
-        self._sensor = NODE_SENSORS[chip]
+        self._sensor = camera.node
         self._settings = NodeSettings(self._sensor, camera)
         self._form = self._sensor.formats[0].form
         self._buffer_bytes = buffer_bytes

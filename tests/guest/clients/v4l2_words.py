@@ -1,6 +1,6 @@
-"""Feeds the module evstim_v4l2 with words, at once whenever a client has a buffer: v4l2_words.py CHIP [HOSTILE]
+"""Feeds the module evstim_v4l2 with words, at once whenever a client has a buffer: v4l2_words.py SENSOR [HOSTILE]
 
-CHIP is the number of the sensor. Requests are executed on registers that only store. With HOSTILE, that many messages
+SENSOR is imx636 or genx320. Requests are executed on registers that only store. With HOSTILE, that many messages
 of random octets, kinds and lengths are written in between, and it ends with the number of those that the module took.
 """
 
@@ -13,10 +13,12 @@ import select
 import struct
 import sys
 
-from firmware_protocol.v4l2 import (
-    NODE_SENSORS,
+from firmware_protocol.genx320 import registers as genx320
+from firmware_protocol.imx636 import registers as imx636
+from firmware_protocol.prophesee.v4l2 import (
     REQUEST_BYTES,
     WORDS_HEADER,
+    NodeSensor,
     NodeSettings,
     Request,
     RequestKind,
@@ -24,6 +26,7 @@ from firmware_protocol.v4l2 import (
 )
 
 FILE = "/dev/evstim-v4l2"
+SENSORS = {"imx636": imx636.V4L2_SENSOR, "genx320": genx320.V4L2_SENSOR}
 
 
 class Registers(dict[int, int]):
@@ -36,9 +39,8 @@ class Registers(dict[int, int]):
         self[address] = value
 
 
-def feed(chip: int) -> None:
+def feed(sensor: NodeSensor) -> None:
     file = os.open(FILE, os.O_RDWR | os.O_NONBLOCK)
-    sensor = NODE_SENSORS[chip]
     settings = NodeSettings(sensor, Registers())
     os.write(file, sensor.description("0badcafe", 65536))
     poll = select.poll()
@@ -59,10 +61,10 @@ def feed(chip: int) -> None:
                 os.writev(file, [WORDS_HEADER, bytes(4096)])
 
 
-def attack(chip: int, count: int) -> int:
+def attack(sensor: NodeSensor, count: int) -> int:
     """Write hostile messages, before a sensor is described and after, and return how many the module took."""
     draw = random.Random(1)
-    description = NODE_SENSORS[chip].description("0badcafe", 65536)
+    description = sensor.description("0badcafe", 65536)
     taken, file = 0, os.open(FILE, os.O_RDWR | os.O_NONBLOCK)
     for number in range(count):
         if number % 500 == 0:  # devices come and go
@@ -85,6 +87,6 @@ def attack(chip: int, count: int) -> int:
 
 if __name__ == "__main__":
     if len(sys.argv) > 2:
-        print(attack(int(sys.argv[1], 16), int(sys.argv[2])))
+        print(attack(SENSORS[sys.argv[1]], int(sys.argv[2])))
     else:
-        feed(int(sys.argv[1], 16))
+        feed(SENSORS[sys.argv[1]])

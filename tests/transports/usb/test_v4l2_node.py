@@ -15,8 +15,9 @@ from evstim.testing.link_contract import event_stream
 from firmware_protocol.evt.evt2 import Evt2Decoder
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
+from firmware_protocol.genx320.registers import V4L2_SENSOR as GENX320
 from firmware_protocol.imx636.evk4 import BOARDS, Evk4, Evk4Settings
-from firmware_protocol.v4l2 import NODE_SENSORS
+from firmware_protocol.imx636.registers import V4L2_SENSOR as IMX636
 from transports.usb.host import PeerGone, UnsuitableDevice
 from transports.usb.loopback import DirectHost
 from transports.usb.treuzell_host import TreuzellHost
@@ -34,7 +35,7 @@ class Kernel:
     """The other end: requests to the node, its answers and words."""
 
     def __init__(self, name):
-        self.camera, self.sensor = MAKE[name](), next(one for one in NODE_SENSORS.values() if one.name == name)
+        self.camera, self.sensor = MAKE[name](), {"genx320": GENX320, "imx636": IMX636}[name]
         self.words = []
         self.end, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.end.settimeout(10)
@@ -104,7 +105,7 @@ def test_a_lost_camera_ends_it_and_the_client_gets_an_error(kernel, monkeypatch)
 
 def test_a_sensor_without_a_driver_on_v4l2_is_refused():
     camera = Evk4(Evk4Settings(board=BOARDS["evk3_hd"]))
-    with pytest.raises(UnsuitableDevice, match="no driver on V4L2 is known for its sensor a0301003"):
+    with pytest.raises(UnsuitableDevice, match="no driver on V4L2 is known for its sensor"):
         Node(TreuzellHost(DirectHost(camera)), -1, 4096)
 
 

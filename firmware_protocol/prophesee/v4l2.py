@@ -14,17 +14,14 @@ settings of clients. The messages, in the machine's order of octets (`evstim_v4l
         3 control          id; value, or the values
         4 crop             values 0 to 3: x, y, width, height
 
-    sensor    formats (pixel format, code on the bus)                  controls
-    imx636    PSE3 EVT3 5302, PSE1 EVT2.1 5301 with exchanged halves   biases, erc_enable, erc_rate; the crop
-    genx320   PSE3 EVT3 5302, PSE2 EVT2.1 5303, PSEE EVT2 5300         the same; roi_reset, roi_roni, roi_set
+    controls               bias_*, erc_enable, erc_rate, and where there is no crop: roi_reset, roi_roni, roi_set
 
 roi_set is a number n and 18 windows of x, y, width, height, of which the first n count.
 
 Sources: prophesee-ai/linux-sensor-drivers (names, numbers and limits of the controls, formats, codes, the registers of
 windows and rate control); OpenEB 5.1.1, hal_psee_plugins, boards/v4l2 (what a client needs; it takes biases of an
-imx636 as offsets from the initial ones). Different from these: roi_set is an array of u32 there of a type of its own.
-Inferred: the biases and the rate control of an imx636, whose public driver has none, and their limits; OpenEB requests
-them by these names.
+imx636 as offsets from the initial ones). Different from these: roi_set is an array of u32, and there a type of its own.
+Inferred: biases and rate control of an imx636, whose public driver has none, with the registers' limits.
 """
 
 from __future__ import annotations
@@ -36,8 +33,6 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
-from firmware_protocol.genx320 import registers as genx320
-from firmware_protocol.imx636 import registers as imx636
 from firmware_protocol.prophesee.registers import Form
 from firmware_protocol.prophesee.treuzell import RegisterBus
 
@@ -57,6 +52,8 @@ _RESET = _USER | 0x4001
 _WINDOWS = _USER | 0x4004
 _OUTSIDE = _USER | 0x4006
 _MOST_RATE_HZ = 200_000_000
+MOST_WINDOWS = 18
+"""Windows of the control roi_set."""
 
 _Writes = Sequence[tuple[int, int]]
 
@@ -128,7 +125,7 @@ class PixelFormat(NamedTuple):
     form: Form
 
 
-_EVT3 = PixelFormat(b"PSE3", 0x5302, "evt3")
+EVT3_FORMAT = PixelFormat(b"PSE3", 0x5302, "evt3")
 _NO_FORMAT = PixelFormat(bytes(4), 0, "evt3")
 
 
@@ -163,7 +160,7 @@ class NodeSensor:
     size : (width, height), pixels.
     biases : controls of the biases, with the register of each.
     select : Function that writes windows, and whether events outside of them leave, to the registers.
-    has_windows : True: clients give windows by roi_set; False: one, by the crop.
+    has_windows : True: clients give windows by roi_set; False: a single window, by the crop.
     """
 
     name: str
@@ -185,7 +182,7 @@ class NodeSensor:
         )
         windows = (
             Control("roi_reset", _RESET, ControlType.BUTTON),
-            Control("roi_set", _WINDOWS, ControlType.U32, 0, 0xFFFF_FFFF, 0, 1 + 4 * genx320.WINDOWS),
+            Control("roi_set", _WINDOWS, ControlType.U32, 0, 0xFFFF_FFFF, 0, 1 + 4 * MOST_WINDOWS),
             Control("roi_roni", _OUTSIDE, ControlType.BOOLEAN, 0, 1),
         )
         return (*rate, *self.biases, *(windows if self.has_windows else ()))
@@ -263,8 +260,8 @@ class NodeSettings:
 def _windows(values: Sequence[int], size: tuple[int, int]) -> list[Window]:
     """Return the windows of roi_set; raises OSError for one that is not on the sensor."""
     count, *places = values
-    if count > genx320.WINDOWS:
-        raise OSError(errno.EINVAL, f"{count} windows, at most {genx320.WINDOWS}")
+    if count > MOST_WINDOWS:
+        raise OSError(errno.EINVAL, f"{count} windows, at most {MOST_WINDOWS}")
     windows = [Window(*places[4 * k : 4 * k + 4]) for k in range(count)]
     for window in windows:
         if window.x + window.width > size[0] or window.y + window.height > size[1]:
@@ -272,84 +269,12 @@ def _windows(values: Sequence[int], size: tuple[int, int]) -> list[Window]:
     return windows
 
 
-def _select_on_imx636(bus: RegisterBus, windows: Sequence[Window], outside: bool) -> None:
-    """Write one window and have the masks of it take effect, with those of the columns and of the rows together."""
-    window, at = windows[0], imx636.Address
-    bus.write_register(at.WINDOW_START, window.y << 16 | window.x)
-    bus.write_register(at.WINDOW_END, (window.y + window.height) << 16 | (window.x + window.width))
-    bus.write_register(at.WINDOW, 1)
-    bus.write_register(at.ARRAY, bus.read_register(at.ARRAY) | _MASKS_TAKE_EFFECT)
-
-
-_MASKS_TAKE_EFFECT = 1 << 1 | 1 << 5 | 1 << 6
-
-
-def _select_on_genx320(bus: RegisterBus, windows: Sequence[Window], outside: bool) -> None:
-    """Write all windows, and have the sensor set the latches of its pixels by them."""
-    at = genx320.Address
-    for k, window in enumerate(windows):
-        bus.write_register(at.WINDOWS + 8 * k, (window.x + window.width) << 16 | window.x)
-        bus.write_register(at.WINDOWS + 8 * k + 4, (window.y + window.height) << 16 | window.y)
-    bus.write_register(at.ARRAY, bus.read_register(at.ARRAY) | _LATCHES_ON)
-    bus.write_register(at.WINDOW_CONTROL, len(windows) << 3 | outside << 2 | 3)
-
-
-_LATCHES_ON = 1 << 1
-
-
-def _biases(registers: Mapping[str, tuple[int, int]], limits: Mapping[str, tuple[int, int]]) -> Mapping[Control, int]:
+def bias_controls(
+    registers: Mapping[str, tuple[int, int]], limits: Mapping[str, tuple[int, int]]
+) -> Mapping[Control, int]:
+    """Return the controls of biases with their registers, from register and initial value, and from limits, by name."""
     controls = {}
     for k, (name, bounds) in enumerate(limits.items()):
         address, initial = registers[name]
         controls[Control(f"bias_{name}", _BIAS + k, ControlType.INTEGER, *bounds, initial)] = address
     return controls
-
-
-_WHOLE_OCTET = dict.fromkeys(("fo", "hpf", "diff_on", "diff", "diff_off", "refr"), (0, 255))
-_GENX320_LIMITS = {
-    "fo": (19, 39),
-    "hpf": (0, 127),
-    "diff_on": (24, 60),
-    "diff": (41, 51),
-    "diff_off": (19, 50),
-    "refr": (0, 127),
-}
-_IMX, _GENX = imx636.Address, genx320.Address
-
-NODE_SENSORS: Mapping[int, NodeSensor] = {
-    imx636.IMX636.number: NodeSensor(
-        "imx636",
-        imx636.SIZE,
-        (_EVT3, PixelFormat(b"PSE1", 0x5301, "evt21-legacy")),
-        _biases(imx636.BIASES, _WHOLE_OCTET),
-        0xFF,
-        RateRegisters(
-            _IMX.RATE_PERIOD,
-            _IMX.RATE_EVENTS,
-            period_us=200,
-            initial_events=4000,
-            on=((_IMX.RATE_ON, 1), (_IMX.RATE_DROPS, 1), (_IMX.RATE_STATE, 1)),
-            off=((_IMX.RATE_DROPS, 0),),
-        ),
-        _select_on_imx636,
-        has_windows=False,
-    ),
-    genx320.CHIP: NodeSensor(
-        "genx320",
-        genx320.SIZE,
-        (_EVT3, PixelFormat(b"PSE2", 0x5303, "evt21"), PixelFormat(b"PSEE", 0x5300, "evt2")),
-        _biases(genx320.BIASES, _GENX320_LIMITS),
-        0x7F,
-        RateRegisters(
-            _GENX.RATE_PERIOD,
-            _GENX.RATE_EVENTS,
-            period_us=100,
-            initial_events=1000,
-            on=((_GENX.RATE_DROPS, 4), (_GENX.RATE, 1)),
-            off=((_GENX.RATE_DROPS, 0),),
-        ),
-        _select_on_genx320,
-        has_windows=True,
-    ),
-}
-"""Sensors by the number in their register 0014."""
