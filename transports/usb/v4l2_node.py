@@ -16,14 +16,8 @@ import select
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from firmware_protocol.prophesee.v4l2 import (
-    REQUEST_BYTES,
-    WORDS_HEADER,
-    NodeSettings,
-    Request,
-    RequestKind,
-    answer,
-)
+from firmware_protocol.prophesee.treuzell import Property
+from firmware_protocol.prophesee.v4l2 import REQUEST_BYTES, WORDS_HEADER, NodeSettings, Request, RequestKind, answer
 from transports.usb.host import PeerGone, StreamSettings, UnsuitableDevice, UsbHostError
 from transports.usb.treuzell_host import TreuzellHost
 
@@ -31,7 +25,7 @@ MODULE_FILE = "/dev/evstim-v4l2"
 _STREAM = StreamSettings(transfer_bytes=65_536, transfers=8, edges=True)
 """Few transfers in flight: a setting waits until those that are before it on the connection have come."""
 _WAIT_S = 0.01
-_IDLE_S = 0.1
+_IDLE_S = 0.5
 
 
 class NodeError(Exception):
@@ -98,9 +92,8 @@ class Node:
                 self._camera.stop_words()
 
     def _turn(self) -> None:
-        events = select.POLLIN | (select.POLLOUT if self._waiting else 0)
         poll = select.poll()
-        poll.register(self._fd, events)
+        poll.register(self._fd, select.POLLIN | (select.POLLOUT if self._waiting else 0))
         # With words to forward, the wait is at the camera; a request of the client then waits as long at most.
         wait_s = 0.0 if self._streams and not self._waiting else _WAIT_S if self._streams else _IDLE_S
         ready = dict(poll.poll(1000 * wait_s)).get(self._fd, 0)
@@ -111,6 +104,8 @@ class Node:
         elif self._streams and not self._waiting:
             self._waiting = memoryview(b"".join(self._transfers()))
             self._write_words()
+        elif not self._streams and not ready:
+            self._camera.request(Property.RELEASE)  # without a stream, a lost camera shows at a request alone
 
     def _transfers(self) -> Iterator[bytes]:
         """Yield what the camera has sent, a buffer at most: a client that lags gets fewer buffers, and fuller ones."""

@@ -103,6 +103,18 @@ def test_a_lost_camera_ends_it_and_the_client_gets_an_error(kernel, monkeypatch)
     assert kernel.node.counts.gone
 
 
+def test_a_lost_camera_is_noticed_without_a_stream(kernel, monkeypatch):
+    kernel.turn(3)
+    assert not kernel.node.counts.gone
+
+    def lost(*_):
+        raise PeerGone("the camera went away")
+
+    monkeypatch.setattr(DirectHost, "bulk_out", lost)
+    kernel.turn(3)
+    assert kernel.node.counts.gone
+
+
 def test_a_sensor_without_a_driver_on_v4l2_is_refused():
     camera = Evk4(Evk4Settings(board=BOARDS["evk3_hd"]))
     with pytest.raises(UnsuitableDevice, match="no driver on V4L2 is known for its sensor"):
