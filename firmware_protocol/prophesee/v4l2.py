@@ -29,7 +29,7 @@ from __future__ import annotations
 import errno
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -201,18 +201,15 @@ class NodeSensor:
         )
 
 
-@dataclass
 class NodeSettings:
     """The settings that clients make, written to the registers of `bus`."""
 
-    sensor: NodeSensor
-    bus: RegisterBus
-    _rate_hz: int = 0
-    _windows: list[Window] = field(default_factory=list)
-    _outside: bool = False
-
-    def __post_init__(self) -> None:
-        self._rate_hz = next(control.initial for control in self.sensor.controls if control.id == _RATE)
+    def __init__(self, sensor: NodeSensor, bus: RegisterBus) -> None:
+        self.sensor = sensor
+        self.bus = bus
+        self._rate_hz = next(control.initial for control in sensor.controls if control.id == _RATE)
+        self._windows: list[Window] = []
+        self._outside = False
 
     def apply(self, request: Request) -> None:
         """Execute a request of kind CONTROL or CROP; raises OSError with the errno for the client where it cannot."""
