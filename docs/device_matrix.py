@@ -144,6 +144,14 @@ CAMERAS = {
     "dvxplorer_micro_firmware9": Camera(
         "DVXplorer Micro (firmware 9)", ("libcaer",), lacks=("frames", "triggers", "imu")
     ),
+    "silkyevcam_vga": Camera(
+        "SilkyEvCam VGA",
+        ("nd",),
+        lacks=_IMX636_LACKS,
+        limits={("nd", "triggers"): "the driver has no setting for the input"},
+        remarks={("nd", "settings"): "it writes values in mV where the register has a code, as into the camera"},
+    ),
+    "evk3_vga": Camera("Prophesee EVK3 VGA", ("openeb",), _IMX636_LACKS),
     "genx320": Camera(
         "Prophesee GenX320 (board with a CX3)",
         ("openeb", "nd"),
@@ -171,6 +179,7 @@ TABLES = (
     ("silkyevcam_hd", "silkyevcam_hd_lite", "ueye_xcp_e", "ueye_xls_e", "evk3_hd"),
     ("dvxplorer",),
     ("dvxplorer_micro", "dvxplorer_micro_firmware9"),
+    ("silkyevcam_vga", "evk3_vga"),
     ("genx320",),
     ("evk4_v4l2", "genx320_v4l2"),
     ("triton2",),
@@ -180,6 +189,7 @@ TABLES = (
 HEADINGS = {
     "silkyevcam_hd": "Siblings of the EVK4",
     "dvxplorer_micro": "DVXplorer Micro",
+    "silkyevcam_vga": "Gen 3.1",
     "evk4_v4l2": "Sensors on V4L2",
 }
 """Heading of a table of several cameras, by its first one."""

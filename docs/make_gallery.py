@@ -77,6 +77,7 @@ GALLERY: dict[str, tuple[Shot, ...]] = {
         Shot("stars", 3.0, 400.0, fps=5, white=1.0),
         Shot("stars-davis240c", 3.0, 400.0, fps=5, white=1.0),
         Shot("stars-evk4", 3.0, 200.0, fps=5, white=1.0),
+        Shot("stars-silkyevcam-vga", 3.0, 400.0, fps=5, white=1.0),
         Shot("stars-genx320", 3.0, 400.0, fps=5, white=1.0),
         Shot("stars-dvxplorer", 3.0, 400.0, fps=5, white=1.0),
         Shot("stars-dvxplorer-micro", 3.0, 400.0, fps=5, white=1.0, like="stars-dvxplorer"),

@@ -15,8 +15,9 @@ PACKAGES = ("evstim", "emulator", "transports", "firmware_protocol")
 CAMERAS = {
     "DAVIS346": (r"davis", "davis346", "davis_host", 18),
     "DVXplorer": (r"dvxplorer", "dvxplorer", "dvxplorer_host", 4),
+    "Gen 3.1": (r"gen31|silkyevcam_vga|evk3_vga", "gen31", "treuzell_host", 2),
     "GenX320": (r"gen_?x", "genx320", "treuzell_host", 2),
-    "EVK4 and Triton2": (r"imx636|evk4|triton|silkyevcam|ueye", "imx636", "treuzell_host", 8),
+    "EVK4 and Triton2": (r"imx636|evk4|triton|silkyevcam_hd|ueye", "imx636", "treuzell_host", 8),
 }
 
 

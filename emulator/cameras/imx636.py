@@ -1,4 +1,4 @@
-"""Records of cameras with an IMX636: the EVK4 and its siblings, the Triton2, the sensor alone; and of a Gen 3.1."""
+"""Records of cameras with an IMX636: the EVK4 and its siblings, the Triton2, the sensor alone."""
 
 from __future__ import annotations
 
@@ -75,4 +75,3 @@ SILKYEVCAM_HD_LITE = _model("silkyevcam_hd_lite", usb=_USB)
 UEYE_XCP_E = _model("ueye_xcp_e", usb=_USB)
 UEYE_XLS_E = _model("ueye_xls_e", usb=_USB)
 TRITON2 = _model("triton2", gige=_gige_device)
-GEN31 = CameraModel("gen31", PRESETS["gen31"], Chip(15.0, 0.25, 0.3))  # see `sensor.presets`; efficiency estimated

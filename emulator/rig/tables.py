@@ -46,8 +46,8 @@ class Camera:
     imu : its inertial unit, of a DAVIS or a DVXplorer; without the table it has none.
     lens : for scenes in units of radiance; the others bring their own light.
     frames : the active pixels of a DAVIS: with this table the camera takes frames when its host requests them.
-    bias_slopes : effect of a step of each bias of an IMX636 (model "evk4", "triton2", "imx636") or a GenX320
-        ("genx320"); without it, the defaults; those of a GenX320 are in its page.
+    bias_slopes : effect of a step of each bias of an IMX636 (model "evk4", "triton2", "imx636"), a Gen 3.1
+        ("silkyevcam_vga") or a GenX320 ("genx320"); without it, the defaults of the sensor's page.
     """
 
     model: str = "davis346"

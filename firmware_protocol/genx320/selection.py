@@ -31,14 +31,12 @@ the thresholds in i_event_rate_activity_filter_module.h).
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Events, copy_events
 from firmware_protocol.genx320.registers import MASKS, SIZE, WINDOWS, Address, Registers
-from firmware_protocol.prophesee.camera import Mask, RateControl, Selected, unpacked
+from firmware_protocol.prophesee.camera import Mask, NoiseFilter, RateBand, RateControl, Selected, unpacked
 
 _WIDTH, _HEIGHT = SIZE
 _LATCHES_ON, _TAKE_OVER = 1 << 1, 1 << 5
@@ -64,7 +62,8 @@ class Selection:
         self._array = self._registers[Address.ARRAY]
         self._hides = False
         self._rate = RateControl(self._registers[Address.RATE_PERIOD])
-        self._noise = NoiseFilter(self._registers)
+        self._noise = NoiseFilter()
+        self._set_noise()
         self._flicker = FlickerFilter(self._registers)
 
     def written(self, address: int) -> None:
@@ -81,7 +80,7 @@ class Selection:
         elif address in _RATE:
             self._set_rate()
         elif Address.NOISE <= address <= Address.NOISE_HIGH_ON:
-            self._noise.configure()
+            self._set_noise()
         elif Address.FLICKER <= address <= Address.FLICKER_READY:
             self._flicker.configure()
 
@@ -147,62 +146,16 @@ class Selection:
         self._rate.set_most(events & 0x1F_FFFF)
         self._rate.turn(control & 5 == 1 and drops & 4)
 
+    def _set_noise(self) -> None:
+        control, period_us = (self._registers[at] for at in (Address.NOISE, Address.NOISE_PERIOD))
+        bounds = self._registers.words(Address.NOISE_LOW_ON, 4).tolist()
+        low_on, low_off, high_off, high_on = (bound & _RATE_BITS for bound in bounds)
+        band = RateBand(max(1, period_us & 0x7FF), low_on, low_off, high_off, high_on)
+        self._noise.configure(band if control & _ON_BITS == _ON else None)
+
 
 _ON_BITS, _ON = 5, 1  # of a pipeline control: bit 0 on, bit 2 bypass
 _RATE_BITS = 0x1F_FFFF
-
-
-class NoiseFilter:
-    """Filter of all events by their rate."""
-
-    def __init__(self, registers: Registers) -> None:
-        self._registers = registers
-        self._on = False
-        self.configure()
-
-    def configure(self) -> None:
-        """Apply the registers; it begins anew, with events that pass."""
-        control, period_us = (self._registers[at] for at in (Address.NOISE, Address.NOISE_PERIOD))
-        self._on = control & _ON_BITS == _ON
-        self._period_us = max(1, period_us & 0x7FF)
-        bounds = self._registers.words(Address.NOISE_LOW_ON, 4).tolist()
-        self._low_on, self._low_off, self._high_off, self._high_on = (bound & _RATE_BITS for bound in bounds)
-        self._period, self._count = -1, 0
-        self._is_low = self._is_high = False
-
-    def passed(self, events: Events, epoch_us: int) -> Events:
-        """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
-        if not self._on or not len(events):
-            return events
-        periods = (events["t"].astype(np.int64) - epoch_us) // self._period_us
-        ends = [*(np.flatnonzero(np.diff(periods)) + 1).tolist(), len(events)]
-        passing = np.zeros(len(events), np.bool_)
-        for start, end in pairwise([0, *ends]):
-            self._begin(int(periods[start]))
-            passing[start:end] = not (self._is_low or self._is_high)
-            self._count += end - start
-        return events[passing]
-
-    def _begin(self, period: int) -> None:
-        """End the periods before `period`; several without events have the effect of one."""
-        if period == self._period:
-            return
-        if self._period >= 0:
-            self._judge(self._count)
-            if period > self._period + 1:
-                self._judge(0)
-        self._period, self._count = period, 0
-
-    def _judge(self, count: int) -> None:
-        if count < self._low_on:
-            self._is_low = True
-        elif count > self._low_off:
-            self._is_low = False
-        if count > self._high_on:
-            self._is_high = True
-        elif count < self._high_off:
-            self._is_high = False
-
 
 _PIXELS = SIZE[0] * SIZE[1]
 _MOST_COUNT = 7

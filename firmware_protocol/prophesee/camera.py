@@ -24,6 +24,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -336,6 +337,70 @@ class RateControl:
             ranks[periods == self._period] += self._seen
         self._period, self._seen = int(periods[-1]), int(ranks[-1]) + 1
         return ranks < self._most
+
+
+@dataclass(frozen=True)
+class RateBand:
+    """Bounds of a noise filter, in events in a period of the device's clock.
+
+    Attributes
+    ----------
+    period_us : length of a period.
+    low_on, low_off : below the first, it drops all events; above the second, no more.
+    high_off, high_on : above the second, it drops all events; below the first, no more.
+    """
+
+    period_us: int
+    low_on: int
+    low_off: int
+    high_off: int
+    high_on: int
+
+
+class NoiseFilter:
+    """Filter of all events by their rate: it decides at the end of a period about the next one."""
+
+    def __init__(self) -> None:
+        self.configure(None)
+
+    def configure(self, band: RateBand | None, is_low: bool = False) -> None:
+        """Begin anew with a band, None: off; `is_low`: it drops events until their rate is high enough."""
+        self._band = band
+        self._period, self._count = -1, 0
+        self._is_low, self._is_high = is_low, False
+
+    def passed(self, events: Events, epoch_us: int) -> Events:
+        """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
+        if self._band is None or not len(events):
+            return events
+        periods = (events["t"].astype(np.int64) - epoch_us) // self._band.period_us
+        ends = [*(np.flatnonzero(np.diff(periods)) + 1).tolist(), len(events)]
+        passing = np.zeros(len(events), np.bool_)
+        for start, end in pairwise([0, *ends]):
+            self._begin(int(periods[start]), self._band)
+            passing[start:end] = not (self._is_low or self._is_high)
+            self._count += end - start
+        return events[passing]
+
+    def _begin(self, period: int, band: RateBand) -> None:
+        """End the periods before `period`; several without events have the effect of one."""
+        if period == self._period:
+            return
+        if self._period >= 0:
+            self._judge(self._count, band)
+            if period > self._period + 1:
+                self._judge(0, band)
+        self._period, self._count = period, 0
+
+    def _judge(self, count: int, band: RateBand) -> None:
+        if count < band.low_on:
+            self._is_low = True
+        elif count > band.low_off:
+            self._is_low = False
+        if count > band.high_on:
+            self._is_high = True
+        elif count < band.high_off:
+            self._is_high = False
 
 
 def unpacked(words: npt.NDArray[np.uint32], pixels: int) -> Mask:

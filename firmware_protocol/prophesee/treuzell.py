@@ -10,7 +10,7 @@ A frame, little-endian; an answer is at most 1024 bytes:
     72     serial            -                          u64
     79     release           -                          u32, 0x00MMmmpp
     7A     build date        -                          u64, Unix time, s
-    10000  devices           -                          u32, 1
+    10000  devices           -                          u32, their number
     10001  name              u32 device                 u32 device, text, NUL
     10003  compatible with   u32 device                 u32 device, texts, a NUL after each
     10102  read registers    u32 device, address, n     u32 device, address, n x u32
@@ -23,7 +23,7 @@ written:
     56  u32 address, u32 value      u32 56, address, value
 
 Registers that failed: u32 device, address, errno. Each request gets one answer, also an invalid one: a frame without a
-header is answered as an unknown property. There is one device, 0, the sensor.
+header is answered as an unknown property. Device 0 is the sensor; some boards have a thermometer as device 1.
 
 Sources: OpenEB 5.1.1 (tz_control_frame, tz_libusb_board_command); neuromorphic_drivers, which reads one register at a
 time; Prophesee's treuzell-kernel-module, f_treuzell.c (frames without a size). neuromorphic_drivers sends these to an
@@ -33,7 +33,7 @@ EVK3 HD, and ignores the answers.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -92,7 +92,7 @@ class Frame:
 
 
 class RegisterBus(Protocol):
-    """The registers of the board's only device."""
+    """The registers of a device."""
 
     def read_register(self, address: int) -> int:
         """Return a register's value; raises LookupError if there is none."""
@@ -108,26 +108,31 @@ class BoardFacts:
     serial: int
     release: int
     build_unix_s: int
-    name: str
-    compatible: tuple[str, ...]
     short_frames: bool = False
 
 
-class Board:
-    """Answers requests; it has no state between two of them."""
+@dataclass(frozen=True)
+class BoardDevice:
+    """A device of the board: its name, the names by which OpenEB finds a driver, and its registers."""
 
-    def __init__(self, facts: BoardFacts, bus: RegisterBus) -> None:
-        self._bus = bus
+    name: str
+    compatible: tuple[str, ...]
+    registers: RegisterBus
+
+
+class Board:
+    """Answers requests; it has no state between two of them. The first of `devices` is the sensor."""
+
+    def __init__(self, facts: BoardFacts, devices: Sequence[BoardDevice]) -> None:
+        self._devices = devices
         self._has_short_frames = facts.short_frames
-        name = f"{facts.name}\0".encode("ascii")
-        compatible = "".join(f"{text}\0" for text in facts.compatible).encode("ascii")
         self._doing: dict[int, Callable[[bytes], bytes]] = {
             Property.SERIAL: lambda payload: _nothing(payload, struct.pack("<Q", facts.serial)),
             Property.RELEASE: lambda payload: _nothing(payload, struct.pack("<I", facts.release)),
             Property.BUILD_DATE: lambda payload: _nothing(payload, struct.pack("<Q", facts.build_unix_s)),
-            Property.DEVICES: lambda payload: _nothing(payload, struct.pack("<I", 1)),
-            Property.NAME: lambda payload: _device(payload) + name,
-            Property.COMPATIBLE: lambda payload: _device(payload) + compatible,
+            Property.DEVICES: lambda payload: _nothing(payload, struct.pack("<I", len(devices))),
+            Property.NAME: lambda payload: self._texts(payload, lambda device: (device.name,)),
+            Property.COMPATIBLE: lambda payload: self._texts(payload, lambda device: device.compatible),
             Property.READ_REGISTERS: self._read,
             Property.WRITE_REGISTERS: self._write,
         }
@@ -151,32 +156,49 @@ class Board:
     def _short(self, data: bytes) -> bytes:
         """Execute a request without a size; where there is no register, nothing is written, and 0 is read."""
         address, *values = struct.unpack_from(f"<{len(data) // 4 - 1}I", data, 4)
+        sensor = self._devices[0].registers
         try:
             for value in values:
-                self._bus.write_register(address, value)
-            value = self._bus.read_register(address)
+                sensor.write_register(address, value)
+            value = sensor.read_register(address)
         except LookupError:
             value = 0
         return data[:8] + struct.pack("<I", value)
 
+    def _texts(self, payload: bytes, texts: Callable[[BoardDevice], Sequence[str]]) -> bytes:
+        """Return the device that a request names, with texts of it, each with a NUL; raises Failed for no device."""
+        number = int.from_bytes(payload[:4], "little")
+        if len(payload) != 4 or number >= len(self._devices):
+            raise Failed(payload[:4])
+        return payload + "".join(f"{text}\0" for text in texts(self._devices[number])).encode("ascii")
+
+    def _registers(self, payload: bytes) -> tuple[RegisterBus, tuple[int, ...]]:
+        """Return the registers of the device that a request names, and its first three numbers; raises Failed."""
+        if len(payload) < 12:
+            raise Failed(struct.pack("<III", 0, 0, EINVAL))
+        words = struct.unpack_from("<3I", payload)
+        if words[0] >= len(self._devices):
+            raise _failed(words, ENODEV)
+        return self._devices[words[0]].registers, words
+
     def _read(self, payload: bytes) -> bytes:
-        words = _words(payload, 3)
+        registers, words = self._registers(payload)
         _, address, count = words
         if len(payload) != 12 or not 1 <= count <= _MOST_WORDS:
             raise _failed(words, EINVAL)
         try:
-            values = [self._bus.read_register(address + 4 * k) for k in range(count)]
+            values = [registers.read_register(address + 4 * k) for k in range(count)]
         except LookupError:
             raise _failed(words, EINVAL) from None
         return payload[:8] + struct.pack(f"<{count}I", *values)
 
     def _write(self, payload: bytes) -> bytes:
-        words = _words(payload, 3)
+        registers, words = self._registers(payload)
         if len(payload) % 4:
             raise _failed(words, EINVAL)
         for k, (value,) in enumerate(struct.iter_unpack("<I", payload[8:])):
             try:
-                self._bus.write_register(words[1] + 4 * k, value)
+                registers.write_register(words[1] + 4 * k, value)
             except LookupError:
                 raise _failed(words, EINVAL) from None
         return payload[:8]
@@ -187,23 +209,6 @@ def _nothing(payload: bytes, answer: bytes) -> bytes:
     if payload:
         raise Failed(b"")
     return answer
-
-
-def _device(payload: bytes) -> bytes:
-    """Return the device that a request names, if it exists."""
-    if payload != bytes(4):
-        raise Failed(payload[:4])
-    return payload
-
-
-def _words(payload: bytes, least: int) -> tuple[int, ...]:
-    """Return the first `least` numbers of a request for registers; raises Failed for fewer, or another device."""
-    if len(payload) < 4 * least:
-        raise Failed(struct.pack("<III", 0, 0, EINVAL))
-    words = struct.unpack_from(f"<{least}I", payload)
-    if words[0] != 0:
-        raise _failed(words, ENODEV)
-    return words
 
 
 def _failed(words: tuple[int, ...], errno: int) -> Failed:

@@ -36,7 +36,7 @@ from firmware_protocol.evt.words import Coder
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera, Selected
 from firmware_protocol.prophesee.registers import ChipRegisters, Form
-from firmware_protocol.prophesee.treuzell import Board, BoardFacts
+from firmware_protocol.prophesee.treuzell import Board, BoardDevice, BoardFacts
 from firmware_protocol.usb import descriptors, device
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Transfer, UsbCamera, UsbCameraSettings
@@ -213,11 +213,14 @@ class TreuzellSettings(UsbCameraSettings):
             other_speed=_configuration(other) if other else None,
         )
 
+    @property
+    def beside_sensor(self) -> tuple[BoardDevice, ...]:
+        """Devices of the board beside the sensor."""
+        return ()
+
     def facts(self) -> BoardFacts:
         """Return what the board reports of itself."""
-        names, short_frames = self.chip_names, self.board.short_frames
-        serial = int(self.serial, 16)
-        return BoardFacts(serial, self.release, self.build_unix_s, names.name, names.compatible, short_frames)
+        return BoardFacts(int(self.serial, 16), self.release, self.build_unix_s, self.board.short_frames)
 
 
 def _configuration(speed: descriptors.Speed) -> descriptors.Configuration:
@@ -247,7 +250,8 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         super().__init__(settings.size, settings.biases, self._new_outflow(0), settings.pulse_us)
         self._standard = StandardControl(settings.descriptors())
         self._kind = bytes((settings.board.kind, 0))
-        self._board = Board(settings.facts(), self)
+        sensor = BoardDevice(settings.chip_names.name, settings.chip_names.compatible, self)
+        self._board = Board(settings.facts(), (sensor, *settings.beside_sensor))
         self._answers: deque[bytes] = deque()
         self._was_running = False
 

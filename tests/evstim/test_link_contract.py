@@ -153,6 +153,10 @@ class TestEvk4OnLoopback(TestLoopback):
     camera = Camera(model="evk4", sensor=PRESETS["imx636"], start_delay_ms=0.0)
 
 
+class TestGen31OnLoopback(TestLoopback):
+    camera = Camera(model="silkyevcam_vga", sensor=PRESETS["gen31"], start_delay_ms=0.0)
+
+
 class TestGenx320OnLoopback(TestLoopback):
     camera = Camera(model="genx320", sensor=PRESETS["genx320"], start_delay_ms=0.0)
 

@@ -9,6 +9,7 @@ from instrument_ground import Ground, stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.gen31.device import Gen31, Gen31Settings
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.triton2 import Triton2
@@ -44,6 +45,12 @@ def genx320():
     return camera, lambda: camera.read(1, 512)
 
 
+def gen31():
+    camera = Gen31(Gen31Settings(start_delay_us=0))
+    TreuzellHost(DirectHost(camera)).start()
+    return camera, lambda: camera.read(1, 512)
+
+
 def triton2():
     host = GigeHost()
     host.start()
@@ -60,7 +67,7 @@ def plain():
     return camera, lambda: camera.take(100)
 
 
-@pytest.mark.parametrize("make", [davis, evk4, genx320, triton2, instrument, plain])
+@pytest.mark.parametrize("make", [davis, evk4, gen31, genx320, triton2, instrument, plain])
 def test_counts_are_those_of_the_counters(make):
     camera, take = make()
     events = stream(1000)
@@ -113,13 +120,13 @@ def test_a_request_that_changes_settings_changes_their_version(make):
     assert camera.settings_version != before
 
 
-@pytest.mark.parametrize("make", [davis, evk4, genx320, triton2, instrument, plain])
+@pytest.mark.parametrize("make", [davis, evk4, gen31, genx320, triton2, instrument, plain])
 def test_a_camera_whose_data_a_host_reads_is_not_at_rest(make):
     camera, _ = make()
     assert not camera.at_rest
 
 
-@pytest.mark.parametrize("kind", [Davis346, Evk4, Genx320, Triton2])
+@pytest.mark.parametrize("kind", [Davis346, Evk4, Gen31, Genx320, Triton2])
 def test_a_camera_without_a_host_is_at_rest(kind):
     assert kind().at_rest
 

@@ -84,7 +84,8 @@ class Streaming:
 
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging
-        return bool(known) and known in finished.stderr and about.get("running") is False
+        is_gone = about.get("running") is False or not self._driver.stops_camera
+        return bool(known) and known in finished.stderr and is_gone
 
 
 def wait_for_bytes(file: Path, timeout_s: float) -> None:

@@ -31,6 +31,7 @@ DRIVERS: Mapping[tuple[int, int], str] = {
     (0x152A, 0x8419): "transports.usb.dvxplorer_host:driver_of_model",
     (0x04B4, 0x00F5): "transports.usb.treuzell_host:TreuzellHost",
     (0x1409, 0x8E00): "transports.usb.treuzell_host:TreuzellHost",
+    (0x31F7, 0x0002): "transports.usb.treuzell_host:TreuzellHost",
     (0x31F7, 0x0003): "transports.usb.treuzell_host:TreuzellHost",
     (0x31F7, 0x0004): "transports.usb.treuzell_host:TreuzellHost",
 }

@@ -1,4 +1,4 @@
-"""Driver of Prophesee's boards on any `UsbHost`: an EVK4, its siblings, and the board with a GenX320.
+"""Driver of Prophesee's boards on any `UsbHost`: an EVK4, its siblings, boards with a Gen 3.1 or a GenX320.
 
 The order of its registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long initialisation between
 the two, which powers the chip, is omitted: the emulated camera needs none.
@@ -14,6 +14,8 @@ from firmware_protocol.events import Events
 from firmware_protocol.evt.evt2 import Evt2Decoder
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.fx3.decoded import WordFaults
+from firmware_protocol.gen31 import device as gen31
+from firmware_protocol.gen31 import registers as gen31_registers
 from firmware_protocol.genx320 import device as genx320
 from firmware_protocol.genx320 import registers as genx320_registers
 from firmware_protocol.imx636.evk4 import BOARDS
@@ -24,8 +26,8 @@ from firmware_protocol.prophesee.usb import ANSWER_ENDPOINT, DATA_ENDPOINT, REQU
 from firmware_protocol.prophesee.v4l2 import NodeSensor
 from transports.usb.host import CameraHost, PeerBroken, StreamSettings, UnsuitableDevice, UsbHost
 
-EVK4_IDS = frozenset(board.usb_id for board in (*BOARDS.values(), genx320.BOARD))
-"""(vendor, product) of an EVK4, of its siblings, and of the board with a GenX320."""
+EVK4_IDS = frozenset(board.usb_id for board in (*BOARDS.values(), *gen31.BOARDS.values(), genx320.BOARD))
+"""(vendor, product) of an EVK4, of its siblings, and of the boards with a Gen 3.1 or a GenX320."""
 
 _OLDEST_RELEASE = 0x03_0800
 _DEVICE = bytes(4)
@@ -44,6 +46,15 @@ _GENX_FORMATS: Mapping[Form, _Writes] = {
 }
 _GENX_START = ((_GENX.OUTPUT, 0), (_GENX.TIME, 0x195), (_GENX.ARRAY, 0xC02))
 _GENX_STOP = ((_GENX.ARRAY, 0x802), (_GENX.OUTPUT, 2), (_GENX.TIME, 0x194))
+_GEN31 = gen31_registers.Address
+_GEN31_START = (
+    (_GEN31.POWER, 0xC_1107),
+    (_GEN31.HOST, 0x300),
+    (_GEN31.CLOCK, 1),
+    (_GEN31.NOISE, 0xC8),
+    (_GEN31.ARRAY, 0x2B),
+)
+_GEN31_STOP = ((_GEN31.ARRAY, 0x23), (_GEN31.CLOCK, 0), (_GEN31.HOST, 0x100), (_GEN31.POWER, 0x8_1106))
 
 
 @dataclass(frozen=True)
@@ -82,8 +93,17 @@ _CHIPS: Mapping[int, _Sensor] = {
         genx320_registers.SIZE,
         genx320_registers.V4L2_SENSOR,
     ),
+    gen31_registers.CHIP: _Sensor(
+        "a Gen 3.1",
+        {"evt3": ()},
+        _GEN31_START,
+        _GEN31_STOP,
+        (_GEN31.TRIGGERS, 0),
+        (_GEN31.TRIGGERS, 1),
+        gen31_registers.SIZE,
+    ),
 }
-"""Sensors by the number in their register 0014."""
+"""Sensors by their number, in register 0014, of a Gen 3.1 in 0218."""
 
 
 @dataclass(frozen=True)
@@ -185,15 +205,16 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
         release = int.from_bytes(self.request(Property.RELEASE), "little")
         if release < _OLDEST_RELEASE:
             raise UnsuitableDevice(f"the camera has release {release:06x}; at least 030800 is needed: update it")
-        chip = self.read_register(Address.CHIP)
+        compatible = self._texts(Property.COMPATIBLE)
+        is_gen31 = compatible == gen31.CHIP_NAMES.compatible
+        chip = self.read_register(_GEN31.CHIP if is_gen31 else Address.CHIP)
         if chip not in _CHIPS:
             sensors = " or ".join(f"{sensor.name} ({number:08x})" for number, sensor in _CHIPS.items())
             raise UnsuitableDevice(f"the camera has chip {chip:08x}, not {sensors}")
         self._sensor = _CHIPS[chip]
         serial = int.from_bytes(self.request(Property.SERIAL), "little")
-        name, compatible = self._texts(Property.NAME), self._texts(Property.COMPATIBLE)
         self.model = _model(usb_id, compatible)
-        return TreuzellInfo(f"{serial:08X}", release, name[0], compatible, self._sensor.size)
+        return TreuzellInfo(f"{serial:08X}", release, self._texts(Property.NAME)[0], compatible, self._sensor.size)
 
     def _texts(self, property: Property) -> tuple[str, ...]:
         texts = self.request(property, _DEVICE)[4:].decode("ascii", "replace")
@@ -210,6 +231,8 @@ def _model(usb_id: tuple[int, int], compatible: tuple[str, ...]) -> str:
     """Return the names of the boards that these facts fit."""
     if compatible == genx320.CHIP_NAMES.compatible:
         return genx320.BOARD.title
+    if compatible == gen31.CHIP_NAMES.compatible:
+        return next(board.title for board in gen31.BOARDS.values() if board.usb_id == usb_id)
     boards = [board for board in BOARDS.values() if board.usb_id == usb_id]
     fitting = [board for board in boards if board.chip.compatible == compatible] or boards
     return " or ".join(board.title for board in fitting)

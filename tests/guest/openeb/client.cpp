@@ -49,7 +49,8 @@ using namespace Metavision;
 
 namespace {
 
-const I_ROI::Window large_window(200, 100, 800, 500), small_window(50, 40, 200, 250);
+const I_ROI::Window large_window(200, 100, 800, 500), vga_window(100, 60, 400, 300), small_window(50, 40, 200, 250);
+I_ROI::Window window = large_window;
 constexpr std::uint32_t masked_x = 100, masked_y = 120, events_in_100_us = 20;
 
 void append(std::FILE *out, const EventCD &event) {
@@ -77,7 +78,7 @@ template <typename Value>
 std::string number_or_null(Value value) {
     try {
         return std::to_string(value());
-    } catch (const std::exception &) { // a Gen4.1 has no thermometer and no dead time
+    } catch (const std::exception &) { // a Gen4.1 has no thermometer and no dead time, a Gen3.1 no dead time
         return "null";
     }
 }
@@ -93,7 +94,7 @@ bool select_on_genx320(Device &device) {
 }
 
 void set_window(Device &device, int width) {
-    device.get_facility<I_ROI>()->set_window(I_ROI::Window(large_window.x, large_window.y, width, large_window.height));
+    device.get_facility<I_ROI>()->set_window(I_ROI::Window(window.x, window.y, width, window.height));
 }
 
 // Makes the next change of settings, of a bias and of the window, when the stream has come so far; the last is undone.
@@ -105,7 +106,7 @@ void change(Device &device, int step) {
             biases->set(name, biases->get(name) + by);
         }
     } else {
-        set_window(device, step == 3 ? large_window.width / 2 : large_window.width);
+        set_window(device, step == 3 ? window.width / 2 : window.width);
     }
 }
 
@@ -168,13 +169,17 @@ int main(int argc, char **argv) {
         }
         auto *biases = device->get_facility<I_LL_Biases>();
         biases->set("bias_diff_on", biases->get("bias_diff_on") + 25);
-        const bool is_small = device->get_facility<I_Geometry>()->get_width() == 320;
-        device->get_facility<I_ROI>()->set_window(is_small ? small_window : large_window);
+        const int width     = device->get_facility<I_Geometry>()->get_width();
+        const bool is_small = width == 320;
+        window              = is_small ? small_window : width == 640 ? vga_window : large_window;
+        device->get_facility<I_ROI>()->set_window(window);
         device->get_facility<I_ROI>()->enable(true);
         device->get_facility<I_TriggerIn>()->enable(I_TriggerIn::Channel::Main);
         auto *anti_flicker = device->get_facility<I_AntiFlickerModule>();
-        anti_flicker->enable(true);
-        const bool is_filtered = anti_flicker->is_enabled(); // a Gen4.1's stop switches it off
+        if (anti_flicker) { // a Gen3.1 has none
+            anti_flicker->enable(true);
+        }
+        const bool is_filtered = anti_flicker && anti_flicker->is_enabled(); // a Gen4.1's stop switches it off
         if (is_small && !select_on_genx320(*device)) {
             std::cerr << "a selection was refused\n";
             return 1;

@@ -1,0 +1,1 @@
+"""Cameras with Prophesee's Gen 3.1 on USB."""
