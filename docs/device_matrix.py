@@ -148,7 +148,10 @@ CAMERAS = {
         "SilkyEvCam VGA",
         ("nd",),
         lacks=_IMX636_LACKS,
-        limits={("nd", "triggers"): "the driver has no setting for the input"},
+        limits={
+            ("nd", "triggers"): "the driver has no setting for the input",
+            ("nd", "cycles"): "the driver does not stop the camera when it is closed, and its process may abort",
+        },
         remarks={("nd", "settings"): "it writes values in mV where the register has a code, as into the camera"},
     ),
     "evk3_vga": Camera("Prophesee EVK3 VGA", ("openeb",), _IMX636_LACKS),

@@ -20,14 +20,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.guest import test_dvxplorer, test_evk4, test_genx320
+from tests.guest import test_dvxplorer, test_evk4, test_gen31, test_genx320
 from tests.guest.all_streams import STREAMS, STREAMS_240C
 from tests.guest.attachment import DAVIS_FX2, DVXPLORER, EVK4, Attachment
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Finished, Guest
 from tests.guest.running_rig import CHECKERBOARD_240C, RunningRig
 from tests.guest.streaming import wait_for_bytes
-from tests.guest.turns import Turns, selected
+from tests.guest.turns import Turns, long_but, selected
 
 CYCLES = int(os.environ.get("EVSTIM_GUEST_CYCLES", "3"))
 SECONDS = float(os.environ.get("EVSTIM_GUEST_CYCLES_S", "inf"))
@@ -169,7 +169,7 @@ def test_another_camera_is_closed_in_the_midst_of_its_streams_again_and_again(
 
 def openeb_rig(folder: Path, model: str) -> str:
     """Return a rig of OpenEB's tests, after the recording that it plays was saved."""
-    (test_genx320 if model == "genx320" else test_evk4).looped(folder)
+    {"genx320": test_genx320, "evk3_vga": test_gen31}.get(model, test_evk4).looped(folder)
     return starting_sooner(test_evk4.RIG.replace('"evk4"', f'"{model}"'))
 
 
@@ -182,7 +182,7 @@ def opened_once(guest: Guest) -> int:
 
 @pytest.mark.shows("{model}", "openeb", "cycles")
 @pytest.mark.skipif(not OPENEB, reason=NO_OPENEB)
-@pytest.mark.parametrize("model", ["evk4", "genx320"])
+@pytest.mark.parametrize("model", long_but(["evk4", "genx320"], ["evk4", "evk3_vga", "genx320"]))
 def test_openeb_opens_a_camera_again_and_again(
     guest: Guest, tmp_path: Path, model: str, record_property: Record
 ) -> None:
@@ -198,7 +198,7 @@ def test_openeb_opens_a_camera_again_and_again(
 
 @pytest.mark.shows("{model}", "openeb", "unplugged", "plugged again")
 @pytest.mark.skipif(not OPENEB, reason=NO_OPENEB)
-@pytest.mark.parametrize("model", ["evk4", "genx320"])
+@pytest.mark.parametrize("model", long_but(["evk4", "genx320"], ["evk4", "evk3_vga", "genx320"]))
 def test_openeb_reports_a_pulled_cable_and_opens_the_camera_again(guest: Guest, tmp_path: Path, model: str) -> None:
     seen = guest.results / f"cut-{model}.bin"
     with RunningRig(tmp_path, text=openeb_rig(tmp_path, model)) as rig:

@@ -11,7 +11,7 @@ from tests.guest.attachment import Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
-from tests.guest.running_rig import Delivered, RunningRig
+from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
 from tests.guest.turns import long_but, parts_of
 
@@ -28,24 +28,25 @@ def assert_sees(driver: Driver, seen: Events, delivered: Events) -> None:
     assert_same(seen, delivered, offset_us=offset_us)
 
 
-def since_last_reset(delivered: Delivered) -> Events:
-    return delivered.events[delivered.resets[-1] :]
-
-
-@pytest.mark.shows("davis346", "{driver.name}", "opens", "events", "unplugged")
+@pytest.mark.shows("davis346", "{driver.name}", "opens", "events", "unplugged", "plugged again")
 @pytest.mark.parametrize("driver", long_but([DRIVERS[0], DRIVERS[-1]], DRIVERS), ids=lambda driver: driver.name)
-def test_every_event_is_seen_until_the_camera_is_unplugged_and_that_is_noticed(
+def test_every_event_is_seen_until_the_camera_is_unplugged_and_when_it_is_plugged_again(
     guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:
-    with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
-        streaming = Streaming(guest, driver, driver_pythons[driver.name], EVENTS, "--on")
-        streaming.wait_until_started()
-        rig.stop()
-        seen = streaming.wait()
-    assert any(SERIAL in found for found in seen.about["discovered"])
-    assert seen.about["running"] is False
-    assert len(seen.events) >= EVENTS
-    assert_sees(driver, seen.events, since_last_reset(rig.delivered))
+    python = driver_pythons[driver.name]
+    with RunningRig(tmp_path) as rig:
+        with Attachment(guest, rig.port):
+            streaming = Streaming(guest, driver, python, EVENTS, "--on")
+            streaming.wait_until_started()
+        cut = streaming.wait()
+        with Attachment(guest, rig.port):
+            again = Streaming(guest, driver, python, FEWER_EVENTS).wait()
+    assert any(SERIAL in found for found in cut.about["discovered"])
+    assert cut.about["running"] is False
+    assert len(cut.events) >= EVENTS
+    assert len(again.events) >= FEWER_EVENTS
+    for view, part in zip((cut, again), parts_of([cut, again], rig.delivered.turns), strict=True):
+        assert_sees(driver, view.events, part.events)
     assert rig.summary["balanced"], rig.summary
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,9 @@ def looped(folder: Path, count: int = 1_000_000) -> None:
 
 @pytest.mark.shows("evk3_vga", "openeb", "opens", "events", "triggers", "settings")
 @pytest.mark.skipif(not OPENEB, reason="EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it")
-def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path) -> None:
+def test_openeb_sees_every_event_of_its_window(
+    guest: Guest, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     """Its own discovery, device, noise filter, biases, window, monitoring, stream and decoder."""
     looped(tmp_path)
     out = "evk3-vga.bin"
@@ -60,6 +63,7 @@ def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path) -> 
     assert (about["celsius"], abs(about["lux"] - 100) <= 1) == (20, True)  # the driver cuts fractions off
     seen = np.fromfile(guest.results / out, EVENT)
     assert len(seen) >= EVENTS
+    record_property("amount", f"{len(seen)} events")
     sent = rig.delivered.events[rig.delivered.resets[-1] :]
     assert_same(seen, sent, offset_us=0)
     assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == WINDOW
@@ -72,7 +76,9 @@ def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path) -> 
 
 
 @pytest.mark.shows("silkyevcam_vga", "nd", "opens", "events", "settings", "unplugged", "plugged again")
-def test_a_driver_sees_every_event(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
+def test_a_driver_sees_every_event(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     """The cable is pulled while the driver streams; then it opens the camera again, and changes its biases."""
     looped(tmp_path)
     more = (guest, ND_VGA, driver_pythons["nd"], EVENTS)
@@ -90,6 +96,7 @@ def test_a_driver_sees_every_event(guest: Guest, driver_pythons: dict[str, Path]
     assert (seen.about["serial"], seen.about["discovered"]) == ("0BADCAFE", ["0BADCAFE"])
     assert seen.about["changes"] == 8  # seven biases, and back
     assert len(seen.events) >= EVENTS
+    record_property("amount", f"{len(seen.events)} events")
     delivered = rig.delivered
     assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
     assert rig.summary["balanced"], rig.summary

@@ -43,6 +43,7 @@ def test_a_driver_lists_it(name):
     assert [text[2:].decode("utf-16-le") for text in read] == strings
     assert camera.control(SetupPacket(0xC0, 0x72, 0, 0, 2), b"") == bytes((kind, 0))
     assert host.ask("72000000 00000000") == "72000000 08000000 eeffc000 00000000"
+    host.write((0x0218, 7), (0x0800, 7))
     assert host.register(0x0800) & 0xFF == 0x28  # OpenEB builds no other system
     assert host.register(0x0218) == 0x9020_0C02
 
@@ -111,7 +112,7 @@ def test_the_window_takes_over_when_the_host_says_so(columns, rows):
     decoder = Evt3Decoder()
     camera.offer(offered)
     assert len(received(camera, decoder)[0]) == len(offered)
-    host.write((0x0204, 0x2B), (0x0204, 0xB))
+    host.write((0x0204, 0x2B), *((address, 0) for address, _ in words), (0x0204, 0x2B))  # only a rise takes over
     camera.advance(1000)
     offered["t"] += np.uint64(1000)
     camera.offer(offered)
