@@ -9,23 +9,25 @@ level's range it slides along its facet's side to the neighbour that the next co
 of levels is continuous. Its position is whole lattice units from the camera plus the camera's rest, the same float32 on
 every grid: neighbours share their vertices to the last bit, and there are no cracks.
 
-Light comes from a texture of cells between posts, averaged over the area of a sample (mipmaps):
+Light is that of the fine map, however coarse the facets. A sample is moved along its ray from its facet to the map by
+a secant, as `pixel_hits` does for the CPU. There a texture of the posts gives
 
-    r, g    east and north component of the normal          b    cosine of incidence x sunlit share
-                                                            a    cosine of incidence, never below 0
+    r, g    slopes east and north       b    height of the Sun's middle over the horizon, in its radii
+                                        a    albedo, 1 for the brightest ground
 
-so slopes and shadows are those of the fine map, however coarse the facets. The radiance is
+linear between posts. The share of the Sun s follows from b for each sample: between posts it is not linear, and the
+edge of a shadow is where the Sun crosses the horizon. A sample that is larger than a cell between posts takes the mean
+of cells of its area (mipmaps). There b is within -1 and 1, where s is nearly linear in it. Outlines are those of
+facets. The radiance is
 
-    L = E_sun r(mu0, mu, g) b / a + ambient r(u, u, 0)
+    L = E_sun r(mu0, mu, g) s a + ambient r(u, u, 0)
 
 where u is the height of the eye's direction over level ground: light from all around does not depend on slopes.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +35,6 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.render_target import RenderTarget, depth_terms
-from emulator.photometry.reflectance import Reflectance
 from emulator.scene.terrain.ground import Ground
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.raster_terrain import RasterTerrain, TerrainGeometry, facet_px
@@ -57,13 +58,12 @@ uniform vec3 rest;           // the camera's place less its whole lattice units,
 uniform vec2 site;           // from the camera, m
 uniform float reach, crowd;  // see Quadtree
 uniform mat3 camera_from_world;
-uniform vec3 sun;            // towards it, world
 uniform float ambient;
 uniform vec2 zoom, depth;    // see RenderTarget
 in ivec2 corner;             // in the block, 0 to 16
 in ivec3 block;              // its first post, and posts from vertex to vertex
-out vec2 cell;
-out vec4 seen;               // towards the eye, and phase angle
+out vec2 at;                 // posts from the grid's first one
+out vec3 ray;                // from the camera, m
 out float around;            // radiance of the ambient light
 %(reflectance)s
 vec3 place(ivec2 post) {
@@ -77,11 +77,9 @@ void main() {
     vec2 from_site = abs(fine.xy - site);
     float away = max(length(fine), crowd * max(from_site.x, from_site.y));
     float slid = clamp((away / (reach * unit * float(pitch * block.z)) - 0.7) / 0.29, 0.0, 1.0);
-    vec3 ray = mix(fine, coarse, slid);
-    cell = mix(vec2(own), vec2(next), slid) / vec2(last);
-    vec3 eye = -normalize(ray);
-    seen = vec4(eye, atan(length(cross(sun, eye)), dot(sun, eye)));
-    float level = clamp(eye.z, 0.02, 1.0);
+    ray = mix(fine, coarse, slid);
+    at = mix(vec2(own), vec2(next), slid);
+    float level = clamp(-normalize(ray).z, 0.02, 1.0);
     around = ambient * reflect_sun(level, level, 0.0);
     vec3 ahead = camera_from_world * ray;
     gl_Position = vec4(zoom * ahead.xy, depth.x * ahead.z + depth.y, ahead.z);
@@ -90,88 +88,80 @@ void main() {
 
 _FRAGMENT = """
 #version 430
-uniform sampler2D cells;
-uniform float irradiance;
-in vec2 cell;
-in vec4 seen;
+uniform sampler2D heights, posts;
+uniform int pitch;
+uniform float unit, irradiance;
+uniform vec3 rest;
+uniform vec3 sun;            // towards it, world
+in vec2 at;
+in vec3 ray;
 in float around;
 out float radiance;
 %(reflectance)s
+vec2 on_map(vec2 post) {
+    return (post + 0.5) / vec2(textureSize(heights, 0));
+}
+
 void main() {
-    vec4 ground = texture(cells, cell);
-    vec3 normal = vec3(ground.rg, sqrt(max(1.0 - dot(ground.rg, ground.rg), 0.0)));
-    float mu = max(dot(normal, seen.xyz), 0.02);
-    radiance = irradiance * reflect_sun(ground.a, mu, seen.w) * ground.b / max(ground.a, 1e-6) + around;
+    // What lifting the facet by a metre moves the sample along its ray, in metres and in posts; bounded edge-on.
+    vec3 away = cross(dFdx(ray), dFdy(ray));
+    vec3 lift = ray * away.z / max(dot(away, ray), 0.05 * length(away) * length(ray));
+    vec2 move = lift.xy / (unit * float(pitch));
+    float lifted = texture(heights, on_map(at)).r - rest.z - ray.z;
+    float height = texture(heights, on_map(at + lifted * move)).r - rest.z - ray.z - lifted * lift.z;
+    float apart = lifted - height;
+    lifted += height * clamp(lifted / (apart != 0.0 ? apart : 1e-12), 0.5, 2.0);
+
+    float cells = abs(determinant(mat2(dFdx(at), dFdy(at))));
+    vec4 ground = textureLod(posts, on_map(at + lifted * move), 0.5 * log2(max(cells, 1e-12)));
+    vec3 normal = normalize(vec3(-ground.rg, 1.0)), eye = -normalize(ray + lifted * lift);
+    float x = clamp(ground.b, -1.0, 1.0);
+    float share = 0.5 + (x * sqrt(1.0 - x * x) + asin(x)) / radians(180.0);
+    float mu0 = max(dot(normal, sun), 0.0), mu = max(dot(normal, eye), 0.02);
+    float phase = atan(length(cross(sun, eye)), dot(sun, eye));
+    radiance = irradiance * reflect_sun(mu0, mu, phase) * share * ground.a + around;
 }
 """
 
 
-@dataclass(frozen=True, eq=False)
-class GroundView:
-    """Pose of the camera and inputs of the shaders.
-
-    Attributes
-    ----------
-    position_m : (3,) in the world.
-    camera_from_world : (3, 3).
-    zoom, depth : see `Pinhole.zoom`, `render_target.depth_terms`.
-    irradiance, ambient : W/m2.
-    """
-
-    position_m: npt.NDArray[np.float64]
-    camera_from_world: npt.NDArray[np.float64]
-    zoom: tuple[float, float]
-    depth: tuple[float, float]
-    irradiance: float
-    ambient: float
-
-
 class GroundMesh:
-    """A ground in a context's memory.
+    """The ground of a world in a context's memory; for `reach` and `crowd` see `Quadtree`."""
 
-    `cells` are of `shading`; for `reach` and `crowd` see `Quadtree`.
-    """
-
-    def __init__(
-        self,
-        context: moderngl.Context,
-        ground: Ground,
-        cells: npt.NDArray[np.float16],
-        law: Reflectance,
-        reach: float,
-        crowd: float,
-    ) -> None:
-        gl = self._context = context
-        self._ground = ground
-        self._program = gl.program(
-            vertex_shader=_VERTEX % {"reflectance": law.glsl()}, fragment_shader=_FRAGMENT % {"reflectance": law.glsl()}
-        )
-        self._set(heights=0, cells=1, unit=ground.unit_m, reach=reach, crowd=crowd)
-        rows, columns = ground.shape
-        self._heights = [gl.texture((columns, rows), 1, z.tobytes(), dtype="f4") for z in ground.heights_m]
-        self._cells = [gl.texture((columns - 1, rows - 1), 4, c.tobytes(), dtype="f2") for c in cells]
-        for texture in self._cells:
+    def __init__(self, context: moderngl.Context, world: TerrainWorld, reach: float, crowd: float) -> None:
+        gl, ground, p = context, world.ground, world.parameters
+        self._context, self._ground = context, ground
+        law = {"reflectance": p.reflectance.glsl()}
+        self._program = gl.program(vertex_shader=_VERTEX % law, fragment_shader=_FRAGMENT % law)
+        self._set(heights=0, posts=1, unit=ground.unit_m, reach=reach, crowd=crowd, zoom=world.pinhole.zoom)
+        self._set(sun=tuple(world.sun), irradiance=world.irradiance_w_m2, ambient=p.ambient_w_m2)
+        size = ground.shape[::-1]
+        self._heights = [gl.texture(size, 1, z.tobytes(), dtype="f4") for z in ground.heights_m]
+        self._posts = [gl.texture(size, 4, dtype="f2") for _ in ground.heights_m]
+        sun_radii = world.sun_radii()
+        for grid, texture in enumerate(self._posts):
+            light = light_of_posts(ground, grid, sun_radii[grid])
+            bounded = light.copy()
+            np.clip(light[..., 2], -1, 1, out=bounded[..., 2])
+            texture.write(bounded.tobytes())
             texture.build_mipmaps()
-            texture.filter = gl.LINEAR_MIPMAP_NEAREST, gl.LINEAR  # a fifth faster on llvmpipe
+            texture.write(light.tobytes())
+            texture.filter = gl.LINEAR_MIPMAP_NEAREST, gl.LINEAR  # b with and without bounds cannot be mixed
+        for texture in (*self._heights, *self._posts):
             texture.repeat_x = texture.repeat_y = False
         corners, facets = block_facets()
         self._corners, self._facets = gl.buffer(corners), gl.buffer(facets)
         self._blocks = [gl.buffer(reserve=12 * 64) for _ in ground.heights_m]
         self._arrays = [self._array(blocks) for blocks in self._blocks]
 
-    def render(self, view: GroundView, sun: npt.NDArray[np.float64], blocks: list[npt.NDArray[np.int32]]) -> None:
-        """Draw the blocks of each grid; `sun` is the unit vector towards it in the world, (3,)."""
-        ground, place = self._ground, view.position_m
+    def render(self, pose: Pose, near_m: float, far_m: float, blocks: list[npt.NDArray[np.int32]]) -> None:
+        """Draw the blocks of each grid as the camera at `pose` sees them, from `near_m` to `far_m`."""
+        ground, place = self._ground, pose.position_m
         units = np.floor(place[:2] / ground.unit_m).astype(np.int64)
         self._set(
             rest=(*(place[:2] - units * ground.unit_m), place[2]),
             site=tuple(-place[:2]),
-            camera_from_world=tuple(view.camera_from_world.T.ravel()),  # GL stores columns
-            sun=tuple(sun),
-            zoom=view.zoom,
-            depth=view.depth,
-            irradiance=view.irradiance,
-            ambient=view.ambient,
+            camera_from_world=tuple(pose.world_from_body.ravel()),  # the inverse, and GL stores columns
+            depth=depth_terms(near_m, far_m),
         )
         for grid, chosen in enumerate(blocks):
             if len(chosen):
@@ -186,7 +176,7 @@ class GroundMesh:
             self._arrays[grid] = self._array(self._blocks[grid])
         self._blocks[grid].write(chosen)
         self._heights[grid].use(0)
-        self._cells[grid].use(1)
+        self._posts[grid].use(1)
         self._arrays[grid].render(instances=len(chosen))
 
     def _array(self, blocks: moderngl.Buffer) -> moderngl.VertexArray:
@@ -200,31 +190,17 @@ class GroundMesh:
                 self._program[name] = value
 
 
-def shading(ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64]) -> npt.NDArray[np.float16]:
-    """Return the texture of the cells, (grids, rows - 1, columns - 1, 4), see the module docstring.
+_MOST_RADII = 6e4  # a 16-bit float ends at 65504; a distant Sun is small
 
-    Where a finer grid lies in a coarser one, the coarser one's cells are the means of the finer one's.
 
-    `sunlit`, (grids, rows, columns), is the visible share of the Sun's disc at each post; `sun`, (3,), is towards it.
+def light_of_posts(ground: Ground, grid: int, sun_radii: npt.NDArray[np.float32]) -> npt.NDArray[np.float16]:
+    """Return the texture of a grid's posts, (rows, columns, 4), see the module docstring.
+
+    `sun_radii`, (rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
     """
-    grids = [_cells(z, ground.post_m(k), sunlit[k], sun) for k, z in enumerate(ground.heights_m)]
-    for finer, coarser in itertools.pairwise(grids):
-        means = (finer[::2, ::2] + finer[1::2, ::2] + finer[::2, 1::2] + finer[1::2, 1::2]) / 4
-        top, left = len(coarser) // 4, coarser.shape[1] // 4
-        coarser[top : top + len(means), left : left + means.shape[1]] = means
-    return np.stack(grids).astype(np.float16)
-
-
-def _cells(
-    z: npt.NDArray[np.float32], post_m: float, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float32]:
-    a, b, c, d = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
-    east, north = (a + c - b - d) / np.float32(2 * post_m), (a + b - c - d) / np.float32(2 * post_m)
-    length = np.sqrt(1 + east * east + north * north)
-    s = sun.astype(np.float32)
-    incidence = np.maximum((east * s[0] + north * s[1] + s[2]) / length, 0)
-    share = (sunlit[:-1, :-1] + sunlit[:-1, 1:] + sunlit[1:, :-1] + sunlit[1:, 1:]) / 4
-    return np.stack([east / length, north / length, incidence * share, incidence], axis=-1)
+    north, east = np.gradient(ground.heights_m[grid], ground.post_m(grid))
+    albedo = np.ones_like(east) if ground.albedo is None else ground.albedo[grid] / ground.albedo.max()
+    return np.stack([east, north, np.clip(sun_radii, -_MOST_RADII, _MOST_RADII), albedo], axis=-1, dtype=np.float16)
 
 
 _FINEST_PX = 0.25
@@ -243,10 +219,8 @@ class GlTerrain(GlScene[TerrainWorld]):
         self._own_facets: RasterTerrain | None = None
         reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX), LEAST_REACH)
         self._tree = Quadtree(world.ground, reach)
-        sunlit = world.sunlit()
         with self._render_target.context as gl:
-            cells = shading(world.ground, sunlit, world.sun)
-            self._mesh = GroundMesh(gl, world.ground, cells, parameters.reflectance, reach, self._tree.crowd)
+            self._mesh = GroundMesh(gl, world, reach, self._tree.crowd)
 
     def geometry(self, rays: Rays | None = None) -> TerrainGeometry | None:
         """Return depth, flow and labels of the ground, from facets drawn by the CPU; None where poses are live."""
@@ -265,20 +239,7 @@ class GlTerrain(GlScene[TerrainWorld]):
         world = self._world
         scene_ns = world.time.scene_ns(t_ns)
         pose = world.camera.pose(scene_ns)
-        view = self._view(pose, world.height_m(scene_ns, pose))
-        blocks = self._tree.blocks(pose.position_m, world.planes(pose))
-        return lambda _: self._mesh.render(view, world.sun, blocks), None
-
-    def _view(self, pose: Pose, height_m: float) -> GroundView:
-        world = self._world
         far_m = 1.5 * world.ground.half_m + float(np.linalg.norm(pose.position_m))
-        near_m = _NEAR_SHARE * min(height_m, far_m)
-        turned = pose.world_from_body.T
-        return GroundView(
-            pose.position_m,
-            turned,
-            world.pinhole.zoom,
-            depth_terms(near_m, 2 * far_m),
-            world.irradiance_w_m2,
-            world.parameters.ambient_w_m2,
-        )
+        near_m = _NEAR_SHARE * min(world.height_m(scene_ns, pose), far_m)
+        blocks = self._tree.blocks(pose.position_m, world.planes(pose))
+        return lambda _: self._mesh.render(pose, near_m, 2 * far_m, blocks), None

@@ -173,7 +173,7 @@ class TerrainWorld:
     Attributes
     ----------
     sun : (3,) unit, towards it.
-    irradiance_w_m2 : sunlight on a surface that faces the Sun.
+    irradiance_w_m2 : sunlight on a surface that faces the Sun, times the albedo of the brightest ground.
     motion_bound_px_s : from the path's speed, turning and height, sampled once a second of the first four minutes.
     distance_m : the least sampled height over the ground beneath.
     """
@@ -194,8 +194,8 @@ class TerrainWorld:
         flat = math.cos(elevation)
         self.sun = np.array([flat * math.sin(azimuth), flat * math.cos(azimuth), math.sin(elevation)])
         albedo = self.ground.albedo
-        self._brightest = 1.0 if albedo is None else float(albedo.max())
-        self.irradiance_w_m2 = self._sun.irradiance_w_m2 * self._brightest
+        brightest = 1.0 if albedo is None else float(albedo.max())
+        self.irradiance_w_m2 = self._sun.irradiance_w_m2 * brightest
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -227,15 +227,6 @@ class TerrainWorld:
                 f"x = {x:.6g} m, y = {y:.6g} m: the origin is on the ground in the middle of the map"
             )
         return z - ground_m
-
-    def sunlit(self) -> Slopes:
-        """Return the share of `irradiance_w_m2` that reaches each post, times its albedo, (grids, rows, columns).
-
-        The irradiance is that of the Sun on the brightest ground, so the share is at most 1.
-        """
-        x, albedo = np.clip(self.sun_radii(), -1, 1), self.ground.albedo
-        share = np.asarray(0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.float32(math.pi), np.float32)
-        return share if albedo is None else share * (albedo / np.float32(self._brightest))
 
     def sun_radii(self) -> Slopes:
         """Return the height of the Sun's middle over the horizon of each post, in its radii, (grids, rows, columns).

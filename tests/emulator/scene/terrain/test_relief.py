@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from emulator.geometry.camera import Pinhole
 from emulator.scene import files
 from emulator.scene.files import Progress, cached_array
 from emulator.scene.terrain.ground import nested
@@ -29,8 +28,7 @@ from emulator.scene.terrain.relief import (
     raise_boulders,
     sink_craters,
 )
-from emulator.scene.terrain.table import Ridge, TerrainParameters
-from emulator.scene.terrain.world import TerrainWorld
+from emulator.scene.terrain.table import Ridge
 
 FRESH = np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
 SMALL = Ridge(size_m=2048.0, finest_m=4.0, posts=128, ridge_m=300.0)
@@ -167,17 +165,6 @@ def test_albedo_has_the_stated_mean_and_agrees_between_grids():
     bare = make_albedo(dataclasses.replace(many, crater_density=0.0))
     assert bare[0].std() == pytest.approx(0.1, rel=0.4)
     assert (albedo > bare - 0.1).mean() > 0.99  # young craters brighten
-
-
-def test_albedo_dims_and_brightens_the_light_of_the_sun():
-    lit, plain = (
-        TerrainWorld(TerrainParameters(ground=dataclasses.replace(SMALL, albedo_rms=rms)), Pinhole(64, 48, 60.0))
-        for rms in (0.1, 0.0)
-    )
-    shares = lit.sunlit()
-    assert shares.max() <= 1
-    expected = plain.irradiance_w_m2 * plain.sunlit() * make_albedo(dataclasses.replace(SMALL, albedo_rms=0.1))
-    np.testing.assert_allclose(lit.irradiance_w_m2 * shares, expected, rtol=1e-5, atol=1e-4)
 
 
 def test_grids_agree_where_they_overlap_and_the_site_is_at_zero():

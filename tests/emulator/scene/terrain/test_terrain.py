@@ -1,20 +1,20 @@
 """Ground drawn: blocks that tile it, closed-form light, no cracks, no jumps, and what is refused."""
 
 import dataclasses
-import itertools
 import math
 
 import numpy as np
 import pytest
+import scipy.ndimage
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
-from emulator.photometry.reflectance import SUN_W_M2, Hapke, Lambert, LommelSeeliger, LunarLambert
-from emulator.scene.terrain.gl_terrain import GlTerrain, shading
+from emulator.photometry.reflectance import SUN_W_M2, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
+from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.quadtree import BLOCK, Quadtree, _bounds, level_count
 from emulator.scene.terrain.raster_terrain import RasterTerrain
-from emulator.scene.terrain.relief import make_ridge
+from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
 from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
@@ -110,15 +110,6 @@ def test_a_quad_is_no_finer_than_its_distance_asks():
         assert distance <= 80.0 * stride + 2 * BLOCK * stride * math.sqrt(2)
 
 
-def test_a_coarse_grid_s_cells_are_the_means_of_the_fine_one_s():
-    ground = make_ridge(RIDGE)
-    cells = shading(ground, np.ones_like(ground.heights_m), np.array([0.6, 0.0, 0.8])).astype(np.float32)
-    for finer, coarser in itertools.pairwise(cells):
-        np.testing.assert_allclose(coarser[32:96, 32:96], finer.reshape(64, 2, 64, 2, 4).mean(axis=(1, 3)), atol=2e-3)
-    length = np.hypot(cells[0, ..., 0], cells[0, ..., 1])
-    assert length.max() < 1
-
-
 # Light
 
 
@@ -170,6 +161,89 @@ def test_a_wall_s_shadow_reaches_as_far_as_the_sun_is_low(terrain, tmp_path):
     begins = 48 + (32.0 - reach_m) * focal / 150.0  # the wall's foot is 32 m east of the middle
     lit = np.flatnonzero(row[:58] > 0.5 * row[5])
     assert lit.max() + 1 == pytest.approx(begins, abs=1.5)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("beyond_m", [0.5, 1.0, 2.0, 3.2])
+def test_a_shadow_ends_between_posts_with_the_whole_penumbra(tmp_path, beyond_m):
+    """The posts are 4 m apart and the penumbra is 1.9 m wide, so that none or one of the posts lies in it."""
+    heights = np.zeros((129, 129))
+    heights[:, 89:] = 100.0  # from 100 m east of the middle on
+    np.save(tmp_path / "step.npy", heights)
+    elevation = math.atan2(100.0, 100.0 - beyond_m)
+    p = parameters(
+        ground=Heightmap(path=str(tmp_path / "step.npy"), post_m=4.0),
+        camera=FixedPath((2.0, 0.0, 20.0), DOWN),
+        reflectance=Lambert(1.0),
+        body_radius_m=0.0,
+        sun_azimuth_deg=90.0,
+        sun_elevation_deg=math.degrees(elevation),
+        samples=8,
+    )
+    light = drawn(GlTerrain, p)
+    x = 2.0 + ((np.arange(96 * 8) + 0.5) / 8 - 48) * 20.0 / CAMERA.focal_px
+    radii = np.clip((elevation - np.arctan2(100.0, 100.0 - x)) / Sun().radius_rad, -1, 1)
+    share = 1 - (np.arccos(radii) - radii * np.sqrt(1 - radii**2)) / math.pi
+    expected = SUN_W_M2 / math.pi * math.sin(elevation) * share.reshape(96, 8).mean(axis=1)
+    assert expected[10] == pytest.approx(expected.max())
+    assert expected[-10] == 0
+    np.testing.assert_allclose(light, np.tile(expected, (64, 1)), atol=0.05 * expected.max())
+
+
+@pytest.mark.gl
+def test_light_seen_at_a_slant_is_that_of_the_map_and_not_of_coarse_facets(tmp_path):
+    """Waves with flat sides, a quarter steep, seen 22 degrees and more from above, so that none hides another."""
+    posts = np.arange(257)
+    profile = np.abs((posts - 3) % 16 - 8) * 2.0  # of posts 8 m apart
+    np.save(tmp_path / "waves.npy", np.tile(profile[::-1, None], (1, 257)))  # the north is on top
+    p = parameters(
+        ground=Heightmap(path=str(tmp_path / "waves.npy"), post_m=8.0),
+        camera=FixedPath((0.0, -700.0, 450.0), look_at_m=(0.0, 0.0, -50.0)),
+        reflectance=Lambert(1.0),
+        body_radius_m=0.0,
+        sun_azimuth_deg=0.0,
+        sun_elevation_deg=60.0,
+        samples=8,
+        detail_px=4.0,
+    )
+    light = drawn(GlTerrain, p)[:, 48]
+    y, z = (posts - 128) * 8.0, profile - profile[128]
+    down = math.atan2(500.0, 700.0) + np.arctan(((np.arange(64 * 8) + 0.5) / 8 - 32) / CAMERA.focal_px)
+    along = np.linspace(300.0, 2000.0, 34001)
+    expected = np.zeros(64 * 8)
+    for k, angle in enumerate(down):
+        places = -700.0 + along * math.cos(angle)
+        first = np.argmax(450.0 - along * math.sin(angle) < np.interp(places, y, z))
+        slope = np.interp(places[first], y, np.gradient(z, 8.0))
+        expected[k] = (math.sin(math.radians(60)) - slope * math.cos(math.radians(60))) / math.hypot(1, slope)
+    expected = SUN_W_M2 / math.pi * expected.reshape(64, 8).mean(axis=1)
+    error = light[12:] / expected[12:] - 1
+    assert np.sqrt(np.mean(error**2)) < 0.003
+
+
+@pytest.mark.gl
+def test_one_point_for_many_cells_has_the_mean_of_their_light():
+    """A pixel is five posts wide."""
+    ground = dataclasses.replace(RIDGE, posts=512)
+    high = parameters(
+        ground=ground, sun_elevation_deg=8.0, camera=FixedPath((0.0, 0.0, 900.0), DOWN), reflectance=Lambert(1.0)
+    )
+    point, mean = (drawn(draws, high) for draws in (GlTerrain, RasterTerrain))
+    assert point.mean() == pytest.approx(mean.mean(), rel=0.03)
+    assert np.sqrt(np.mean((point - mean) ** 2)) < 0.25 * mean.std()  # 0.28 without the means of cells
+
+
+def test_albedo_dims_and_brightens_the_light_of_the_sun(terrain):
+    level = Ridge(1024.0, 8.0, 128, ridge_m=0.0, slope_deg=0.0, crater_density=0.0, boulder_cover=0.0)
+    lit, plain = (
+        drawn(terrain, parameters(ground=dataclasses.replace(level, albedo_rms=rms), samples=2)) for rms in (0.1, 0.0)
+    )
+    rows, columns = np.mgrid[:64, :96] + 0.5
+    posts = [64 + place * 150.0 / CAMERA.focal_px / 8.0 for place in (32 - rows, columns - 48)]
+    albedo = make_albedo(dataclasses.replace(level, albedo_rms=0.1))
+    expected = scipy.ndimage.map_coordinates(albedo[0], posts, order=1)
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(lit / plain, expected, rtol=0.01)
 
 
 DOWNWARD = DescentPath((Gate(0.0, 400.0, 0.0, 10.0, 50.0), Gate(60.0, 30.0, 0.0, 3.0, 80.0), Gate(70.0, 8.0)))
