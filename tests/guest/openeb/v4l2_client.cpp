@@ -39,7 +39,7 @@ namespace {
 
 constexpr int bias_offset = 5;
 constexpr std::uint32_t events_per_s = 20'000;
-constexpr std::int64_t after_changes_us = 1'500'000;
+constexpr std::int64_t after_changes_us = 4'000'000; // beside other work the decoder is seconds behind the camera
 
 void append(std::FILE *out, const EventCD &event) {
     const std::int64_t t      = event.t;
