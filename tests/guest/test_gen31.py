@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -56,7 +57,9 @@ def test_openeb_sees_every_event_of_its_window(
     text = RIG.replace('"evk4"', '"evk3_vga"')
     with RunningRig(tmp_path, text=text) as rig, Attachment(guest, rig.port, model=EVK4):
         command = [OPENEB, str(EVENTS), str(TIMEOUT_S), guest.path_in_guest(out), "EVT3"]
+        begun_s = time.monotonic()
         about = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
+        seconds = time.monotonic() - begun_s
     assert (about["serial"], about["sensor"], about["word_bytes"]) == ("0badcafe", "Gen3.1", 2)
     assert about["bias_diff_on"] == 397  # mV: the least that OpenEB's table has for the code of 25 mV more
     assert about["changed"] is True
@@ -64,6 +67,7 @@ def test_openeb_sees_every_event_of_its_window(
     seen = np.fromfile(guest.results / out, EVENT)
     assert len(seen) >= EVENTS
     record_property("amount", f"{len(seen)} events")
+    record_property("seconds", round(seconds))
     sent = rig.delivered.events[rig.delivered.resets[-1] :]
     assert_same(seen, sent, offset_us=0)
     assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == WINDOW
@@ -97,6 +101,7 @@ def test_a_driver_sees_every_event(
     assert seen.about["changes"] == 8  # seven biases, and back
     assert len(seen.events) >= EVENTS
     record_property("amount", f"{len(seen.events)} events")
+    record_property("seconds", round(seen.about["streamed_s"]))
     delivered = rig.delivered
     assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
     assert rig.summary["balanced"], rig.summary
