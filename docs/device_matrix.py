@@ -152,7 +152,12 @@ CAMERAS = {
             ("nd", "triggers"): "the driver has no setting for the input",
             ("nd", "cycles"): "the driver does not stop the camera when it is closed, and its process may abort",
         },
-        remarks={("nd", "settings"): "it writes values in mV where the register has a code, as into the camera"},
+        remarks={
+            (
+                "nd",
+                "settings",
+            ): "it writes a value in mV where the register has a code; a real camera gets the same word"
+        },
     ),
     "evk3_vga": Camera("Prophesee EVK3 VGA", ("openeb",), _IMX636_LACKS),
     "genx320": Camera(

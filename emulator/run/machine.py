@@ -35,7 +35,7 @@ _PRIORITY_FIX = (
 )
 _SBIN = "/usr/sbin:/sbin"
 _UDEV_FIX = (
-    """echo 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4", MODE="0666"' """
+    """echo 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4|31f7|1409", MODE="0666"' """
     "| sudo tee /etc/udev/rules.d/65-event-camera.rules "
     "&& sudo udevadm control --reload && sudo udevadm trigger"
 )

@@ -15,7 +15,7 @@ that items dropped before leave no trace in the bytes.
     DAVIS346          `fx3.stream.EventStream`                  words in transfers of USB
     DVXplorer         the same, with `dvxplorer.words`          words in transfers of USB
     DVXplorer Micro   `dvxplorer.frame_stream.FrameStream`      words in transfers of USB
-    EVK4              `prophesee.usb.UsbOutflow`                EVT3 in transfers of USB
+    EVK4, Gen 3.1     `prophesee.usb.UsbOutflow`                EVT3 in transfers of USB
     GenX320           the same                                  EVT2.1, EVT2 or EVT3 in transfers of USB
     Triton2           `imx636.triton2.BlockOutflow`             EVT3 in blocks of GVSP
     instrument        `instrument.event_path.EventPath`         event blocks in messages

@@ -6,23 +6,23 @@ The USB side, with its endpoints, is `prophesee.usb`; the registers are in `regi
     SilkyEvCam VGA   31F7:0002        00     neuromorphic_drivers 0.18
     EVK3 VGA         04B4:00F5 (*)    28 (*) OpenEB 5.1.1
 
-Both have a thermometer as device 1, whose register 0 is in degrees, and take registers by frames without a size.
+Both have a thermometer as device 1, whose register 0 is in degrees, and take registers by frames without a size (*).
 
 Run gate: events leave while the analogue supply is on and time runs (register 0000), the output has its clock (0238),
 the pixels run (0204) and events go to the host (0008). Drivers have the noise filter drop all events until .25 s
 (OpenEB) or .25 ms (neuromorphic_drivers) after that.
 
 Sources: neuromorphic_drivers (ids, kind, strings, names of the devices, order of its registers), OpenEB 5.1.1 (release,
-interface, numbers of the system and of the chip). Inferred: (*) the EVK3's product, and its kind, which for other
-boards is OpenEB's number of the system; its strings, which OpenEB does not compare; that the noise filter, once on,
-drops events until the rate of a whole period is high enough.
+interface, numbers of the system and of the chip). Inferred: (*) of the EVK3, whose kind is, as those of other boards,
+OpenEB's number of the system; its strings, which OpenEB does not compare; the SilkyEvCam's number of the system; that
+the noise filter, once on, drops events until the rate of a whole period is high enough.
 
 Biases are voltages (diff, diff_on, diff_off: 7.06 mV a step) and currents. The effect on the simulated pixels:
 
-    diff_on,        the threshold is proportional to the distance from diff, as of any comparator whose currents depend
-    diff_off        exponentially on its voltages; so one step at open is 1 / 12 of ON's, 1 / 11 of OFF's
+    diff_on,        by their distance n from diff. The slope at open, 1 / 12 and 1 / 11, is that of a threshold which is
+    diff_off        proportional to n, as of a comparator whose currents depend exponentially on its voltages
     fo, refr        one over the value at open, as for the IMX636: assumed is a current proportional to the register
-    hpf             the IMX636's slope, above the value at open: a guess
+    hpf             the IMX636's slope, 1 Hz a step above the value at open: a guess
 
 `[camera.bias_slopes]` of a rig replaces any of them; `prophesee.biases` has the form of the factors.
 """
@@ -131,17 +131,16 @@ class Selection:
     def reset(self) -> None:
         """Return to the power-on state."""
         self._columns, self._rows = (np.ones(pixels, np.bool_) for pixels in SIZE)
-        self._array = self._registers[Address.ARRAY]
         self._noise.configure(None)
 
     def written(self, address: int) -> None:
         """Apply the effect of a register that was just written."""
-        if address == Address.ARRAY:
-            before, self._array = self._array, self._registers[Address.ARRAY]
-            if self._array & ~before & _TAKE_OVER:
-                columns, rows = SIZE
-                self._columns = unpacked(self._registers.words(Address.COLUMNS, 20), columns)
-                self._rows = unpacked(self._registers.words(Address.ROWS, 15), rows)
+        if address == Address.RESET and self._registers[Address.RESET] & 1:
+            self.reset()
+        elif address == Address.ARRAY and self._registers[Address.ARRAY] & _TAKE_OVER:
+            columns, rows = SIZE
+            self._columns = unpacked(self._registers.words(Address.COLUMNS, 20), columns)
+            self._rows = unpacked(self._registers.words(Address.ROWS, 15), rows)
         elif address in (Address.NOISE, Address.NOISE_RATE):
             rate = self._registers[Address.NOISE_RATE]
             period_us, least = max(1, rate >> 14 & 0x3FF), rate & 0x3FFF
@@ -151,7 +150,7 @@ class Selection:
     def apply(self, events: Events, epoch_us: int) -> Selected:
         """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
         selected = events
-        if self._array & _WINDOWS_ON:
+        if self._registers[Address.ARRAY] & _WINDOWS_ON:
             selected = selected[self._columns[selected["x"]] & self._rows[selected["y"]]]
         selected = self._noise.passed(selected, epoch_us)
         return Selected(selected, len(events) - len(selected), 0)

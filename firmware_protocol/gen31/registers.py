@@ -1,24 +1,26 @@
 """The registers of a board with a Gen 3.1 that hosts use: 32 bits each, at byte addresses in steps of 4, 0 to 1FFC.
 
-    0000            power: bit 0 analogue supply; bit 18 (inferred) time runs
-    0008            bit 9 events go to the host
+    0000            power: bit 0 analogue supply; bit 18 (TD_RSTN) time runs
+    0008            bits 8 (HOST_IF_EN) and 9 (STEREO_MERGE_ENABLE) events go to the host
+    000C            bit 0 (written 1) reset of all registers
     01A0            bit 0 trigger input on
-    0204            array: bit 1 windows act; 3 pixels run; 5 (rising) windows take over
-    0214            light meter: bits 30, 31 on; bit 29 valid, 26..0 count of 10 ns
+    0204            array: bit 1 windows act; 3 pixels run; 5 (written 1) windows take over
+    0214            light meter: bits 30, 31 on; bit 29 valid, 25..0 count of 10 ns
     0218            chip: 90200C02
     0238            bit 0 clock of the output runs
     0248            noise filter: bit 0 on
     024C            its least events in a period in bits 13..0, its period, us, in 23..14
     034C - 0364     biases: bit 27 a voltage, in bits 7..0; else a current, in bits 20..8
     0400 + 4 i      20 words of columns, 0500 + 4 i  15 of rows: bit k of word i is pixel 32 i + k, 1 in the window
-    0800            28, number of the system; 0804, 0808 its version and build date
+    0800            28, number of the system
 
 Other registers only store their value. A pixel is in the window if its column and its row are. Rows count from the top.
 
-The registers 0000 to 01FF and from 0800 on are the board's, those from 0200 to 07FF the sensor's. Power-on values are
-those that OpenEB's register maps list, but power, which is off, and the biases, which are those that drivers write when
-they open the sensor. Inferred: what the bits of the gate do, from the order in which drivers write them; that the
-light meter has its count at once.
+The registers from 0200 to 073F are the sensor's, the others the board's. Power-on values of the array, the noise filter
+and the windows are those of OpenEB's register maps, the biases those that drivers write when they open the sensor, and
+the numbers of chip and system those that drivers check; all others are 0. Inferred: what the bits of the gate do, from
+the order in which drivers write them; that a reset of the board (SOFT_RESET) is one of the sensor as well; that windows
+take over with each write of bit 5; that the light meter has its count at once.
 
 Sources: OpenEB 5.1.1, register maps, drivers and sequence of the Gen 3.1 of an EVK3 (gen31_ccam5_tz_device.cpp,
 gen31_evk3_issd.h, gen31_ll_biases.cpp, gen31_roi_command.cpp and others); neuromorphic_drivers, centuryarks_vga.rs.
@@ -38,7 +40,7 @@ _END = 0x2000
 _SYSTEM = 0x28
 _TIME = 1 << 18
 _SUPPLY_AND_TIME = _TIME | 1
-_TO_HOST = 1 << 9
+_TO_HOST = 3 << 8
 _PIXELS_RUN = 1 << 3
 _METER_ON = 3 << 30
 _METER_VALID = 1 << 29
@@ -52,6 +54,7 @@ class Address(IntEnum):
 
     POWER = 0x0000
     HOST = 0x0008
+    RESET = 0x000C
     TRIGGERS = 0x01A0
     ARRAY = 0x0204
     LIGHT = 0x0214
@@ -62,8 +65,6 @@ class Address(IntEnum):
     COLUMNS = 0x0400
     ROWS = 0x0500
     SYSTEM = 0x0800
-    VERSION = 0x0804
-    BUILD_DATE = 0x0808
 
 
 BIASES: Mapping[str, tuple[int, int]] = {
@@ -92,8 +93,6 @@ _POWER_ON: Mapping[int, int] = {
     **{Address.COLUMNS + 4 * i: 0xFFFF_FFFF for i in range(20)},
     **{Address.ROWS + 4 * i: 0xFFFF_FFFF for i in range(15)},
     Address.SYSTEM: _SYSTEM,
-    Address.VERSION: 0x03_0900,
-    Address.BUILD_DATE: 1_600_000_000,
 }
 
 
@@ -113,8 +112,10 @@ class Registers(ChipRegisters):
 
     def write(self, address: int, value: int) -> None:
         """Write a register, and apply its effect within the sensor; raises NoRegister."""
-        if address == Address.CHIP or Address.SYSTEM <= address <= Address.BUILD_DATE:
+        if address in (Address.CHIP, Address.SYSTEM):
             return
+        if address == Address.RESET and value & 1:
+            self.power_on()
         self._set(address, value)
         if address == Address.LIGHT:
             self._set(address, value & _METER_ON | (self._light if value & _METER_ON == _METER_ON else 0))
@@ -146,8 +147,8 @@ class Registers(ChipRegisters):
     def running(self) -> bool:
         """True if events leave the sensor."""
         powered = self[Address.POWER] & _SUPPLY_AND_TIME == _SUPPLY_AND_TIME
-        opened = self[Address.HOST] & _TO_HOST and self[Address.ARRAY] & _PIXELS_RUN and self[Address.CLOCK] & 1
-        return powered and bool(opened)
+        leaves = self[Address.HOST] & _TO_HOST == _TO_HOST and self[Address.CLOCK] & 1
+        return powered and bool(leaves and self[Address.ARRAY] & _PIXELS_RUN)
 
     @property
     def has_trigger(self) -> bool:

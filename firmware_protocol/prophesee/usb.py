@@ -1,4 +1,4 @@
-"""USB side of Prophesee's boards, which the EVK4, its siblings and the board with a GenX320 share.
+"""USB side of Prophesee's boards, which the EVK4, its siblings and the boards with a Gen 3.1 or a GenX320 share.
 
 Requests come on one bulk endpoint, answers and events leave on two others:
 

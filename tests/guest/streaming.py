@@ -84,8 +84,8 @@ class Streaming:
 
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging
-        is_gone = about.get("running") is False or not self._driver.stops_camera
-        return bool(known) and known in finished.stderr and is_gone
+        may_abort = about.get("running") is False or not self._driver.stops_camera
+        return bool(known) and known in finished.stderr and may_abort
 
 
 def wait_for_bytes(file: Path, timeout_s: float) -> None:

@@ -28,9 +28,8 @@ from transports.usb.host import (
     UsbHostError,
 )
 
-UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4", MODE="0666"'
-"""Rule that permits every user to open the devices of these vendors: those of the DAVIS346, and of the EVK4's USB chip.
-"""
+UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4|31f7|1409", MODE="0666"'
+"""Rule that permits every user to open the devices of iniVation, of the EVK4's USB chip, CenturyArks and IDS."""
 
 _LIBUSB_MISSING = "libusb 1.0 is missing: apt-get install libusb-1.0-0"
 _DENIED = (

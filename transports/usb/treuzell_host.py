@@ -51,8 +51,8 @@ _GEN31_START = (
     (_GEN31.POWER, 0xC_1107),
     (_GEN31.HOST, 0x300),
     (_GEN31.CLOCK, 1),
-    (_GEN31.NOISE, 0xC8),
     (_GEN31.ARRAY, 0x2B),
+    (_GEN31.NOISE, 0xC8),
 )
 _GEN31_STOP = ((_GEN31.ARRAY, 0x23), (_GEN31.CLOCK, 0), (_GEN31.HOST, 0x100), (_GEN31.POWER, 0x8_1106))
 
@@ -232,7 +232,8 @@ def _model(usb_id: tuple[int, int], compatible: tuple[str, ...]) -> str:
     if compatible == genx320.CHIP_NAMES.compatible:
         return genx320.BOARD.title
     if compatible == gen31.CHIP_NAMES.compatible:
-        return next(board.title for board in gen31.BOARDS.values() if board.usb_id == usb_id)
+        small = list(gen31.BOARDS.values())
+        return " or ".join(board.title for board in [b for b in small if b.usb_id == usb_id] or small)
     boards = [board for board in BOARDS.values() if board.usb_id == usb_id]
     fitting = [board for board in boards if board.chip.compatible == compatible] or boards
     return " or ".join(board.title for board in fitting)

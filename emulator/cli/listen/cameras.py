@@ -30,7 +30,7 @@ def listen(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Json = False,
 ) -> int:
-    """Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320, real or emulated, and count its data. Ctrl-C ends it.
+    """Read a camera on USB, real or emulated, and count its data. Ctrl-C ends it.
 
     Parameters
     ----------

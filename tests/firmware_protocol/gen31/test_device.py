@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 from evk4_requests import DATA, Host, events_of
-from gen31_host import GATE, PROMPT, START, STOP, opened, running
+from gen31_host import GATE, START, STOP, opened, running
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from treuzell_life import Life
@@ -61,7 +61,9 @@ def test_the_thermometer_is_a_second_device():
         assert int.from_bytes(bytes.fromhex(answer)[:4], "little") == property | 0x8000_0000
 
 
-@pytest.mark.parametrize("missing", [(0x0000, 0x4_0000), (0x0000, 1), (0x0008, 0x200), (0x0238, 1), (0x0204, 8)])
+@pytest.mark.parametrize(
+    "missing", [(0x0000, 0x4_0000), (0x0000, 1), (0x0008, 0x200), (0x0008, 0x100), (0x0238, 1), (0x0204, 8)]
+)
 def test_nothing_leaves_before_the_whole_gate_is_open(missing):
     camera, host = running()
     address, bit = missing
@@ -101,18 +103,18 @@ def test_a_band_of_the_noise_filter_passes_the_period_after_one_with_enough_even
 
 
 @given(columns=st.sets(st.integers(0, 639), max_size=8), rows=st.sets(st.integers(0, 479), max_size=8))
-def test_the_window_takes_over_when_the_host_says_so(columns, rows):
+def test_the_window_takes_over_with_each_write_of_bit_5(columns, rows):
     camera, host = running()
     words = [(0x0400 + 4 * k, sum(1 << x % 32 for x in columns if x // 32 == k)) for k in range(20)]
     words += [(0x0500 + 4 * k, sum(1 << y % 32 for y in rows if y // 32 == k)) for k in range(15)]
-    host.write((0x0204, 0xB), *words)
+    host.write(*words)
     places = [(x, y) for x in sorted(columns) for y in sorted(rows)]
     places += [(0, 0), (639, 479), (320, 240)]
     offered = events_of(*((10 + k, x, y, True) for k, (x, y) in enumerate(places)))
     decoder = Evt3Decoder()
     camera.offer(offered)
     assert len(received(camera, decoder)[0]) == len(offered)
-    host.write((0x0204, 0x2B), *((address, 0) for address, _ in words), (0x0204, 0x2B))  # only a rise takes over
+    host.write((0x0204, 0x2B), (0x0204, 0xB), *((address, 0) for address, _ in words), (0x0204, 0xB))
     camera.advance(1000)
     offered["t"] += np.uint64(1000)
     camera.offer(offered)
@@ -226,6 +228,25 @@ def test_hostile_requests_harm_nothing():
     assert camera.counters.delivered > 0
 
 
+def test_a_band_set_while_the_filter_is_on_begins_anew():
+    camera, host = running()
+    host.write((0x024C, 100 << 14), (0x0248, 0xC9))
+    camera.offer(events_of(*((t, 1, 1, True) for t in range(0, 300, 50))))
+    host.write((0x024C, 100 << 14 | 1))
+    camera.offer(events_of((310, 2, 2, True), (410, 3, 3, True)))
+    assert received(camera)[0]["t"].tolist() == [100, 150, 200, 250, 410]
+
+
+def test_the_next_driver_finds_nothing_of_the_one_before():
+    camera, host = running((0x0400, 0), (0x0350, 0x7900_003A), (0x01A0, 1))
+    host.write((0x0204, 0xB), (0x0204, 0x2B), (0x0000, 0))
+    assert not camera.streaming  # the supply is off
+    host.write((0x000C, 0), (0x000C, 1), *START)
+    camera.offer(events_of((10, 0, 0, True)))
+    assert received(camera)[0].tolist() == [(10, 0, 0, True)]
+    assert (camera.sensor_factors, host.register(0x01A0), host.register(0x0400)) == ({}, 0, 0xFFFF_FFFF)
+
+
 def test_power_on_forgets_all_that_a_host_wrote():
     camera, host = running((0x0400, 0), (0x0350, 0x7900_003A), (0x0248, 0xC9))
     host.write((0x0204, 0xB), (0x0204, 0x2B))
@@ -236,4 +257,3 @@ def test_power_on_forgets_all_that_a_host_wrote():
     host.write(*START)
     camera.offer(events_of((10, 0, 0, True)))
     assert received(camera)[0].tolist() == [(10 - camera.epoch_us, 0, 0, True)]
-    assert PROMPT.size == (640, 480)

@@ -12,18 +12,21 @@ from neuromorphic_drivers.generated.devices import centuryarks_vga as vga
 
 
 def main() -> None:
-    asked = parser()
-    asked.add_argument("--settings", action="store_true", help="change biases while it streams")
-    options = arguments(asked)
+    options_parser = parser()
+    options_parser.add_argument("--settings", action="store_true", help="change biases while it streams")
+    options = arguments(options_parser)
     collector = Collector(options)
     discovered = [device.serial for device in nd.list_devices()]
-    told = vga.Configuration()
+    configuration = vga.Configuration()
     names = [bias.name for bias in fields(vga.Biases)]
-    changes = [replace(told, biases=replace(told.biases, **{n: getattr(told.biases, n) + 1})) for n in names]
-    changes = [*changes, told] if options.settings else []
+    changes = [
+        replace(configuration, biases=replace(configuration.biases, **{n: getattr(configuration.biases, n) + 1}))
+        for n in names
+    ]
+    changes = [*changes, configuration] if options.settings else []
     change_at = count(0, options.count // 20)
     change_next, changes_made, running = next(change_at), 0, True
-    with nd.open(told, iterator_timeout=0.1) as camera:
+    with nd.open(configuration, iterator_timeout=0.1) as camera:
         about = {"serial": camera.serial(), "name": camera.name().value, "version": version("neuromorphic_drivers")}
         while running and (changes or not collector.done):
             try:

@@ -94,7 +94,11 @@ bool select_on_genx320(Device &device) {
 }
 
 void set_window(Device &device, int width) {
-    device.get_facility<I_ROI>()->set_window(I_ROI::Window(window.x, window.y, width, window.height));
+    auto *roi = device.get_facility<I_ROI>();
+    roi->set_window(I_ROI::Window(window.x, window.y, width, window.height));
+    if (device.get_facility<I_Geometry>()->get_width() == 640) {
+        roi->enable(true); // of a Gen3.1 set_window only writes the registers
+    }
 }
 
 // Makes the next change of settings, of a bias and of the window, when the stream has come so far; the last is undone.
