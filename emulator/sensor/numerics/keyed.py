@@ -231,7 +231,7 @@ class Point(NamedTuple):
 
 @kernel
 def next_point(base: np.uint64, from_ns: int, to_ns: int, below_hz: float) -> Point:
-    """Return the first point of a pixel's field (stream `base`) after `from_ns`, up to `to_ns`, and below a hazard."""
+    """Return the first point of a field (stream `base`) in (from_ns, to_ns] below a hazard, the lower of two at once."""
     found_hz = 0.0
     found_ns: Any = NEVER_NS
     top_hz = _LEAST_HZ
@@ -253,7 +253,7 @@ def next_point(base: np.uint64, from_ns: int, to_ns: int, below_hz: float) -> Po
                     drawn_word = mix_word(drawn_word + _NEXT_POINT)
                     t_ns = (cell << bits) + np.int64(drawn_word >> (_WORD - np.uint64(bits)))
                     hz = base_hz + (top_hz - base_hz) * (np.float64(drawn_word & _LOW) + 0.5) * _UNIT
-                    if t_ns > from_ns and t_ns <= to_ns and t_ns < found_ns and hz < below_hz:
+                    if from_ns < t_ns <= min(to_ns, found_ns) and hz < (found_hz if t_ns == found_ns else below_hz):
                         found_ns, found_hz = t_ns, hz
                 last = min(last, found_ns >> bits)
             cell += 1

@@ -94,6 +94,13 @@ def test_windows_divide_the_points_among_them(cuts, begin_ns, below_hz, pixel):
     assert np.array_equal(lower[0], t_ns[hz < below_hz / 3])
 
 
+def test_of_two_points_at_one_time_the_lower_one_counts():
+    """This pixel has two points at 201077062 ns, of 1413 and of 557 / s, the upper one drawn first."""
+    for below_hz in (1671.0, 557.0):
+        t_ns, hz = of_pixel(6753, 0, 10**9, below_hz)
+        assert hz[t_ns == 201_077_062].tolist() == pytest.approx([556.9], abs=0.1)
+
+
 @given(from_ns=st.integers(-(2**61), 2**61), pixel=st.integers(0, 2**24))
 def test_above_the_highest_band_there_are_no_points(from_ns, pixel):
     t_ns, hz = of_pixel(pixel, from_ns, from_ns + 20_000, CERTAIN_HZ)
