@@ -231,7 +231,7 @@ class Point(NamedTuple):
 
 @kernel
 def next_point(base: np.uint64, from_ns: int, to_ns: int, below_hz: float) -> Point:
-    """Return the first point of a field (stream `base`) in (from_ns, to_ns] below a hazard, the lower of two at once."""
+    """Return a field's first point (stream `base`) in (from_ns, to_ns] below a hazard, the lower of two at once."""
     found_hz = 0.0
     found_ns: Any = NEVER_NS
     top_hz = _LEAST_HZ
