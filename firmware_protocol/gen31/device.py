@@ -40,17 +40,10 @@ from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from firmware_protocol.prophesee.camera import NoiseFilter, RateBand, Selected, unpacked
 from firmware_protocol.prophesee.registers import NoRegister
 from firmware_protocol.prophesee.treuzell import BoardDevice
-from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, TreuzellSettings
+from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, TreuzellCamera, TreuzellSettings
 
 SLOPES = BiasSlopes(diff_on=1 / 12, diff_off=1 / 11, diff_off_above=1 / 11, off_delay=0.0, fo=1 / 61, refr=1 / 79)
 """Effect of one step of each bias."""
-
-
-@dataclass(frozen=True)
-class _Names:
-    name: str
-    compatible: tuple[str, ...]
-
 
 _SILKY = (0x31F7, 0x0002)
 _PROPHESEE = (0x04B4, 0x00F5)
@@ -62,7 +55,7 @@ BOARDS: Mapping[str, BoardIdentity] = {
 }
 """Boards by the name of the camera model in a rig."""
 
-CHIP_NAMES = _Names("CCam5 FPGA Event-Based Camera", ("psee,ccam5_fpga",))
+CHIP_NAMES = ChipNames("CCam5 FPGA Event-Based Camera", ("psee,ccam5_fpga",))
 """The sensor's names."""
 
 
@@ -105,7 +98,7 @@ class Gen31Settings(TreuzellSettings):
         return SIZE
 
     @property
-    def chip_names(self) -> _Names:
+    def chip_names(self) -> ChipNames:
         """Names of the sensor."""
         return CHIP_NAMES
 

@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from firmware_protocol.genx320.registers import SIZE, Registers, Surroundings
 from firmware_protocol.genx320.selection import Selection
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
-from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, TreuzellSettings
+from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, TreuzellCamera, TreuzellSettings
 
 SLOPES = BiasSlopes(diff_on=0.0286, diff_off=0.0416, diff_off_above=0.0272, off_delay=0.089, fo=1 / 34, refr=0.1)
 """Effect of one step of each bias."""
@@ -40,14 +40,8 @@ SLOPES = BiasSlopes(diff_on=0.0286, diff_off=0.0416, diff_off_above=0.0272, off_
 _TRAIL = 0xD000, 0xD008, 0xD00C
 
 
-@dataclass(frozen=True)
-class _Names:
-    name: str
-    compatible: tuple[str, ...]
-
-
 BOARD = BoardIdentity("EVK3 GenX320", (0x04B4, 0x00F5), "Prophesee", "EVK3", kind=0x3B)
-CHIP_NAMES = _Names("CX3 GenX320 Event-Based Camera", ("psee,cx3_genx320",))
+CHIP_NAMES = ChipNames("CX3 GenX320 Event-Based Camera", ("psee,cx3_genx320",))
 """The board's identity, and the sensor's names."""
 
 
@@ -71,7 +65,7 @@ class Genx320Settings(TreuzellSettings):
         return SIZE
 
     @property
-    def chip_names(self) -> _Names:
+    def chip_names(self) -> ChipNames:
         """Names of the sensor."""
         return CHIP_NAMES
 

@@ -58,7 +58,7 @@ from firmware_protocol.imx636.registers import (
     Surroundings,
 )
 from firmware_protocol.prophesee.camera import Mask, RateControl, Selected, unpacked
-from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, TreuzellSettings
+from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, TreuzellCamera, TreuzellSettings
 
 
 @dataclass(frozen=True)
@@ -109,9 +109,9 @@ class Evk4Settings(TreuzellSettings):
         return SIZE
 
     @property
-    def chip_names(self) -> Chip:
+    def chip_names(self) -> ChipNames:
         """Names of the sensor."""
-        return self.board.chip
+        return ChipNames(self.board.chip.name, self.board.chip.compatible)
 
 
 class Selection:

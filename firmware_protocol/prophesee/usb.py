@@ -130,16 +130,12 @@ class BoardIdentity:
     short_frames: bool = False
 
 
-class ChipNames(Protocol):
-    """Names of a sensor."""
+@dataclass(frozen=True)
+class ChipNames:
+    """Name of a sensor for people, and the names by which OpenEB finds its driver."""
 
-    @property
-    def name(self) -> str:
-        """Name for people."""
-
-    @property
-    def compatible(self) -> tuple[str, ...]:
-        """Names by which OpenEB finds the driver."""
+    name: str
+    compatible: tuple[str, ...]
 
 
 class ChipSelection(Protocol):

@@ -32,6 +32,7 @@ EVENTS = round(float(os.environ.get("EVSTIM_GEN31_EVENTS", "3e4")))
 GAP_US = 4
 TIMEOUT_S = 240.0 + 8.0 * EVENTS * GAP_US * 1e-6
 OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
+OPENEB_EVENTS = max(EVENTS, 1_000_000)  # its decoder is seconds behind the camera when it changes the window
 SILKY = ("31f7", "0002")
 WINDOW = (100, 499, 60, 359)  # as openeb/client.cpp has it
 
@@ -56,7 +57,7 @@ def test_openeb_sees_every_event_of_its_window(
     out = "evk3-vga.bin"
     text = RIG.replace('"evk4"', '"evk3_vga"')
     with RunningRig(tmp_path, text=text) as rig, Attachment(guest, rig.port, model=EVK4):
-        command = [OPENEB, str(EVENTS), str(TIMEOUT_S), guest.path_in_guest(out), "EVT3"]
+        command = [OPENEB, str(OPENEB_EVENTS), str(TIMEOUT_S), guest.path_in_guest(out), "EVT3"]
         begun_s = time.monotonic()
         about = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
         seconds = time.monotonic() - begun_s
@@ -65,12 +66,14 @@ def test_openeb_sees_every_event_of_its_window(
     assert about["changed"] is True
     assert (about["celsius"], abs(about["lux"] - 100) <= 1) == (20, True)  # the driver cuts fractions off
     seen = np.fromfile(guest.results / out, EVENT)
-    assert len(seen) >= EVENTS
+    assert len(seen) >= OPENEB_EVENTS
     record_property("amount", f"{len(seen)} events")
     record_property("seconds", round(seconds))
     sent = rig.delivered.events[rig.delivered.resets[-1] :]
     assert_same(seen, sent, offset_us=0)
     assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == WINDOW
+    narrow = np.flatnonzero(np.diff(np.flatnonzero(seen["x"] >= 300)) > 100)
+    assert len(narrow) == 1  # the window was narrow once, while many events came: none was in its right half
     triggers = np.array([(t, EdgeKind.RISING if on else EdgeKind.FALLING, 0, 0) for t, on in about["triggers"]], EDGE)
     assert_same_triggers(triggers, rig.delivered)
     recorded = EvtReader(guest.results / f"{out}.raw", None)

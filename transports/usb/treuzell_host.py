@@ -232,8 +232,8 @@ def _model(usb_id: tuple[int, int], compatible: tuple[str, ...]) -> str:
     if compatible == genx320.CHIP_NAMES.compatible:
         return genx320.BOARD.title
     if compatible == gen31.CHIP_NAMES.compatible:
-        small = list(gen31.BOARDS.values())
-        return " or ".join(board.title for board in [b for b in small if b.usb_id == usb_id] or small)
+        with_id = [board for board in gen31.BOARDS.values() if board.usb_id == usb_id]
+        return " or ".join(board.title for board in with_id or gen31.BOARDS.values())
     boards = [board for board in BOARDS.values() if board.usb_id == usb_id]
     fitting = [board for board in boards if board.chip.compatible == compatible] or boards
     return " or ".join(board.title for board in fitting)
