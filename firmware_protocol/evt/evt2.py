@@ -39,20 +39,14 @@ from firmware_protocol.evt.words import (
     HIGH_SENT,
     LAST,
     LIMIT_PX,
-    MUST_OPEN,
     ORIGIN,
     OUTSIDE,
     WINDOW_PX,
     Coder,
     Words,
-    edge_is_next,
     entry,
-    fault_of,
-    is_left,
     next_high,
-    next_time,
-    repeat,
-    run_end,
+    parts_writer,
     short_at,
     time_at,
     window,
@@ -91,34 +85,6 @@ _MOST_WORDS = 6  # of one iteration of the loop
 _next_high = kernel(next_high)
 
 
-@entry
-def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Words) -> int:
-    """Write events and edges as `write_words` does, until `out` is full; `mask`: NO_MASK, MASK_FIRST or MASK_LAST."""
-    written = 0
-    while written <= len(out) - _MOST_WORDS and is_left(events, edges, state):
-        is_edge = edge_is_next(events, edges, state)
-        t = next_time(events, edges, is_edge, state)
-        fault = fault_of(t, state)
-        if fault:
-            return fault
-        repeat(t, state)
-        high = t >> LOW_BITS
-        if high != state[HIGH_SENT] or state[MUST_OPEN]:
-            if high != state[HIGH_SENT]:
-                state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, HIGH_BITS)
-            written = _put(out, written, mask, _HIGH | state[HIGH_SENT] & 0xFFFFFFF, 0)
-            state[MUST_OPEN] = high != state[HIGH_SENT]
-            continue
-        if is_edge:
-            state[LAST] = t
-            written = _put_edge(edges, mask, (t & 0x3F) << 22, state, out, written)
-        else:
-            written = _put_events(events, run_end(t, LOW_BITS, edges, state), mask, state, out, written)
-        if written < 0:
-            return OUTSIDE
-    return written
-
-
 @kernel
 def _put(out: _Words, written: int, mask: int, word: int, columns: int) -> int:
     """Write a word and its columns; return the index of the next word."""
@@ -131,10 +97,19 @@ def _put(out: _Words, written: int, mask: int, word: int, columns: int) -> int:
 
 
 @kernel
-def _put_edge(edges: _Bytes, mask: int, low: int, state: _State, out: _Words, written: int) -> int:
-    """Write an edge, or both edges of a pulse."""
+def _put_high(high: int, mask: int, state: _State, out: _Words, written: int) -> int:
+    """Write one high part on the way to `high`, or `high` itself; return the index of the next word."""
+    if high != state[HIGH_SENT]:
+        state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, HIGH_BITS)
+    return _put(out, written, mask, _HIGH | state[HIGH_SENT] & 0xFFFFFFF, 0)
+
+
+@kernel
+def _put_edge(edges: _Bytes, t: int, mask: int, state: _State, out: _Words, written: int) -> int:
+    """Write an edge at `t`, or both edges of a pulse."""
+    state[LAST] = t
     at = state[AT_EDGE] * EDGE_BYTES
-    kind, word = edges[np.uint64(at + 8)], _TRIGGER | low | int(edges[np.uint64(at + 9)] & 0x1F) << 8
+    kind, word = edges[np.uint64(at + 8)], _TRIGGER | (t & 0x3F) << 22 | int(edges[np.uint64(at + 9)] & 0x1F) << 8
     state[AT_EDGE] += 1
     written = _put(out, written, mask, word | (kind in (_RISING, _PULSE)), 0)
     return _put(out, written, mask, word, 0) if kind == _PULSE else written
@@ -163,6 +138,15 @@ def _put_events(events: _Bytes, until: int, mask: int, state: _State, out: _Word
         written = _put(out, written, mask, (_ON if on else 0) | (t & 0x3F) << 22 | column << 11 | y, bits)
     state[AT_EVENT], state[LAST] = at // EVENT_BYTES, last
     return written
+
+
+_write_parts = parts_writer(LOW_BITS, _MOST_WORDS, _put_high, _put_edge, _put_events)
+
+
+@entry
+def write_evt2_parts(events: _Bytes, edges: _Bytes, mask: int, states: _State, opening: int, rows: _Words) -> int:
+    """Write parts of words with NO_MASK, MASK_FIRST or MASK_LAST; see `parts_writer`."""
+    return _write_parts(events, edges, mask, states, opening, rows)
 
 
 @kernel
@@ -237,7 +221,7 @@ class Evt2Encoder(Coder):
 
         words = Words(
             np.uint32, LOW_BITS, HIGH_BITS,
-            lambda events, edges, state, out: write_evt2(events, edges, mask, state, out), high_words,
+            lambda events, edges, *parts: write_evt2_parts(events, edges, mask, *parts), high_words,
         )  # fmt: skip
         super().__init__(words, standalone=standalone, origin_us=origin_us, repeat_us=repeat_us)
 

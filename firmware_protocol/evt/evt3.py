@@ -34,7 +34,6 @@ from firmware_protocol.evt.words import (
     LAST,
     LIMIT_PX,
     LOW,
-    MUST_OPEN,
     ORIGIN,
     OUTSIDE,
     ROW,
@@ -47,16 +46,11 @@ from firmware_protocol.evt.words import (
     WINDOW_PX,
     Coder,
     Words,
-    edge_is_next,
     entry,
-    fault_of,
-    is_left,
     next_high,
-    next_time,
+    parts_writer,
     put_short,
     put_time,
-    repeat,
-    run_end,
     short_at,
     time_at,
     window,
@@ -75,53 +69,17 @@ _MOST_WORDS = 8  # of one iteration of the loop
 _next_high = kernel(next_high)
 
 
-@entry
-def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _Words) -> int:
-    """Write words until all events and edges are written or `out` is full, and return their number.
-
-    A negative number is BACKWARDS, TOO_LATE or OUTSIDE; `state` is then invalid.
-
-    Parameters
-    ----------
-    events, edges : (13 n,) and (12 m,) bytes of EVENT and EDGE records.
-    width : columns of the sensor.
-    state : (10,) with the layout in `words`; on return the state after the last word.
-    out : (k,) room, k at least 8.
-    """
-    written = 0
-    while written <= len(out) - _MOST_WORDS and is_left(events, edges, state):
-        is_edge = edge_is_next(events, edges, state)
-        t = next_time(events, edges, is_edge, state)
-        fault = fault_of(t, state)
-        if fault:
-            return fault
-        repeat(t, state)
-        high = t >> HIGH_BITS
-        if high != state[HIGH_SENT] or state[MUST_OPEN]:
-            written = _put_high(high, state, out, written)
-            if high != state[HIGH_SENT]:
-                continue
-        if is_edge:
-            written = _put_edge(edges, t, state, out, written)
-        else:
-            written = _put_events(events, run_end(t, HIGH_BITS, edges, state), width, state, out, written)
-        if written < 0:
-            return OUTSIDE
-    return written
-
-
 @kernel
-def _put_high(high: int, state: _State, out: _Words, written: int) -> int:
+def _put_high(high: int, _width: int, state: _State, out: _Words, written: int) -> int:
     """Write one high part on the way to `high`, or `high` itself; return the index of the next word."""
     if high != state[HIGH_SENT]:
         state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, HIGH_BITS)
     out[np.uint64(written)] = _HIGH | state[HIGH_SENT] & 0xFFF
-    state[MUST_OPEN] = state[MUST_OPEN] and high != state[HIGH_SENT]
     return written + 1
 
 
 @kernel
-def _put_edge(edges: _Bytes, t: int, state: _State, out: _Words, written: int) -> int:
+def _put_edge(edges: _Bytes, t: int, _width: int, state: _State, out: _Words, written: int) -> int:
     """Write an edge at `t`, or both edges of a pulse."""
     out[np.uint64(written)] = _LOW | t & 0xFFF
     written += t != state[TIME_SENT]
@@ -194,6 +152,15 @@ def _put_vector(base: int, on: bool, bits: int, out: _Words, written: int) -> in
     return written + 4
 
 
+_write_parts = parts_writer(HIGH_BITS, _MOST_WORDS, _put_high, _put_edge, _put_events)
+
+
+@entry
+def write_parts(events: _Bytes, edges: _Bytes, width: int, states: _State, opening: int, rows: _Words) -> int:
+    """Write parts of the words of a sensor of so many columns; see `parts_writer`."""
+    return _write_parts(events, edges, width, states, opening, rows)
+
+
 _WORDS_AN_EVENT = 4  # high part, low part, row, column
 _WORDS_AT_MOST_BESIDE = 4  # high part 0 of the start; both sides of a wrap and a step of the high part
 
@@ -216,7 +183,7 @@ class Evt3Encoder(Coder):
     ) -> None:
         form = Words(
             np.uint16, HIGH_BITS, HIGH_BITS,
-            lambda events, edges, state, out: write_words(events, edges, width, state, out),
+            lambda events, edges, *parts: write_parts(events, edges, width, *parts),
             lambda high: [HIGH << 12 | high & 0xFFF],
         )  # fmt: skip
         super().__init__(form, standalone=standalone, origin_us=origin_us, repeat_us=repeat_us)

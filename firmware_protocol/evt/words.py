@@ -69,6 +69,7 @@ def next_high(written: int, target: int, bits: int) -> int:
 entry = entry_of("firmware_protocol.evt", "firmware_protocol.events")
 
 _Bytes = npt.NDArray[np.uint8]
+_Words = npt.NDArray[np.unsignedinteger]
 
 EVENT_BYTES, EDGE_BYTES = 13, 12
 
@@ -108,10 +109,10 @@ def put_short(data: _Bytes, at: int, value: int) -> None:
 _State = npt.NDArray[np.int64]
 
 # Content of a state: full high part, full time and row in the words so far (-1: none), the newest time given, the next
-# event and edge of this call, a flag for a high part that must be written although readers have it, the time of the
-# records that is zero in the words, and the bits of a time within a period of repetition and the last period, see
-# `repeat`. All other times are those of the words.
-HIGH_SENT, TIME_SENT, ROW_SENT, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN, REPEAT, PERIOD = range(10)
+# event and edge of this call and the number of words of a part, a flag for a high part that must be written although
+# readers have it, the time of the records that is zero in the words, and the bits of a time within a period of
+# repetition and the last period. All other times are those of the words.
+HIGH_SENT, TIME_SENT, ROW_SENT, LAST, AT_EVENT, AT_EDGE, WRITTEN, MUST_OPEN, ORIGIN, REPEAT, PERIOD = range(11)
 BACKWARDS, TOO_LATE, OUTSIDE = -1, -2, -3
 LONGEST_GAP_US = 1 << 37  # 38 hours: 41 000 words
 
@@ -122,39 +123,13 @@ _MOST_REPEATS = 1024  # of a high part, in one call
 def new_state(origin_us: int = 0, repeat_us: int = 0) -> _State:
     """Return the state before the first word; records of the time `origin_us` have time zero."""
     bits = repeat_us.bit_length() - 1 if repeat_us else _NEVER
-    return np.array([-1, -1, -1, -1, 0, 0, 0, origin_us, bits, 0], np.int64)
+    return np.array([-1, -1, -1, -1, 0, 0, 0, 0, origin_us, bits, 0], np.int64)
 
 
 @kernel
 def is_left(events: _Bytes, edges: _Bytes, state: _State) -> bool:
     """Return true if any event or edge is left."""
     return bool(state[AT_EVENT] * EVENT_BYTES < len(events) or state[AT_EDGE] * EDGE_BYTES < len(edges))
-
-
-@kernel
-def next_time(events: _Bytes, edges: _Bytes, is_edge: bool, state: _State) -> int:
-    """Return the time of the next edge or of the next event."""
-    if is_edge:
-        return int(time_at(edges, state[AT_EDGE] * EDGE_BYTES) - state[ORIGIN])
-    return int(time_at(events, state[AT_EVENT] * EVENT_BYTES) - state[ORIGIN])
-
-
-@kernel
-def fault_of(t: int, state: _State) -> int:
-    """Return BACKWARDS or TOO_LATE if time `t` cannot follow, else 0."""
-    if t < state[LAST]:
-        return BACKWARDS
-    return TOO_LATE if t - state[LAST] > LONGEST_GAP_US else 0
-
-
-@kernel
-def repeat(t: int, state: _State) -> None:
-    """Begin again with time and row if `t` is the first time of a period of repetition."""
-    period = t >> state[REPEAT]
-    if period != state[PERIOD]:
-        state[PERIOD] = period
-        state[MUST_OPEN] = 1
-        state[TIME_SENT] = state[ROW_SENT] = -1
 
 
 @kernel
@@ -178,24 +153,94 @@ def run_end(t: int, low_bits: int, edges: _Bytes, state: _State) -> int:
 @kernel
 def same_group(events: _Bytes, at: int, other: int, base: int) -> bool:
     """Return true if record `other` has the time, row and polarity of record `at`, in the window from `base`."""
-    if other >= len(events):
+    if other >= len(events) or time_at(events, other) != time_at(events, at):
         return False
     x, on = short_at(events, other + 8), (events[np.uint64(at + 12)] != 0) == (events[np.uint64(other + 12)] != 0)
     same_row = short_at(events, other + 10) == short_at(events, at + 10)
-    return time_at(events, other) == time_at(events, at) and same_row and on and base <= x < base + WINDOW_PX
+    return same_row and on and base <= x < base + WINDOW_PX
 
 
 @kernel
 def window(events: _Bytes, at: int, base: int) -> tuple[int, int]:
     """Return the columns in the window from `base`, a bit each, that records from `at` on fill, and their number."""
-    bits = count = 0
-    last, other = -1, at
+    last, other = short_at(events, at + 8), at + EVENT_BYTES
+    bits, count = 1 << (last - base), 1
     while same_group(events, at, other, base) and short_at(events, other + 8) > last:
         last = short_at(events, other + 8)
         bits |= 1 << (last - base)
         count += 1
         other += EVENT_BYTES
     return bits, count
+
+
+def parts_writer(
+    low_bits: int,
+    most_words: int,
+    put_high: Callable[[int, int, _State, _Words, int], int],
+    put_edge: Callable[[_Bytes, int, int, _State, _Words, int], int],
+    put_events: Callable[[_Bytes, int, int, _State, _Words, int], int],
+) -> Callable[[_Bytes, _Bytes, int, _State, int, _Words], int]:
+    """Return the kernel that writes parts of words in a format, one into each row, until all records are written.
+
+    It returns the number of parts. A fault in the first one gives BACKWARDS, TOO_LATE or OUTSIDE; a later part with one
+    is left out. Its arguments: (13 n,) and (12 m,) bytes of EVENT and EDGE records; the `setting` of the format's own
+    kernels; states, (parts + 1, 11), that before the first part and on return that after each one; how many parts, from
+    the first on, begin with time and row; and the rows, (parts, k >= `most_words`).
+
+    Parameters
+    ----------
+    low_bits : of a time, beside its high part.
+    most_words : of one turn of the loop.
+    put_high, put_edge, put_events : kernels that write a high part on the way to the one given, an edge, and the events
+        up to a time or as many as fit; they return the index of the next word, the last one also OUTSIDE.
+    """
+
+    @kernel
+    def write(events: _Bytes, edges: _Bytes, setting: int, state: _State, out: _Words) -> int:
+        written = 0
+        while written <= len(out) - most_words and is_left(events, edges, state):
+            is_edge = edge_is_next(events, edges, state)
+            next_at = state[AT_EDGE] * EDGE_BYTES if is_edge else state[AT_EVENT] * EVENT_BYTES
+            t = int(time_at(edges if is_edge else events, next_at) - state[ORIGIN])
+            if t < state[LAST]:
+                return BACKWARDS
+            if t - state[LAST] > LONGEST_GAP_US:
+                return TOO_LATE
+            if t >> state[REPEAT] != state[PERIOD]:  # the first time of a period of repetition
+                state[PERIOD] = t >> state[REPEAT]
+                state[MUST_OPEN] = 1
+                state[TIME_SENT] = state[ROW_SENT] = -1
+            high = t >> low_bits
+            if high != state[HIGH_SENT] or state[MUST_OPEN]:
+                written = put_high(high, setting, state, out, written)
+                state[MUST_OPEN] = state[MUST_OPEN] and high != state[HIGH_SENT]
+                if high != state[HIGH_SENT]:
+                    continue
+            if is_edge:
+                written = put_edge(edges, t, setting, state, out, written)
+            else:
+                written = put_events(events, run_end(t, low_bits, edges, state), setting, state, out, written)
+            if written < 0:
+                return OUTSIDE
+        return written
+
+    @kernel
+    def write_parts(events: _Bytes, edges: _Bytes, setting: int, states: _State, opening: int, rows: _Words) -> int:
+        count = 0
+        while count < len(rows) and is_left(events, edges, states[count]):
+            state = states[count + 1]
+            for k in range(len(state)):
+                state[k] = states[count, k]
+            if count < opening:
+                state[MUST_OPEN] = 1
+                state[TIME_SENT] = state[ROW_SENT] = -1
+            state[WRITTEN] = write(events, edges, setting, state, rows[count])
+            if state[WRITTEN] < 0:
+                return count or int(state[WRITTEN])
+            count += 1
+        return count
+
+    return write_parts
 
 
 _ROOM_BYTES = 1 << 16
@@ -214,14 +259,14 @@ class Words:
     ----------
     dtype : type of a word.
     low_bits, high_bits : bits of a time, in a low part and in a high part.
-    write : kernel that writes the next words of events and edges, both as bytes; see `write_words`.
+    write : kernel that writes parts of words of events and edges; see `parts_writer`.
     high_words : function that returns the words of a high part.
     """
 
     dtype: type[np.unsignedinteger]
     low_bits: int
     high_bits: int
-    write: Callable[[_Bytes, _Bytes, _State, npt.NDArray[np.unsignedinteger]], int]
+    write: Callable[[_Bytes, _Bytes, _State, int, _Words], int]
     high_words: Callable[[int], list[int]]
 
 
@@ -268,27 +313,31 @@ class Coder:
         38 hours, or a place beyond 2047; the encoder then is as it was before.
         """
         edges = empty_edges() if edges is None else edges
-        state = self._begun()
-        event_bytes, edge_bytes = bytes_of(events), bytes_of(edges)
-        parts = []
-        while True:
-            parts.append(self._written(event_bytes, edge_bytes, state, self._out))
-            if state[AT_EVENT] == len(events) and state[AT_EDGE] == len(edges):
-                break
-        if parts != [b""]:  # a call without words starts no stream
-            self._state = state
+        states, opening = self._begun(1), int(self._standalone)
+        parts = list[bytes]()
+        ends = [-1]
+        while ends[:2] != [len(events), len(edges)]:
+            self._write(events, edges, states, opening, self._out[None])
+            ends = states[1, AT_EVENT : WRITTEN + 1].tolist()
+            parts.append(self._out[: ends[-1]].tobytes())
+            states[0], opening = states[1], 0
+        self._state = states[1]
         return b"".join(parts)
 
     def parts(self, events: Events, edges: Edges, octets: int) -> Iterator[Filled]:
-        """Yield the words in parts of at most so many octets (64 to 65536), as if each were encoded; see `encode`."""
-        event_bytes, edge_bytes = bytes_of(events), bytes_of(edges)
-        room, done = self._out[: octets // self._out.itemsize], (0, 0)
-        while done != (len(events), len(edges)):
-            state = self._begun()
-            state[AT_EVENT], state[AT_EDGE] = done
-            words = self._written(event_bytes, edge_bytes, state, room)
-            self._state, done = state, (int(state[AT_EVENT]), int(state[AT_EDGE]))
-            yield Filled(words, *done)
+        """Yield the words in parts of at most so many octets (64 to 65536), as if each were encoded; see `encode`.
+
+        It is fast because one call of the kernel writes dozens of them.
+        """
+        room = octets // self._out.itemsize
+        rows = self._out[: len(self._out) // room * room].reshape(-1, room)
+        states, done = self._begun(len(rows)), [0, 0]
+        while done != [len(events), len(edges)]:
+            count = self._write(events, edges, states, len(rows) if self._standalone else 0, rows)
+            ends = states[1 : count + 1, AT_EVENT : WRITTEN + 1].tolist()
+            for row, self._state, (*done, size) in zip(rows, states[1:].copy(), ends, strict=False):
+                yield Filled(row[:size].tobytes(), *done)
+            states[0] = states[count]
 
     def advance(self, t_us: int) -> bytes:
         """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.
@@ -318,17 +367,15 @@ class Coder:
             state[TIME_SENT] = state[ROW_SENT] = -1
         return np.array(words, format_.dtype).tobytes()
 
-    def _begun(self) -> _State:
-        """Return the state at the start of a call."""
-        state = self._state.copy()
-        state[AT_EVENT] = state[AT_EDGE] = 0
-        if self._standalone:
-            state[MUST_OPEN] = 1
-            state[TIME_SENT] = state[ROW_SENT] = -1
-        return state
+    def _begun(self, parts: int) -> _State:
+        """Return the states of so many parts, and the state at the start of a call as the first."""
+        states = np.empty((parts + 1, len(self._state)), np.int64)
+        states[:] = self._state
+        states[:, AT_EVENT : WRITTEN + 1] = 0
+        return states
 
-    def _written(self, events: _Bytes, edges: _Bytes, state: _State, out: npt.NDArray[np.unsignedinteger]) -> bytes:
-        size = self._words.write(events, edges, state, out)
-        if size < 0:
-            raise ValueError(_COMPLAINTS[size])
-        return out[:size].tobytes()
+    def _write(self, events: Events, edges: Edges, states: _State, opening: int, rows: _Words) -> int:
+        count = self._words.write(bytes_of(events), bytes_of(edges), states, opening, rows)
+        if count < 0:
+            raise ValueError(_COMPLAINTS[count])
+        return count

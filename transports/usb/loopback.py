@@ -124,6 +124,8 @@ class DirectHost:
 class LoopbackEndpoint(Endpoint):
     """Driver that reads a camera as soon as it has data, and compares the data with those sent."""
 
+    longest_sleep_ns = REST_NS  # nothing but new data has an effect
+
     def __init__(self, link: LoopbackLink, wiring: Wiring, device: UsbCamera, deliveries: Deliveries) -> None:
         self._device = FaultyDevice(device, FaultPlan(), deliveries.add)
         self._host: DirectHost | None = None
@@ -138,11 +140,6 @@ class LoopbackEndpoint(Endpoint):
         self._host = DirectHost(self._device)
         self._camera = driver_of(self._host)
         self._camera.start(StreamSettings(edges=True, frames=True, imu=True))
-
-    @property
-    def longest_sleep_ns(self) -> int:
-        """Longest possible: nothing but new data has an effect."""
-        return REST_NS
 
     def pump(self) -> None:
         """Read all data of the camera; raises LinkBroken when an event differs from the one sent."""

@@ -28,6 +28,7 @@ class GadgetEndpoint(Endpoint):
     """Endpoint of one camera at one controller."""
 
     faulty: FaultyDevice
+    longest_sleep_ns = REST_NS  # requests wake the event loop
 
     def __init__(self, link: UsbGadgetLink, wiring: Wiring, camera: UsbCamera, deliveries: Deliveries) -> None:
         self._camera = camera
@@ -65,11 +66,6 @@ class GadgetEndpoint(Endpoint):
         """Let the cable call `attend` before it processes a request."""
         if self._cable is not None:
             self._cable.attend = attend
-
-    @property
-    def longest_sleep_ns(self) -> int:
-        """Longest possible: requests wake the event loop."""
-        return REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """Begin and end faults; one that unplugs the camera disconnects the gadget."""

@@ -42,6 +42,7 @@ class UsbipEndpoint(Endpoint):
     """Endpoint of one camera on one port."""
 
     faulty: FaultyDevice
+    longest_sleep_ns = REST_NS  # requests wake the event loop
 
     def __init__(self, link: UsbipLink, device: FaultyDevice, trace: UrbTrace | None) -> None:
         self._at = link
@@ -70,11 +71,6 @@ class UsbipEndpoint(Endpoint):
     def serve(self, attend: Callable[[], None]) -> None:
         """Let the server call `attend` before it processes a host's bytes."""
         self._server.attend = attend
-
-    @property
-    def longest_sleep_ns(self) -> int:
-        """Longest possible: requests wake the event loop."""
-        return REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """Begin and end faults; one that unplugs the camera removes it from the server's list."""
