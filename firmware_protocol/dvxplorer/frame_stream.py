@@ -88,7 +88,7 @@ class FrameStream:
         """Begin device time at zero for a reader in its initial state; drop the queue."""
         self.clear()
         self.epoch_us = now_us
-        self._times.start()
+        self._times.start(now_us)
         self._encoder.reset(now_us)
 
     def reset_time(self, now_us: int) -> None:
@@ -145,9 +145,9 @@ class FrameStream:
                 break
             self._queue.popleft()
         self._queued -= sum(map(len, taken))
-        past_us = now_us - self.epoch_us - 1  # a frame may yet begin now
-        if not self._queue and past_us // 1000 >= self._encoder.last_ms + _IDLE_MS:
-            written += self._encoder.times(past_us, out[written:])
+        own_us = now_us - self.epoch_us
+        if not self._queue and own_us // 1000 >= self._encoder.last_ms + _IDLE_MS:
+            written += self._encoder.times(own_us, out[written:])
         if not written:
             return None
         return Transfer(join_events(taken), epoch_us=self.epoch_us, data=out[:written].tobytes())

@@ -10,7 +10,7 @@ A frame is one read-out of the chip. All its events share the time of its first 
 that column + its microseconds. Rules that the encoder follows because dv-processing 2.0.4 drops a frame without a
 message, and libcaer 3.3.15 starts anew, where one is broken: columns of a frame increase and repeat its microseconds; a
 column has at least one word of groups; a group occurs in one word of a column only, with both polarities if it has
-both. Two frames have different times. A frame of microsecond 0 leaves with its time word, or dv-processing ends.
+both. Two frames have different times, none that of the first time word of a stream: dv-processing ends at such a frame.
 
 A column's events are sent by rising group, in a group OFF before ON, in a polarity by rising row. libcaer delivers them
 in this order; dv-processing delivers all OFF events of a column, then all ON events.
@@ -50,7 +50,7 @@ _SUB_SHIFT = 11
 _TIME_BITS = 22
 _FARTHEST = 31
 _MS_US = 1000
-_MOST_TIMES = 1024  # time words one by one; a longer gap, a second without a reader, has one
+_MOST_TIMES = 1024  # time words one by one; a longer gap, a second without a reader, has two
 # of a key, and the largest value of one
 _DIGITS = 3
 _DIGIT_BITS = 7
@@ -196,7 +196,7 @@ def write_frames(events: _Bytes, state: _State, out: FrameWords) -> tuple[int, i
         t, x = time_at(events, at) - state[_EPOCH], short_at(events, at + 8)
         is_first = t != state[_SENT_FRAME] or x <= state[_SENT_X]
         if is_first:
-            written = _put_times(t // _MS_US, state, out, written, _MOST_OF_COLUMN)
+            written = _put_times(t // _MS_US, state, out, written)
         if written + _MOST_OF_COLUMN > len(out) or (is_first and state[_MS] != t // _MS_US):
             break
         out[np.uint64(written)] = _COLUMN | x | t % _MS_US << _SUB_SHIFT | is_first * _FIRST
@@ -208,15 +208,15 @@ def write_frames(events: _Bytes, state: _State, out: FrameWords) -> tuple[int, i
 @entry
 def write_times(ms: int, state: _State, out: FrameWords) -> int:
     """Write the time words up to a millisecond while they fit `out`; return their number."""
-    return _put_times(ms, state, out, 0, 0)
+    return _put_times(ms, state, out, 0)
 
 
 @kernel
-def _put_times(ms: int, state: _State, out: FrameWords, written: int, room_after: int) -> int:
-    """Write the time words that are due, the last one if `room_after` words fit behind it; return the next index."""
+def _put_times(ms: int, state: _State, out: FrameWords, written: int) -> int:
+    """Write the time words that are due; return the index of the next word. A stream begins with the one before."""
     if state[_MS] < 0 or ms - state[_MS] > _MOST_TIMES:
-        state[_MS] = ms - 1
-    while state[_MS] < ms and written + room_after * (state[_MS] + 1 == ms) < len(out):
+        state[_MS] = max(ms - 2, -1)
+    while state[_MS] < ms and written < len(out):
         state[_MS] += 1
         out[np.uint64(written)] = _TIME | state[_MS] & (1 << _TIME_BITS) - 1
         written += 1
@@ -282,9 +282,9 @@ class FrameTimes:
         self._state = np.array([-1, -1], np.int64)
         put_frame_times(np.empty(0, np.uint8), 0.0, self._state)  # compiles the kernel now
 
-    def start(self) -> None:
-        """Begin a stream; its first event begins a frame."""
-        self._state[:] = -1, -1
+    def start(self, epoch_us: int) -> None:
+        """Begin a stream; its first event begins a frame, later than the time word of `epoch_us`."""
+        self._state[:] = epoch_us, int(_NONE)
 
     def end_frame(self) -> None:
         """End the frame; the next event begins one."""

@@ -160,10 +160,8 @@ def test_a_port_that_is_pulled_out_comes_back(tmp_path):
         await until(lambda: "is gone" in b.link.endpoint.state)
         first = len(b.events)
         assert 2000 < first == b.link.report().delivered
-        deadline = time.monotonic() + PATIENCE_S
         with pytest.raises(serial.SerialException):  # after what the kernel still holds
-            while time.monotonic() < deadline:
-                b.port.read(1)
+            read_on(time.monotonic() + PATIENCE_S)
         await until(lambda: b.link.report().counts["reconnections"] == 1)
         assert b.link.report().faults[0].ended_us == pytest.approx(150_000, abs=1000)
         b.port.close()
@@ -174,6 +172,10 @@ def test_a_port_that_is_pulled_out_comes_back(tmp_path):
         assert digest_of(b.events) == b.link.report().digest
         b.port.close()
         await b.link.close()
+
+    def read_on(deadline):
+        while time.monotonic() < deadline:
+            b.port.read(1)
 
     async def until(condition):
         deadline = time.monotonic() + PATIENCE_S

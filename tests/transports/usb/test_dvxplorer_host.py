@@ -192,7 +192,7 @@ def test_a_micro_is_identified_by_its_hardware_and_its_samples_get_the_time_of_t
     seen, felt = np.concatenate(parts), host.take_imu()
     assert sorted(seen[["x", "y", "on"]].tolist()) == sorted(shown[["x", "y", "on"]].tolist())
     assert (felt["scale"].tolist(), felt["counts"].tolist()) == (moved["scale"].tolist(), moved["counts"].tolist())
-    assert set(felt["t"].tolist()) == {19_000}  # of the last time word: a frame may begin at 20 000 us
+    assert set(felt["t"].tolist()) == {20_000}
     assert host.faults.total == 0
     old = dataclasses.replace(camera.settings, bcd_device=0x0407)
     with pytest.raises(UnsuitableDevice, match="firmware version 7; at least 8"):
