@@ -88,8 +88,8 @@ def drawing(python: Path, program: str, port: int) -> Iterator[None]:
     ("rig", "program", "package"),
     [
         ("tumbling.toml", "tumbling_mujoco.py", "mujoco>=3.2,<4 numpy"),
-        ("orbit.toml", "orbit_mitsuba.py", "mitsuba>=3.5,<4 numpy"),
-        ("docking.toml", "docking_blender.py", BLENDER),
+        pytest.param("orbit.toml", "orbit_mitsuba.py", "mitsuba>=3.5,<4 numpy", marks=pytest.mark.long),
+        pytest.param("docking.toml", "docking_blender.py", BLENDER, marks=pytest.mark.long),
     ],
 )
 def test_a_driver_reads_every_event_of_a_renderer(
