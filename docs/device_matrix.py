@@ -237,9 +237,9 @@ while they stream; *opened often* is closed amid the streams again and again, [s
 
 _COUNTS = """## Counts
 
-The last run of each test that records its length, and the client's time in the guest; of 100 openings, the time of the
-whole test, with the guest's start. QEMU emulates the guest's processor (no KVM), so each opening takes seconds, and
-more beside other work: in the runs of 2026-11-27 the two cores had a load of 3 to 10.
+The last run of each test that records its length, and the client's time in the guest; of 100 openings by another camera
+than the Micro, the time of the whole test, with the start of QEMU. It emulates the processor (no KVM), so each
+opening takes seconds, and more beside other work: in the runs of 2026-11-27 the two cores had a load of 3 to 10.
 
 | camera | client | amount | time | date | machine |
 |---|---|---|---|---|---|"""

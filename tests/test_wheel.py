@@ -215,7 +215,8 @@ def test_no_kernel_is_compiled_for_two_sets_of_types(runs):
         if kernel.startswith(("emulator.", "firmware_protocol.", "laboratory.")):
             types[kernel].add(re.sub(r"Literal\[int\]\(\d+\)", "int64", arguments))  # constants are on purpose
     assert len(types) > 100
-    assert {kernel: found for kernel, found in types.items() if len(found) > 1} == {}
+    most = {kernel: 2 if ".parts_writer." in kernel else 1 for kernel in types}  # it makes those of EVT2 and of EVT3
+    assert {kernel: found for kernel, found in types.items() if len(found) > most[kernel]} == {}
 
 
 def weak_functions(file):
