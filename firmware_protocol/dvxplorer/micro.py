@@ -87,7 +87,7 @@ class DvxplorerMicroSettings(DvxplorerSettings):
     Attributes
     ----------
     bcd_device : low byte: firmware version, 10 for dv-processing 2, 9 for libcaer. High byte: 4, hardware with a CX3.
-    has_frames : False: each time is a frame of its own, so that no event's time is changed.
+    has_frames : False: each time is a frame of its own; an event in the first microsecond gets the next one.
     """
 
     bcd_device: int = 0x040A
