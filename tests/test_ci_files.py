@@ -122,6 +122,7 @@ def test_the_script_runs_the_rig_and_a_program_beside_it(script_run, tmp_path):
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.html", "report.json", "junit.xml"}
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.usefixtures("unpaced")
 def test_a_program_that_fails_ends_the_run_fails_the_job_and_leaves_the_report(script_run, tmp_path):

@@ -109,6 +109,7 @@ FEATURES = {  # folders of what only some users need, and the modules that may i
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("feature", FEATURES)
 def test_a_feature_is_imported_by_its_records_alone(feature):
     folders, may_import = FEATURES[feature]

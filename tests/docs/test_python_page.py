@@ -26,6 +26,7 @@ def test_the_page_has_its_examples():
     assert all(block.count("\n") <= 15 for block in BLOCKS)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("block", [*BLOCKS, *TESTING, *DATASETS], ids=IDS)
 def test_an_example_runs(block, tmp_path):

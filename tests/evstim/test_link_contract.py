@@ -131,6 +131,7 @@ class TestUsbip(LinkContract):
         return UsbipReader(link)
 
 
+@pytest.mark.long
 class TestLoopback(LinkContract):
     parameters = LoopbackLink()
 
@@ -141,10 +142,12 @@ class TestLoopback(LinkContract):
 DVXPLORER = Camera(model="dvxplorer", sensor=PRESETS["dvxplorer_micro"], start_delay_ms=0.0)
 
 
+@pytest.mark.long
 class TestDvxplorerOnUsbip(TestUsbip):
     camera = DVXPLORER
 
 
+@pytest.mark.long
 class TestDvxplorerOnLoopback(TestLoopback):
     camera = DVXPLORER
 
@@ -153,10 +156,12 @@ class TestEvk4OnLoopback(TestLoopback):
     camera = Camera(model="evk4", sensor=PRESETS["imx636"], start_delay_ms=0.0)
 
 
+@pytest.mark.long
 class TestGen31OnLoopback(TestLoopback):
     camera = Camera(model="silkyevcam_vga", sensor=PRESETS["gen31"], start_delay_ms=0.0)
 
 
+@pytest.mark.long
 class TestGenx320OnLoopback(TestLoopback):
     camera = Camera(model="genx320", sensor=PRESETS["genx320"], start_delay_ms=0.0)
 

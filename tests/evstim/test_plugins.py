@@ -96,6 +96,7 @@ def test_a_check_of_the_package_is_reported_by_line(site, tmp_path):
     assert "line 13: links[0].path: too large a camera" in printed(done)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["blink", "dot", "beacon", "muted", "lines", "count"])
 def test_a_broken_entry_point_is_reported_with_its_package_and_stops_nothing_else(name, tmp_path):
     site = install(OUTSIDER, tmp_path / "site", **{name: "outsider:MISSING"})
@@ -112,6 +113,7 @@ def test_a_broken_entry_point_is_reported_with_its_package_and_stops_nothing_els
     assert "Did you mean" in printed(evstim(site, "recrod"))
 
 
+@pytest.mark.long
 def test_a_package_that_cannot_be_imported_stops_only_rigs_that_name_it(site, tmp_path):
     (site / "outsider.py").write_text("raise RuntimeError('half installed')\n")
     done = evstim(site, "check", rig_file(tmp_path))

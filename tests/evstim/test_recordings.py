@@ -27,6 +27,7 @@ def written(path, form, events):
     return path
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_that_is_written_is_read(name, events, tmp_path):
     path = written(tmp_path / f"recording{FORMATS[name].suffixes[0]}", FORMATS[name], events)

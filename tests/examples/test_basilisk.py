@@ -57,6 +57,7 @@ def met(evstim):
     raise AssertionError("".join(told))
 
 
+@pytest.mark.long
 def test_a_spacecraft_finds_eros_in_our_images(basilisk, tmp_path):
     with both(basilisk, tmp_path, 6.0) as (evstim, simulation):
         _, err = simulation.communicate(timeout=600)

@@ -75,6 +75,7 @@ def test_wrong_files_are_refused_with_the_reason(elope, tmp_path):
         elope.main("score", str(tmp_path), str(tmp_path / "v.json"))
 
 
+@pytest.mark.long
 def test_the_last_seconds_of_a_descent_made_and_solved(elope, tmp_path, capsys):
     """Its events, ranges and score: below 10 % of the height a second, with times of whole milliseconds too."""
 

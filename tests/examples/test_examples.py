@@ -41,6 +41,7 @@ def test_frames_to_events(monkeypatch, tmp_path):
     assert main("mine.npy") > 64
 
 
+@pytest.mark.long
 def test_own_mesh(monkeypatch, tmp_path):
     main = main_of("own_mesh.py", monkeypatch, tmp_path)
     assert main(None, "0.05") > 100
@@ -52,6 +53,7 @@ def test_read_recording(monkeypatch, tmp_path):
     assert main_of("read_recording.py", monkeypatch, tmp_path)() > 1e4
 
 
+@pytest.mark.long
 def test_learn_flow(monkeypatch, tmp_path):
     """From twelve sequences a network learns some of the flow of four others; with the default of 96, half of it."""
     main = main_of("learn_flow.py", monkeypatch, tmp_path)
@@ -68,6 +70,7 @@ def test_plot_truth(rig, monkeypatch, tmp_path):
     assert (tmp_path / "plot.png").stat().st_size > 30_000
 
 
+@pytest.mark.long
 def test_a_flight_software_test():
     command = [*PYTEST, "test_flight_software.py"]
     done = subprocess.run(command, cwd=EXAMPLES, capture_output=True, text=True, timeout=300)
@@ -85,6 +88,7 @@ def test_the_cells_of_pixel_response():
         exec(compile(cell, "pixel_response.ipynb", "exec"), names)
 
 
+@pytest.mark.long
 def test_the_flight_software_project(tmp_path):
     """As its README says, in its folder."""
     points = entry_points(group="pytest11")
@@ -141,6 +145,7 @@ def without_times(out):
     return [{name: turn[name] for name in turn.keys() - {"began_ns", "ended_ns"}} for turn in turns]
 
 
+@pytest.mark.long
 @pytest.mark.socket
 def test_a_short_landing_twice(tmp_path):
     """The law has no least speed of touchdown: that it lands, in the bounds, and equally to the last digit."""
@@ -153,6 +158,7 @@ def test_a_short_landing_twice(tmp_path):
     assert (tmp_path / "second" / "truth.csv").read_text() == (tmp_path / "first" / "truth.csv").read_text()
 
 
+@pytest.mark.long
 @pytest.mark.socket
 def test_a_short_landing_in_real_time(tmp_path):
     """How well it lands, or whether it begins, depends on the machine; that its files agree does not.
@@ -197,6 +203,7 @@ def test_an_unplugged_line_is_bridged(tmp_path):
     assert any("unplugged on events from 2.0 s on" in sentence for sentence in verdict["why"])
 
 
+@pytest.mark.long
 @pytest.mark.socket
 def test_a_landing_by_a_law_of_the_user_s(tmp_path):
     """It differs from that of the pilot's law, lands as softly, and the verdict contains its name."""
@@ -216,6 +223,7 @@ LAW = """def law(state):
 """
 
 
+@pytest.mark.long
 @pytest.mark.socket
 @pytest.mark.parametrize(
     ("body", "sentence"),
@@ -241,6 +249,7 @@ def test_a_wrong_rig_is_wrong_use(tmp_path):
     assert (code, verdict) == (2, None), text
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*alternative render modes.*")
 def test_the_environment_passes_gymnasium_s_checker_and_its_law_is_better_than_none():
     example = runpy.run_path(str(EXAMPLES / "environment.py"))

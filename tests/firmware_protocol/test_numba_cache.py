@@ -48,6 +48,7 @@ def output_of(program, *path):
     return done.stdout.strip()
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_code_on_disk_serves_the_same_sources_only(tmp_path):
     assert hits(tmp_path, 1, "Old") == 0
@@ -106,6 +107,7 @@ print(loaded, functions)
 """
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_code_on_disk_needs_no_functions_of_numba_and_gives_the_same(tmp_path):
     """Memory, random numbers, BLAS, errors and special functions; then a function is compiled that calls it."""

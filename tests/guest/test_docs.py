@@ -90,6 +90,7 @@ def ended(
     return Turns(rig, selected(request, "driver"), run)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("driver", long_but(DRIVERS[-1:], DRIVERS), ids=lambda driver: driver.name)
 def test_the_program_of_the_page_sees_all_streams(ended: Turns[Driver, Finished], driver: Driver) -> None:
     finished = ended.result(driver)

@@ -78,6 +78,7 @@ def mirrored_back(seen: Events, delivered: Events) -> Events:
     return seen
 
 
+@pytest.mark.long
 @pytest.mark.shows("dvxplorer", "{driver.name}", "opens", "events", "imu", "triggers", "settings")
 @pytest.mark.shows("dvxplorer", "{driver.name}", "unplugged", "plugged again")
 @pytest.mark.parametrize("driver", long_but(DRIVERS[-1:], DRIVERS), ids=lambda driver: driver.name)

@@ -161,6 +161,7 @@ def assert_same_triggers(triggers: Edges, delivered: Delivered) -> None:
     assert triggers["kind"].tolist() == edges["kind"].tolist()
 
 
+@pytest.mark.long
 def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -195,6 +196,7 @@ def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(
     assert rig.summary["balanced"], rig.summary
 
 
+@pytest.mark.long
 @pytest.mark.shows("evk4", "{program}", "opens", "events")
 @pytest.mark.parametrize("program", ["eventcv"])
 def test_a_library_with_an_older_driver_inside_sees_every_event_of_its_region(
@@ -280,6 +282,7 @@ LISTED = {
 SIBLINGS_EVENTS = round(float(os.environ.get("EVSTIM_SIBLINGS_EVENTS", "2e4")))
 
 
+@pytest.mark.long
 @pytest.mark.shows("{model}", "nd", "opens", "events", "unplugged", "plugged again")
 @pytest.mark.parametrize("model", long_but(["evk4"], LISTED))
 def test_a_driver_sees_every_event_of_a_sibling(

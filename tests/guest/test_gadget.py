@@ -75,6 +75,7 @@ def assert_turns(camera: GadgetCamera, turns: list[tuple[Driver, Seen]]) -> None
     assert camera.told.get("error") is None
 
 
+@pytest.mark.long
 @pytest.mark.shows("davis346", "dv2", "opens", "events", "frames", "imu", "triggers")
 @pytest.mark.shows("davis346", "dv1", "opens", "events", "frames", "imu", "triggers")
 @pytest.mark.shows("davis346", "nd", "opens", "events", "frames", "imu", "triggers")
@@ -92,6 +93,7 @@ def test_each_driver_sees_all_streams_and_opens_the_camera_again(port: Guest, dr
     assert all(len(seen.imu_t) for _, seen in turns[1::2])
 
 
+@pytest.mark.long
 @pytest.mark.shows("davis346", "dv2", "unplugged", "plugged again")
 def test_a_camera_whose_controller_is_taken_away_is_gone_and_comes_again(
     port: Guest, driver_pythons: dict[str, Path]
@@ -113,6 +115,7 @@ def test_a_camera_whose_controller_is_taken_away_is_gone_and_comes_again(
     assert camera.told["balanced"], camera.told
 
 
+@pytest.mark.long
 def test_a_host_that_never_reads_does_not_stall_the_camera(port: Guest, driver_pythons: dict[str, Path]) -> None:
     with GadgetCamera(port) as camera:
         port.check(["env", f"PYTHONPATH={':'.join(sys.path)}", sys.executable, NEVER_READS], TIMEOUT_S)
@@ -122,6 +125,7 @@ def test_a_host_that_never_reads_does_not_stall_the_camera(port: Guest, driver_p
     assert_turns(camera, turns)
 
 
+@pytest.mark.long
 def test_drivers_take_turns_at_high_speed(port: Guest, driver_pythons: dict[str, Path]) -> None:
     # By transfers of 8 KiB and of 128 KiB.
     load_port(port, "high")

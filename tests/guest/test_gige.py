@@ -75,6 +75,7 @@ def _read(python, address, count, octets, out, openings=1, buffer_octets=0):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.sampled
 @pytest.mark.shows("triton2", "nd", "opens", "events")
 @pytest.mark.parametrize("octets", [1400, 9000])
 def test_every_event_is_exact(tmp_path, run, address, driver_pythons, octets):
@@ -87,6 +88,7 @@ def test_every_event_is_exact(tmp_path, run, address, driver_pythons, octets):
     assert summary["balanced"], summary
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("octets", [1400, 9000])
 def test_a_stock_socket_buffer_is_enough(tmp_path, address, driver_pythons, octets):
     """One of some attempts: on a busy machine the driver may rest for longer than the buffer lasts."""

@@ -67,6 +67,7 @@ def _reader(python, address, count, out):
     return subprocess.Popen([*where_libusb_starts(), *arguments], **pipes)
 
 
+@pytest.mark.long
 @pytest.mark.shows("triton2", "nd", "unplugged", "plugged again")
 def test_neuromorphic_drivers_loses_it_and_opens_it_again(tmp_path, start, driver_pythons):
     here = free_loopback_address(GVCP_PORT)

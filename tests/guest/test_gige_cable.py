@@ -63,6 +63,7 @@ def test_a_host_finds_the_camera_by_broadcast(ends, start):
     assert f"Lucid Vision Labs-TRT009S-E-00000346 ({CAMERA})" in found.stdout
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("packet_size", [1400, 8996])
 def test_every_event_crosses_the_cable(ends, start, packet_size):
     camera = start()
@@ -84,6 +85,7 @@ def test_what_a_bad_cable_loses_is_sent_again(ends, start):
     assert len(delivered) <= told["events"] <= len(delivered) + late
 
 
+@pytest.mark.long
 def test_packets_that_the_cable_does_not_carry_are_counted(ends, start):
     ends[0].run("ip", "link", "set", "cable", "mtu", "1500")
     camera = start()

@@ -80,6 +80,7 @@ def test_aravis_finds_reads_and_writes(network, camera, tmp_path):
     assert summary["balanced"], summary
 
 
+@pytest.mark.long
 def test_the_rate_control_that_aravis_sets_acts(network, camera, tmp_path):
     for feature in (f"ErcEventsPerPeriod={LIMIT}", "ErcEnable=true"):
         _run(network, "arv-tool-0.8", "-n", "127.0.0.1", "control", feature)
@@ -93,6 +94,7 @@ def test_the_rate_control_that_aravis_sets_acts(network, camera, tmp_path):
     assert summary["balanced"], summary
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("camera", [LOSS], indirect=True)
 def test_aravis_has_lost_packets_sent_again(network, camera, tmp_path):
     seen = tmp_path / "seen"

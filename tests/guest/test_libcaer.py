@@ -158,6 +158,7 @@ def delivered_and_seen(guest: Guest, folder: Path, one: Opened) -> tuple[Deliver
     return delivered, guest.results / out
 
 
+@pytest.mark.long
 @pytest.mark.shows(
     "{one.model}", "libcaer", "opens", "events", "frames", "imu", "triggers", "unplugged", "plugged again"
 )
@@ -169,6 +170,7 @@ def test_libcaer_sees_every_stream_and_frame_as_it_was_delivered(guest: Guest, t
     assert_same_frames(out.with_suffix(".frames"), delivered)
 
 
+@pytest.mark.sampled
 @pytest.mark.shows("{one.model}", "libcaer", "opens", "events", "imu", "triggers", "unplugged", "plugged again")
 @pytest.mark.parametrize("one", [DAVIS, FX3], ids=str)
 def test_libcaer_sees_every_stream_as_it_was_delivered(guest: Guest, tmp_path: Path, one: Opened) -> None:
@@ -177,6 +179,7 @@ def test_libcaer_sees_every_stream_as_it_was_delivered(guest: Guest, tmp_path: P
     assert_same_samples(np.fromfile(out.with_suffix(".imu"), SAMPLE), delivered)
 
 
+@pytest.mark.long
 @pytest.mark.shows("dvxplorer_micro_firmware9", "libcaer", "opens", "events", "unplugged", "plugged again")
 def test_libcaer_sees_every_event_of_a_micro(guest: Guest, tmp_path: Path) -> None:
     delivered_and_seen(guest, tmp_path, CX3)

@@ -54,6 +54,7 @@ def test_an_interpreter_that_is_prepared_has_imported_modules(guest: Guest) -> N
     assert "['code'] True" in run_program(guest, python, "code").stdout
 
 
+@pytest.mark.long
 def test_ends_a_program_that_takes_too_long(guest: Guest) -> None:
     finished = guest.run(["sleep", "60"], timeout_s=0.5)
     assert finished.code is None
@@ -77,6 +78,7 @@ def test_a_failed_program_is_quoted_with_the_console(guest: Guest) -> None:
         guest.check(["cat", "/nowhere"])
 
 
+@pytest.mark.long
 def test_a_guest_left_alone_powers_itself_off(tmp_path: Path) -> None:
     """If the tests are killed, QEMU must not stay."""
     with Guest(tmp_path) as abandoned:

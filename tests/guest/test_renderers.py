@@ -84,12 +84,13 @@ def drawing(python: Path, program: str, port: int) -> Iterator[None]:
             process.kill()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rig", "program", "package"),
     [
         ("tumbling.toml", "tumbling_mujoco.py", "mujoco>=3.2,<4 numpy"),
-        pytest.param("orbit.toml", "orbit_mitsuba.py", "mitsuba>=3.5,<4 numpy", marks=pytest.mark.long),
-        pytest.param("docking.toml", "docking_blender.py", BLENDER, marks=pytest.mark.long),
+        ("orbit.toml", "orbit_mitsuba.py", "mitsuba>=3.5,<4 numpy"),
+        ("docking.toml", "docking_blender.py", BLENDER),
     ],
 )
 def test_a_driver_reads_every_event_of_a_renderer(
@@ -113,6 +114,7 @@ def test_a_driver_reads_every_event_of_a_renderer(
     assert run.summary["scene"]["images"] > 1, run.summary
 
 
+@pytest.mark.long
 def test_light_and_motion_of_blender_are_those_of_the_closed_form(
     renderer_python: Callable[[str], Path], tmp_path: Path
 ) -> None:

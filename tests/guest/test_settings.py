@@ -32,6 +32,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.shows("davis346", "{driver.name}", "settings")
 @pytest.mark.parametrize("driver", long_but(DRIVERS[-1:], DRIVERS), ids=lambda driver: driver.name)
 def test_every_setting_is_changed_while_all_streams_run(

@@ -42,6 +42,7 @@ CASES = [pytest.param("davis346", driver, id=driver.name) for driver in DRIVERS]
 ]
 
 
+@pytest.mark.sampled
 @pytest.mark.shows("{model}", "{driver.name}", "opens", "events", "frames", "imu", "triggers")
 @pytest.mark.parametrize(("model", "driver"), CASES)
 def test_every_stream_is_seen_as_it_was_delivered(

@@ -53,6 +53,7 @@ def test_two_drivers_at_once_do_no_harm_to_the_next(
     assert_all_seen(next_one, rig)
 
 
+@pytest.mark.long
 def test_a_host_that_stood_still_goes_on_with_all_that_was_delivered(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -102,6 +102,7 @@ def test_a_fault_log_stops_and_the_fault_goes_on(full):
     assert record.log_trouble.startswith(f"fault log stopped: {NO_SPACE}")
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.socket
 def test_a_run_whose_disk_is_full_goes_on_and_says_so(tiny, tmp_path):

@@ -153,6 +153,7 @@ def _answer(owner: socket.socket, asked: bytes) -> bytes:
     raise AssertionError("no answer to a request that was sent 60 times")
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.socket
 @pytest.mark.timeout(0)

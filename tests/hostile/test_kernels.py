@@ -63,6 +63,7 @@ USES = {  # the kernel that is damaged, the frame of the world in which it count
 }
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_damaged_kernel_is_refused_by_name_or_read(tmp_path, monkeypatch):
     monkeypatch.setattr(guarded_reader, "_start", Fork)

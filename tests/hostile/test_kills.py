@@ -9,6 +9,7 @@ from tests.hostile.kills import kill_once
 pytestmark = pytest.mark.system
 
 
+@pytest.mark.long
 @pytest.mark.socket
 def test_a_killed_process_breaks_no_promise(tmp_path):
     draw = random.Random(5)

@@ -99,6 +99,7 @@ def test_a_link_that_is_killed_ends_the_listener_with_one(tmp_path, kind):
     assert "Traceback" not in err
 
 
+@pytest.mark.long
 def test_the_orderly_end_of_a_bus_is_a_good_end(tmp_path):
     with Bench(tmp_path, "can", seconds=100) as bench:
         bench.wait_for_events()

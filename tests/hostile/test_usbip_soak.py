@@ -9,6 +9,7 @@ from tests.hostile.usbip_soak import Plan, soak
 MIB = 1 << 20
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.socket
 @pytest.mark.timeout(300)

@@ -91,6 +91,7 @@ def folder(rig, tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_sequences_do_not_depend_on_the_number_of_workers_or_the_format(rig, folder, tmp_path):
     made(rig, tmp_path / "data", "--workers", "2", "--format", "npz")
@@ -139,6 +140,7 @@ def way_of(truth, begin_us, end_us):
     return truth.attrs["focal_px"] * seen[..., :2] / seen[..., 2:] + truth.attrs["centre_px"] - middles
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_flow_in_dsec_s_files_is_the_motion_of_each_point_until_the_next_map(dsec):
     folder = dsec / "sequences" / "000001"
@@ -228,6 +230,7 @@ def test_events_do_not_depend_on_what_is_written_beside_them(rig):
     assert [key for key in flow.arrays if key.startswith("pictures/")] == ["pictures/t", "pictures/flow"]
 
 
+@pytest.mark.long
 def test_truth_is_at_multiples_of_its_period(folder):
     with h5py.File(folder / "sequences" / "000000.h5") as file:
         np.testing.assert_array_equal(file["pictures/t"][:], np.arange(5) * 50_000)
@@ -254,6 +257,7 @@ def test_readers_of_dsec_take_a_sequence_for_a_recording(folder):
         assert first == np.searchsorted(events["t"], ms * 1000)
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.parametrize("form", ["h5", "dsec"])
 def test_an_interrupted_data_set_goes_on_and_is_the_same(form, rig, tmp_path):

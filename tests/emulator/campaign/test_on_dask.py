@@ -47,6 +47,7 @@ def pure(row):
     return {name: value for name, value in row.items() if not name.startswith("machine.")}
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_rows_are_those_of_local_runs(cluster, campaign_file, tmp_path):
     campaign, folder = Campaign(load_source(campaign_file(count=6))), tmp_path / "out"

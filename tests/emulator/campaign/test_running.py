@@ -59,6 +59,7 @@ if len(before) < int(sys.argv[2]):
 """
 
 
+@pytest.mark.long
 def test_a_run_whose_worker_is_killed_is_done_again(campaign_file, tmp_path):
     more = program(KILLER, tmp_path, "tries{index}", "{program.kills}")
     more += '[[parameters]]\nkey = "program.kills"\nkind = "list"\nvalues = [0, 1, 3]\n'

@@ -101,6 +101,7 @@ def test_a_signal_ends_it_with_a_summary_and_it_goes_on(file, number):
     assert "interrupted: the same command goes on" in out
 
 
+@pytest.mark.long
 def test_a_run_again_is_equal_bit_for_bit(file, campaign, tmp_path):
     path = file(count=2, links='[{kind = "loopback"}]')
     campaign(path, "--workers", "1")

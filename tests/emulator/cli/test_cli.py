@@ -357,6 +357,7 @@ def test_the_demo_compares_every_event(tmp_path, capsys):
     assert {(230, 159, 0), (86, 180, 233)} <= colours  # ON and OFF events
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.socket
 def test_a_demo_without_pillow_has_no_movie_and_is_good(tmp_path, capsys, monkeypatch):
@@ -388,6 +389,7 @@ def test_a_run_that_stands_still_at_its_start_leaves_the_demo_its_time(tmp_path,
     assert last_json(capsys.readouterr().out)["comparison"]["received"] > 1000
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_modules_in_the_users_folder_are_not_taken_for_libraries(tmp_path, monkeypatch, capsys):
     for name in ("json", "attr", "numpy"):

@@ -64,6 +64,7 @@ def test_wrong_use(falling, dynamics, tmp_path):
 EXAMPLE = Path(__file__).parents[3] / "examples" / "fmu"
 
 
+@pytest.mark.long
 def test_an_fmu_moves_the_camera_of_a_rig(falling, tmp_path):
     """Its fall makes events on a sensor without noise; every pose is taken, and the camera ends where the FMU does."""
     port = free_port()

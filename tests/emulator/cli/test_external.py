@@ -84,6 +84,7 @@ def rule(summary, name):
     return next((one for one in summary["rules"] if one["rule"] == name), None)
 
 
+@pytest.mark.long
 def test_both_carriers_give_the_same_events(tmp_path):
     digests = []
     for carrier in ("shared", "connection"):
@@ -121,6 +122,7 @@ def test_an_interrupt_ends_both(tmp_path):
     assert (code, summary["balanced"]) == (0, True)
 
 
+@pytest.mark.long
 def test_an_interrupt_ends_the_wait_for_an_image(tmp_path):
     """The renderer stalls for good; the summary comes long before the rig's `timeout_s`, and has no trouble."""
     code, summary = ended(tmp_path, 0, "stall")

@@ -205,6 +205,7 @@ def test_a_record_holds_what_its_format_can_whatever_the_step(step_us, camera, t
     assert set(changes) == {*range(50_000, 500_001, 50_000), *range(50_100, 450_101, 50_000)}
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("step_us", [1000, 270_000])
@@ -222,6 +223,7 @@ def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera
     assert all((np.diff(t.astype(np.float64)) >= 0).all() for t in streams)
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_info_lists_every_stream_with_its_times(camera, tmp_path, capsys):
     told(capsys, "record", camera(10_000), tmp_path / "a.aedat4", "--seconds", "0.2")
@@ -311,6 +313,7 @@ print(code, own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_memory_does_not_grow_with_the_file(tmp_path):
     """A file ten times as long takes as much memory, in the process that writes and in the one that reads."""

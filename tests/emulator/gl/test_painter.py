@@ -45,6 +45,7 @@ def light_of(rig):
         return light, scene.painter, scene.renderer
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.gl
 @pytest.mark.parametrize("name", ["eros", "malapert"])

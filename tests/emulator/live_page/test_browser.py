@@ -133,6 +133,7 @@ def _history_after_a_reload(browser):
     assert browser.value("import('/page.js').then(page => page.axis.from)") == 0
 
 
+@pytest.mark.long
 def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path):
     with _run(folder) as (url, summary), Browser(folder / "profile") as browser:
         browser.open(url)
@@ -267,6 +268,7 @@ def test_the_picture_is_largest_bright_readable_and_accessible(folder):
         assert browser.errors == []
 
 
+@pytest.mark.long
 def test_a_run_that_is_not_paced_can_be_paused_and_stepped_from_the_keyboard(folder):
     with _run(folder, "free") as (url, summary), Browser(folder / "other") as browser:
         browser.open(url)

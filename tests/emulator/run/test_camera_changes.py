@@ -185,6 +185,7 @@ def test_a_free_run_has_the_same_events_on_any_machine(step_ns):
     assert np.array_equal(events, repeated(result.changes, ends_ns))
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_run_in_lockstep_has_the_same_events_on_any_machine():
     period_ns, syncs = 10 * MS, 5

@@ -102,6 +102,7 @@ def open_serial_link(symlink, **more):
     return link
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_the_symlink_of_a_killed_serial_link_goes_and_that_of_a_live_one_stays(tmp_path):
     killed, other = open_serial_link(tmp_path / "killed"), open_serial_link(tmp_path / "other")

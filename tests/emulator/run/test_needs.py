@@ -131,6 +131,7 @@ def test_doctor_shows_the_needs_of_a_rig_and_measures_none_that_cannot_run(no_pa
     assert "does NOT run on this machine" in last
 
 
+@pytest.mark.long
 def test_what_drivers_need_is_no_reason_not_to_measure(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(needs, "_VHCI", tmp_path / "none")
     rig = tmp_path / "small.toml"

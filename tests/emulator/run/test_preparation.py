@@ -72,6 +72,7 @@ def test_other_numbers_of_a_sensor_need_no_other_kernels_and_other_effects_do():
     assert keys() != keys(radiation=RadiationParameters(hits_per_cm2_s=1.0))
 
 
+@pytest.mark.long
 def test_steps_under_control_need_the_light_of_single_pixels(monkeypatch):
     rig, queried = load_rig("eros"), []
     controlled = dataclasses.replace(rig, run=dataclasses.replace(rig.run, tolerance_us=100.0))

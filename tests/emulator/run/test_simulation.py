@@ -115,6 +115,7 @@ def test_a_state_comes_back_to_the_bit_as_often_as_it_is_restored(flight):
     assert sim.result.ledger.balanced
 
 
+@pytest.mark.sampled
 def test_links_change_no_bit_and_deliver_the_same_events(flight, tmp_path):
     rig, steps = flight
     rig = dataclasses.replace(rig, links=(evstim.FileLink(path=str(tmp_path / "events.raw")),))

@@ -173,6 +173,7 @@ def angle_at_a_quarter_second(events, width):
     return math.atan((busy["x"].mean() - (width - 1) / 2) * math.tan(math.radians(12.5)) / (width / 2))
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, capsys):
     """A DVXplorer, and an EVK4 1 m to its right; the point, at 100 m, is then 2 m to the left of the first one.

@@ -38,6 +38,7 @@ def pools(monkeypatch):
     return numbers
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("name", "chosen"), [("eros", 1), ("malapert", available_threads())])
 def test_threads_of_a_run_draw_and_blur_and_change_no_light(pools, name, chosen):
     alone = drawn(name, 1)

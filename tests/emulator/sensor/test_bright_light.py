@@ -36,6 +36,7 @@ def still(value):
     return np.full((HEIGHT, WIDTH), value, np.float32)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("light", [1e9, 1e12, 1e30, np.finfo(np.float32).max])
 @pytest.mark.parametrize("method", METHODS)
 def test_a_step_ends_and_its_crossings_are_the_leak_times_the_light(method, light):

@@ -63,6 +63,7 @@ def test_it(evstim_rig):
     assert "1 passed" in done.stdout
 
 
+@pytest.mark.long
 def test_two_rigs_of_one_port_run_at_once(project):
     source = """
 from evstim.testing.running_rig import RunningRig
@@ -96,6 +97,7 @@ def test_it(evstim_rig):
     assert events["t"][-1] - events["t"][0] <= 60_000
 
 
+@pytest.mark.long
 def test_the_page_of_a_failed_test_names_it_and_does_not_judge_lateness(project, tmp_path):
     done = project(
         """
@@ -126,6 +128,7 @@ def test_the_plugin_loads_pytest_alone():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.long
 def test_of_a_good_test_nothing_is_kept(project, tmp_path):
     project("""
 @pytest.mark.rig("small.toml", pace="free", seconds=0.02)
@@ -142,6 +145,7 @@ def test_it(evstim_rig):
 """
 
 
+@pytest.mark.long
 def test_what_the_machine_lacks_is_a_skip_with_its_reason(project):
     done = project(LACKING, kind="serial", more='port = "/dev/there-is-none"')
     assert done.returncode == 0, done.stdout
@@ -149,12 +153,14 @@ def test_what_the_machine_lacks_is_a_skip_with_its_reason(project):
     assert "/dev/there-is-none" in done.stdout
 
 
+@pytest.mark.long
 def test_or_a_failure_where_that_is_asked_for(project):
     done = project(LACKING, "--evstim-require", kind="serial", more='port = "/dev/there-is-none"')
     assert done.returncode == 1
     assert "1 error" in done.stdout
 
 
+@pytest.mark.long
 def test_a_link_that_dies_fails_the_test_at_its_end(project):
     done = project("""
 import os, signal
@@ -168,6 +174,7 @@ def test_it(evstim_rig):
     assert "1 passed, 1 error" in done.stdout, done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("mark", "says"),
     [

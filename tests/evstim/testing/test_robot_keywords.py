@@ -30,6 +30,7 @@ def robot(tmp_path):
     return run
 
 
+@pytest.mark.long
 def test_a_rig_is_started_hurt_and_stopped(robot):
     done = robot("""
 The Camera Sends Events

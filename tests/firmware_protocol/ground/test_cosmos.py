@@ -84,6 +84,7 @@ def test_the_plugin_names_the_ports():
     assert "VARIABLE packet_port 5000\n" in FILES["plugin.txt"]
 
 
+@pytest.mark.long
 @pytest.mark.anew
 @pytest.mark.timeout(900)
 def test_cosmos_reads_the_packets_and_builds_the_commands(tmp_path):

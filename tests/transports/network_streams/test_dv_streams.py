@@ -131,6 +131,7 @@ def edges_when(link, told):
     return link.report.camera.edges
 
 
+@pytest.mark.long
 def test_a_client_of_triggers_that_sleeps_does_not_hold_up_events():
     port, events = free_port(), event_stream(300_000)
     link = opened(f"port = 0\ntrigger_port = {port}", "[trigger]\nperiod_ms = 0.2")

@@ -88,6 +88,7 @@ def test_events_are_those_of_a_run_without_truth(made, tmp_path):
         assert (file[f"events/{name}"][:] == events[field]).all()
 
 
+@pytest.mark.long
 def test_origins_name_themselves(made):
     _, _, file = made
     codes = h5py.check_enum_dtype(file["events/origin"].dtype)
@@ -150,6 +151,7 @@ def test_what_the_file_says_of_itself(made):
     assert told["events"] == len(file["events/t"]) == sum(told["origins"].values())
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_every_nth_picture(tmp_path):
     command = [*EVSTIM, "run", small_rig(tmp_path), "--seconds", "0.1", "--pace", "free", "--json"]
@@ -179,6 +181,7 @@ def test_every_nth_picture_of_a_run_within_a_program(tmp_path):
         evstim.run(rig, truth=tmp_path / "t.h5", truth_every=0)
 
 
+@pytest.mark.long
 def test_by_default_25_pictures_a_second_are_written_and_their_size_is_reported_before(tmp_path, capsys):
     command = ["run", str(small_rig(tmp_path)), "--seconds", "0.1", "--pace", "free", "--truth", str(tmp_path / "t.h5")]
     assert _main([*command, "--json"]) == 0
@@ -202,6 +205,7 @@ def test_a_video_has_light_and_events_alone(tmp_path):
         assert len(file["events/t"]) == len(file["events/origin"]) > 100
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_what_cannot_have_truth_says_why(tmp_path):
     rig = small_rig(tmp_path)
@@ -223,6 +227,7 @@ def test_what_cannot_have_truth_says_why(tmp_path):
         assert said in " ".join((done.stdout + done.stderr).split())
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_full_disk_ends_the_truth_and_not_the_run(tmp_path):
     """The limit on the size of a file holds for the writer as a full disk does."""
@@ -239,6 +244,7 @@ def test_a_full_disk_ends_the_truth_and_not_the_run(tmp_path):
     assert told["truth_trouble"] == f"truth stopped: File too large ({tmp_path / 't.h5'})"
 
 
+@pytest.mark.long
 def test_a_disk_that_is_full_before_the_run_is_the_machine_s_fault(tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
@@ -279,6 +285,7 @@ def told_when_ready(path):
             time.sleep(0.2)
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_others_may_read_while_it_is_written(endless):
     process, path = endless
@@ -303,6 +310,7 @@ def test_a_signal_ends_the_file_in_good_order(endless):
     assert told["pictures"] == told["poses"] > 10
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_killed_run_leaves_all_that_was_sent(endless):
     process, path = endless
@@ -314,6 +322,7 @@ def test_a_killed_run_leaves_all_that_was_sent(endless):
     assert told["events"] > 100
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_killed_writer_leaves_what_was_flushed_and_the_run_says_so(endless):
     process, path = endless

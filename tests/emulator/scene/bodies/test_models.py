@@ -135,6 +135,7 @@ def test_an_animation_that_closes_can_repeat(tmp_path):
         loaded(write(tmp_path, *document(TURNS[:3])), repeat=True)
 
 
+@pytest.mark.long
 def test_the_light_and_its_rate_are_those_of_the_same_bodies_on_a_spin(tmp_path):
     """The rate of spinning bodies is checked with point samples in test_raster_bodies."""
     law, camera = Lambert(0.5), Pinhole.of_field((48, 36), 40.0)

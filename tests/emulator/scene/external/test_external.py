@@ -81,6 +81,7 @@ def lit(scene, t_ms):
     return float(light[0, 0]), float(rate[0, 0])
 
 
+@pytest.mark.long
 def test_light_between_the_images_of_the_grid():
     with scene_of(lambda t_s, _: 100 * t_s**2, {"period_ms": 10.0, "ahead": 0}) as (scene, renderer):
         assert lit(scene, 0) == (0, 0)

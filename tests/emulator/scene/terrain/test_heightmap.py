@@ -138,6 +138,7 @@ def test_what_is_no_map_is_told(tmp_path, name, write, changes, message):
         load_heightmap(Heightmap(path=write(tmp_path / name), **changes), MOON_M)
 
 
+@pytest.mark.long
 @pytest.mark.system
 @settings(
     max_examples=settings.default.max_examples // 5

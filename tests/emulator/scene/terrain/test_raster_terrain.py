@@ -173,6 +173,7 @@ def test_pixels_that_are_not_doubtful_keep_their_rate():
     assert not rate_by_gradient(np.ones((20, 40)), STANDING).any()
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_parts_of_a_pixel_with_heights_of_their_own_are_nearer_to_every_facet():
     rough = dataclasses.replace(RIDGE, finest_m=0.25, posts=512, size_m=512.0)

@@ -158,6 +158,7 @@ def test_only_parts_of_boxes_are_looked_at():
     assert fired == {*range(3 * WIDTH + 40, 3 * WIDTH + 60), 40 * WIDTH + 100}
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.parametrize("kind", ["ragged", "long"])
 @pytest.mark.parametrize("slopes", [True, False])
@@ -213,6 +214,7 @@ def test_a_change_of_leak_wakes_all_blocks():
     assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("threads", [2, 3, 5])
 @pytest.mark.parametrize("effect", ["preset", "all"])
 def test_threads_change_nothing(effect, threads):
