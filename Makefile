@@ -29,26 +29,26 @@ test:
 	$(MAKE) programs
 	$(MAKE) guests
 
-# Should take under three minutes on two idle cores, once the kernels are compiled; two processes would each compile them.
+# The kernels are compiled before: two processes would each compile them.
 fast: prepare
 	$(BIN)/pytest -m "not guest and not arm and not anew and not system and not long" --ignore tests/laboratory -n 2 --dist loadfile
 
 # What judges the emulator, in laboratory/.
 laboratory: prepare
-	$(BIN)/pytest tests/laboratory -m "not guest and not arm and not long" -n 2 --dist loadfile --timeout 900
+	$(BIN)/pytest tests/laboratory -m "not guest and not arm and not anew and not long" -n 2 --dist loadfile --timeout 900
 
 # Whole programs.
 programs: prepare
 	$(BIN)/pytest -m "system and not guest and not arm and not anew and not long" --ignore tests/laboratory -n 2 --dist loadfile --timeout 900
 
 guests: packages prepare
-	$(BIN)/pytest -m "(guest or arm) and not long" --timeout 900
+	$(BIN)/pytest -m "(guest or arm) and not anew and not long" --timeout 900
 
 # What `make test` leaves out: the other clients and models, longer runs, fresh compilations. For a release, and after a
 # change of a camera or of a kernel.
 long: packages prepare
 	$(BIN)/pytest -m "(long or anew) and not guest" -n 2 --dist loadfile --timeout 1800
-	$(BIN)/pytest -m "long and guest" --timeout 1800
+	$(BIN)/pytest -m "(long or anew) and guest" --timeout 1800
 
 packages:
 	@.ci/apt $(APT_TEST)
