@@ -102,6 +102,7 @@ def test_one_pole_has_the_law_of_first_passages(a, refractory, law, opposite):
     assert found_opposite == pytest.approx(opposite, abs=0.004)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(
     ("a", "tau1_us", "tau2_us", "rate", "error", "opposite"),
@@ -115,6 +116,7 @@ def test_two_poles_have_the_rate_of_a_simulation_by_others(a, tau1_us, tau2_us, 
     assert found_opposite == pytest.approx(opposite, abs=0.006)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("poles_us", [(487.0, 84.0), (487.0, 0.0)])
 def test_half_the_step_gives_the_same_rates(poles_us):
