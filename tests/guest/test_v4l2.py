@@ -47,9 +47,10 @@ BUFFERS = 40
 ROOT = Path(__file__).parents[2]
 WORDS = str(Path(__file__).with_name("clients") / "v4l2_words.py")
 MESSAGES = round(float(os.environ.get("EVSTIM_V4L2_MESSAGES", "1e4")))
+MESSAGES_S = 240.0 + 5e-3 * MESSAGES
 KILLS = max(1, MESSAGES // 50_000)
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(2 * TIMEOUT_S + 1200)]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(2 * TIMEOUT_S + MESSAGES_S + 1200)]
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def test_a_program_that_is_killed_amid_a_stream_leaves_nothing(guest: Guest, mod
 
 
 def test_the_module_survives_any_messages(guest: Guest, module: None) -> None:
-    told = guest.check(["env", f"PYTHONPATH={ROOT}", sys.executable, WORDS, "imx636", str(MESSAGES)], TIMEOUT_S)
+    told = guest.check(["env", f"PYTHONPATH={ROOT}", sys.executable, WORDS, "imx636", str(MESSAGES)], MESSAGES_S)
     assert MESSAGES // 20 < int(told) < MESSAGES  # some are valid, some are refused
     with words(guest, "imx636"):
         assert "bias_diff_on" in guest.check(["v4l2-ctl", "-d", SUBDEVICE, "-l"])
