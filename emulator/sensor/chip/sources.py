@@ -88,11 +88,10 @@ def release(window: Window, pending: Pending, n: int, keys: npt.NDArray[np.uint6
 
 
 class SlottedEvents(ABC):
-    """A source of random events for an array of `pixels` pixels."""
+    """A source of random events for an array of `pixels` pixels. `reset` comes first."""
 
     def __init__(self, pixels: int) -> None:
         self._pixel_bits = max(1, (pixels - 1).bit_length())
-        self.reset(0)
 
     def reset(self, t_ns: int) -> None:
         """Start at `t_ns`; events that began before are left out."""
@@ -143,11 +142,15 @@ class _Constants(NamedTuple):
 
 
 class _Rates(NamedTuple):
-    """Of each pixel, (pixels,): sums of the rates of primaries up to it, share of pairs, and mean wait in ns."""
+    """Of each pixel, (pixels,): sums of the rates of primaries up to it, share of pairs, and mean wait in ns.
+
+    `first`, (2^n + 1,): the pixels at equal shares of the whole rate, so that few lie between two of them.
+    """
 
     below: _Floats
     pair: _Floats
     wait_ns: _Floats
+    first: npt.NDArray[np.int64]
 
 
 def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats, _Floats]:
@@ -167,8 +170,10 @@ def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats, _Flo
 
 
 @kernel_that_allocates
-def _draw_background(slot: int, c: _Constants, rates: _Rates, pending: Pending, n: int) -> tuple[Pending, int]:
-    """Add the events that begin in a slot to `pending` from n on."""
+def _draw_background(
+    slot: int, from_ns: int, c: _Constants, rates: _Rates, pending: Pending, n: int
+) -> tuple[Pending, int]:
+    """Add the events from `from_ns` on of the chains that begin in a slot to `pending` from n on."""
     base = stream(c.root, slot)
     below = rates.below
     t, k = 0.0, 0
@@ -177,24 +182,29 @@ def _draw_background(slot: int, c: _Constants, rates: _Rates, pending: Pending, 
         t -= c.mean_gap * math.log(unit(high(gap)))
         if t >= 1:
             return pending, n
-        pixel = np.searchsorted(below, unit(high(choice)) * below[-1], side="right")
+        share = unit(high(choice))
+        at = np.int64(share * (rates.first.size - 1))
+        from_, to = rates.first[at], rates.first[at + 1]
+        pixel = from_ + np.searchsorted(below[from_:to], share * below[-1], side="right")
         on = unit(low(gap)) >= c.off_share
         key, t_ns = np.uint64(pixel) << _ONE | np.uint64(on), slot * SLOT_NS + int(t * SLOT_NS)
-        pending, n = _add(pending, n, t_ns, key)
+        pending, n = _add(pending, n, from_ns, t_ns, key)
         follows = unit(low(choice)) < rates.pair[pixel] * (c.on_pair_factor if on else 1.0)
         follower, chances = 0, stream(base, _FOLLOWERS + np.uint64(k))
         while follows and follower < _MOST_FOLLOWERS:
             bits = word(chances, follower)
             wait_ns = rates.wait_ns[pixel] * (c.on_wait_factor if key & _ONE else 1.0)
             t_ns, key = t_ns + 1 + int(-wait_ns * math.log(unit(high(bits)))), key ^ _ONE
-            pending, n = _add(pending, n, t_ns, key)
+            pending, n = _add(pending, n, from_ns, t_ns, key)
             follower, follows = follower + 1, unit(low(bits)) < c.again_share
         k += 1
 
 
 @kernel_that_allocates
-def _add(pending: Pending, n: int, t_ns: int, key: np.uint64) -> tuple[Pending, int]:
-    """Add an event behind the first n."""
+def _add(pending: Pending, n: int, from_ns: int, t_ns: int, key: np.uint64) -> tuple[Pending, int]:
+    """Add an event behind the first n, unless it is before `from_ns`: most of those drawn at a reset are."""
+    if t_ns < from_ns:
+        return pending, n
     pending = reserve(pending, n, 1)
     pending.t_ns[n], pending.key[n] = t_ns, key
     return pending, n + 1
@@ -206,7 +216,7 @@ def _advance(
 ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
-        pending, n = _draw_background(slot, c, rates, pending, n)
+        pending, n = _draw_background(slot, window.t0_ns, c, rates, pending, n)
     keys = np.empty(n + 1, np.uint64)
     released, remaining = release(window, pending, n, keys)
     return pending, remaining, keys[:released]
@@ -226,16 +236,11 @@ class BackgroundEvents(SlottedEvents):
         p, b = parameters, parameters.background
         hz, pair, wait_s = primaries_hz(p, seed)
         hz[dead] = 0
-        self._rates = _Rates(np.cumsum(hz), pair, wait_s * 1e9)
-        total_hz = max(float(self._rates.below[-1]), 1e-12)
-        self._constants = _Constants(
-            root=root_of(seed, Purpose.BACKGROUND),
-            mean_gap=1 / (total_hz * SLOT_NS * 1e-9),
-            off_share=b.off_share,
-            again_share=b.again_share,
-            on_pair_factor=b.on_pair_factor,
-            on_wait_factor=b.on_wait_factor,
-        )
+        below, places = np.cumsum(hz), 1 << (hz.size >> 4).bit_length()
+        first = np.searchsorted(below, np.arange(places + 1) / places * below[-1], side="right")
+        self._rates = _Rates(below, pair, wait_s * 1e9, first)
+        root, gap = root_of(seed, Purpose.BACKGROUND), 1 / (max(float(below[-1]), 1e-12) * SLOT_NS * 1e-9)
+        self._constants = _Constants(root, gap, b.off_share, b.again_share, b.on_pair_factor, b.on_wait_factor)
         chain_us = b.pair_us * max(1.0, b.on_wait_factor) / (1 - b.again_share)  # at most exponential, with this mean
         self._before_ns = round(_BEFORE_WAITS * chain_us * 1000) if b.pair_share or b.hot_pair_share else 0
         super().__init__(p.width * p.height)
@@ -391,15 +396,9 @@ class Particles(SlottedEvents):
         super().__init__(p.width * p.height)
         self._dead = np.zeros(p.width * p.height, np.bool_)
         self._dead[dead] = True
-        self._chip = _Chip(
-            root=root_of(seed, Purpose.PARTICLES),
-            mean_gap=1 / (hits_per_second(p) * SLOT_NS * 1e-9),
-            width=p.width,
-            height=p.height,
-            depth_px=r.depth_um / r.pixel_pitch_um,
-            off_share=r.off_share,
-            recovery_ns=r.recovery_us * 1000,
-        )
+        root, gap = root_of(seed, Purpose.PARTICLES), 1 / (hits_per_second(p) * SLOT_NS * 1e-9)
+        depth_px, recovery_ns = r.depth_um / r.pixel_pitch_um, r.recovery_us * 1000
+        self._chip = _Chip(root, gap, p.width, p.height, depth_px, r.off_share, recovery_ns)
 
     def _advance(self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int) -> _Advanced:
         result: _Advanced = _advance_particles(window, self._chip, self._dead, pending, n)

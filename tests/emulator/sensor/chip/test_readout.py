@@ -51,11 +51,11 @@ def plain_arbiter(rows, parameters):
 
     while queue or waiting:
         admit(free)
-        if not waiting:
+        if queue and not waiting:
             free = max(free, queue[0][0])
             admit(free)
-            if not waiting:
-                continue
+        if not waiting:
+            continue
         row = min({y for y, _ in waiting}, key=lambda y: (y - last - 1) % parameters.height)
         latch = free + row_ns
         admit(latch)
