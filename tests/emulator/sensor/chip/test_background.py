@@ -79,3 +79,12 @@ def test_hot_pixels_are_a_tail_that_alternates_at_its_own_pace():
     assert len(t) == len(on) == counts.sum()
     fast = np.isin(pixel, np.flatnonzero(counts > 200))
     assert np.median(waits(t[fast], pixel[fast], on[fast], False)) < 0.2
+
+
+def test_a_drawn_pixel_lies_between_the_two_places_where_it_is_looked_for():
+    rates = source(dataclasses.replace(PARAMETERS, spread=1.5, hot_share=0.05))._rates
+    shares = np.append(np.random.default_rng(3).random(100_000), [0.0, 0.5, 1 - 2**-53])
+    at = (shares * (len(rates.first) - 1)).astype(np.int64)
+    pixel = np.searchsorted(rates.below, shares * rates.below[-1], side="right")
+    assert (rates.first[at] <= pixel).all()
+    assert (pixel <= rates.first[at + 1]).all()
