@@ -239,7 +239,7 @@ _COUNTS = """## Counts
 
 The last run of each test that records its length, and the client's time in the guest; of 100 openings by another camera
 than the Micro, the time of the whole test, with the start of QEMU. It emulates the processor (no KVM), so each
-opening takes seconds, and more beside other work: in the runs of 2026-11-27 the two cores had a load of 3 to 10.
+opening takes seconds, and more beside other work: in the runs of 2026-11-27 and 28 the two cores had a load of 1 to 10.
 
 | camera | client | amount | time | date | machine |
 |---|---|---|---|---|---|"""
