@@ -96,7 +96,7 @@ def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) ->
         "rig": rig.name,
         "needs": [need.as_json() for need in needed],
         "real_time": None if speed is None else speed.good,
-        **{name: getattr(speed, name, None) for name in ("times_real_time", "planned_load")},
+        "times_real_time": None if speed is None else speed.times_real_time,
         "expected": None if speed is None or speed.expected is None else speed.expected.as_json(),
     }
 
@@ -105,12 +105,11 @@ def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
     if speed is None:
         return f"{rig.name} does NOT run on this machine: add the missing parts first"
     verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"
-    load = "" if speed.planned_load is None else f"; its plan expects {speed.planned_load:.2f} of a core"
     advised = speed.good or (speed.expected is not None and speed.expected.remedies)
     advice = "" if advised else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"
     return (
         f"{rig.name} {verdict}: {speed.stream_s:.2g} s of stream at {speed.times_real_time:.2f} times real time, "
-        f"without links{load}{advice}"
+        f"without links{advice}"
     )
 
 

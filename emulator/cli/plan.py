@@ -22,7 +22,7 @@ _METHODS = {
 
 
 def plan(rig: RigName, /, *, json: Json = False) -> int:
-    """Show the plan of a run: steps, each effect with the bound that decided it, expected load and measured speed."""
+    """Show the plan of a run: steps, each effect with the bound that decided it, and the speed measured."""
     with failures():
         loaded = load_rig(rig)
         if SCENES[loaded.scene.kind].events:
@@ -49,7 +49,6 @@ def _as_json(planned: Plan) -> dict[str, object]:
         "probe": _finite(dataclasses.asdict(planned.probe)),
         "steps": planned.steps,
         "effects": [_finite({**d, "kept": d["kept"] or (planned.pinned and d["choice"])}) for d in decisions],
-        "load": {**dataclasses.asdict(planned.load), "total": planned.load.total},
     }
 
 
@@ -61,8 +60,7 @@ def _finite(table: dict[str, object]) -> dict[str, object]:
 def _lines(planned: Plan, speed: ExpectedSpeed) -> Iterator[str]:
     """Yield the plan for people."""
     p = planned.probe
-    steps, load = planned.steps, planned.load
-    sensor = planned.rig.camera.sensor
+    steps, sensor = planned.steps, planned.rig.camera.sensor
     yield f"{planned.rig.name}: {planned.rig.title}\n"
     yield (
         f"scene    {p.active_share:.0%} of {sensor.width}x{sensor.height} pixels active, contrast rate "
@@ -77,10 +75,6 @@ def _lines(planned: Plan, speed: ExpectedSpeed) -> Iterator[str]:
         f"steps    {'controlled, about' if steps.controlled else 'fixed,'} {steps.step_us:.0f} us{motion}: "
         f"{steps.bound}; timestamp error {_us(steps.error_us)} (95 %); a straight line would need "
         f"{steps.line_step_us:.0f} us for that"
-    )
-    yield (
-        f"load     {load.total:.2f} of a core: {load.pictures_per_s:.0f} frames per second {load.drawing:.2f}, pixels "
-        f"{load.pixels:.2f}, events {load.events:.2f}"
     )
     yield f"speed    {speed.line}\n"
     yield from _effects(planned)

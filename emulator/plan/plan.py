@@ -52,7 +52,7 @@ from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Decision", "Load", "Plan", "Steps", "Tolerance", "decide", "limits", "make_plan", "without"]
+__all__ = ["Decision", "Plan", "Steps", "Tolerance", "decide", "limits", "make_plan", "without"]
 
 
 def decide(sensor: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision]:
@@ -81,9 +81,6 @@ def _judge(cost: Decision, tolerance: Tolerance) -> Decision:
     return dataclasses.replace(cost, kept=too_late or too_many)
 
 
-# Cost of a step on one thread, from the benchmarks: seconds for a quiet pixel, and for an event.
-_QUIET_PIXEL_S = 1.0e-9
-_EVENT_S = 40e-9 + 20e-9
 _LINE, _HERMITE = 2, 4  # orders of the two interpolations
 _PINNED_TOLERANCE_US = 100.0  # tolerance for the cost of effects where the rig gives none
 
@@ -109,21 +106,6 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class Load:
-    """Expected load: seconds of one core for a second of stream."""
-
-    pictures_per_s: float
-    drawing: float
-    pixels: float
-    events: float
-
-    @property
-    def total(self) -> float:
-        """Total load; above 1 the run cannot keep up with real time."""
-        return self.drawing + self.pixels + self.events
-
-
-@dataclass(frozen=True)
 class Plan:
     """The plan of a run."""
 
@@ -132,7 +114,6 @@ class Plan:
     tolerance: Tolerance
     steps: Steps
     decisions: list[Decision]
-    load: Load
 
     @property
     def pinned(self) -> bool:
@@ -155,7 +136,7 @@ def make_plan(rig: Rig, probe: Probe) -> Plan:
     sensor = rig.camera.sensor
     seen = [] if SCENES[rig.scene.kind].lens == "none" else lens_costs(rig.camera.lens, sensor, probe)
     decisions = [*decide(sensor, probe, tolerance), *seen]
-    return Plan(rig, probe, tolerance, steps, decisions, _load(rig, probe, steps))
+    return Plan(rig, probe, tolerance, steps, decisions)
 
 
 def limits(rig: Rig, motion_bound_px_s: float) -> Limits:
@@ -213,11 +194,3 @@ def _step_for_sequences(tolerated: float, probe: Probe, order: int) -> float:
     """Return the step, us, with that number of slips per event; at most a second."""
     slips = probe.hermite_slips if order == _HERMITE else probe.line_slips
     return min(1e6, probe.step_s * 1e6 * float((tolerated / slips) ** (1 / order))) if slips > 0 else 1e6
-
-
-def _load(rig: Rig, probe: Probe, steps: Steps) -> Load:
-    per_s = 1e6 / steps.step_us
-    draw_s = probe.draw_with_rate_s if _order(rig) == _HERMITE else probe.draw_s
-    sensor = rig.camera.sensor
-    quiet_s = sensor.width * sensor.height * _QUIET_PIXEL_S
-    return Load(per_s, draw_s * per_s, quiet_s * per_s, probe.events_per_s * _EVENT_S)

@@ -12,13 +12,12 @@ of log light, because errors are errors of events.
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Light, LightFrame, Scene
+from emulator.light import LightFrame, Scene
 from emulator.plan.step_control import Sampled, error_us, sample, slips, weighted_quantile
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.presets import SensorParameters
@@ -43,7 +42,6 @@ class Probe:
     least_current, largest_current : photocurrent of the active pixels, relative, 5th and 95th percentile over events.
     fastest_change : largest |D| / h of any pixel, 1/s.
     events_per_s : predicted, without refractory period or noise.
-    draw_s : seconds for one frame, and for one with its derivative.
     motion_px_s : the scene's bound on image motion.
     line_slips, hermite_slips : slips per event at a step of `step_s`; see `step_control`.
     mean_current : mean photocurrent of all pixels, relative.
@@ -59,8 +57,6 @@ class Probe:
     largest_current: float
     fastest_change: float
     events_per_s: float
-    draw_s: float
-    draw_with_rate_s: float
     motion_px_s: float
     line_slips: float = 0.0
     hermite_slips: float = 0.0
@@ -72,37 +68,17 @@ def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: floa
     sensor = at_temperature(sensor)
     instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
     triples = [[_look(scene, sensor, t_ns + k * step_ns) for k in range(3)] for t_ns in instants_ns]
-    return _figures(scene, sensor, triples, *_draw_times(scene, instants_ns[0]))
+    return _figures(scene, sensor, triples)
 
 
 def _look(scene: Scene, sensor: SensorParameters, t_ns: int) -> Sampled:
-    light, rate = _buffers(scene)
+    width, height = scene.size
+    light, rate = np.zeros((2, height, width), np.float32)
     scene.light_and_rate(t_ns, light, rate)
     return sample(LightFrame(t_ns, light, rate if scene.has_rate else None), sensor.dark_current_relative)
 
 
-def _buffers(scene: Scene) -> tuple[Light, Light]:
-    width, height = scene.size
-    return np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
-
-
-def _draw_times(scene: Scene, t_ns: int) -> tuple[float, float]:
-    """Return seconds for a frame, and for one with its derivative: the best of three."""
-    light, rate = _buffers(scene)
-    light_only, with_rate = [], []
-    for k in range(3):
-        start_s = time.perf_counter()
-        scene.light(t_ns + k, light)
-        middle_s = time.perf_counter()
-        scene.light_and_rate(t_ns + k, light, rate)
-        light_only.append(middle_s - start_s)
-        with_rate.append(time.perf_counter() - middle_s)
-    return min(light_only), min(with_rate)
-
-
-def _figures(
-    scene: Scene, sensor: SensorParameters, triples: list[list[Sampled]], draw_s: float, draw_with_rate_s: float
-) -> Probe:
+def _figures(scene: Scene, sensor: SensorParameters, triples: list[list[Sampled]]) -> Probe:
     h = (triples[0][1].t_ns - triples[0][0].t_ns) * 1e-9
     change = np.concatenate([after.u - middle.u for _, middle, after in triples])
     current = np.exp(np.concatenate([middle.u for _, middle, _ in triples]))
@@ -124,8 +100,6 @@ def _figures(
         largest_current=weighted_quantile(current, weight, _FASTEST_CORNER_SHARE) if total else math.nan,
         fastest_change=float(weight.max()) / h,
         events_per_s=float(weight.mean()) / h / threshold * sensor.width * sensor.height,
-        draw_s=draw_s,
-        draw_with_rate_s=draw_with_rate_s,
         motion_px_s=scene.motion_bound_px_s,
         line_slips=_slips(without),
         hermite_slips=_slips(triples),

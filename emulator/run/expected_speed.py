@@ -190,28 +190,25 @@ class RealTimeSpeed:
     ----------
     times_real_time : stream seconds for a second of this machine, scene and sensor without links.
     stream_s : stream time that was computed for this.
-    planned_load : cores that the plan expects the whole run to keep busy; None for a recording, which has no plan.
-    expected : speed expected from a probe over the whole run; None for a recording.
+    expected : speed expected from a probe over the whole run; None for a recording, which has no plan.
     """
 
     times_real_time: float
     stream_s: float
-    planned_load: float | None
     expected: ExpectedSpeed | None = None
 
     @property
     def good(self) -> bool:
         """Return whether the rig runs in real time here."""
-        return self.times_real_time > 1 and (self.planned_load is None or self.planned_load < 1)
+        return self.times_real_time > 1
 
 
 def keeping_up(rig: Rig) -> RealTimeSpeed:
     """Compute up to two seconds of a rig's stream without pacing, for at most ten seconds."""
     with build_scene(rig) as scene:
-        load, expected = None, None
+        expected = None
         if not SCENES[rig.scene.kind].events:
-            plan = plan_of(rig, scene)
-            load, expected = plan.load.total, expected_speed(plan, scene)
+            expected = expected_speed(plan_of(rig, scene), scene)
         session = build_session(rig, scene, [], MonotonicClock())
 
         def follow(now: RunStatus) -> None:
@@ -221,4 +218,4 @@ def keeping_up(rig: Rig) -> RealTimeSpeed:
         stream_s = min(_STREAM_S, rig.run.seconds or _STREAM_S)
         free = dataclasses.replace(schedule(rig), duration_ns=round(stream_s * 1e9), paced=False, lockstep_ns=0)
         result = session.run(free, follow)
-    return RealTimeSpeed(result.sim_seconds / result.wall_seconds, result.sim_seconds, load, expected)
+    return RealTimeSpeed(result.sim_seconds / result.wall_seconds, result.sim_seconds, expected)

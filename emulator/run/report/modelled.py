@@ -25,7 +25,7 @@ _LENSES = {
     "own": "modelled by the scene itself",
 }
 _METHODS = {"hermite": "a cubic from value and derivative in log light", "line": "a straight line in log light"}
-_STILL = Probe(0.0, 0.0, 0.0, 0.0, 1e-3, 0.0, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
+_STILL = Probe(0.0, 0.0, 0.0, 0.0, 1e-3, 0.0, math.nan, math.nan, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

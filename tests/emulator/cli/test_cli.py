@@ -191,7 +191,7 @@ def test_a_plan_has_the_speed_to_expect_on_this_machine(rig, capsys):
 def test_advice_for_a_slow_rig_is_that_of_the_probe():
     slow = StepCost(1e-3, 2e-3, 1e-3)
     with_remedy, without = (
-        _sentence(load_rig("checkerboard"), RealTimeSpeed(0.3, 2.0, 3.0, ExpectedSpeed(slow, remedies)))
+        _sentence(load_rig("checkerboard"), RealTimeSpeed(0.3, 2.0, ExpectedSpeed(slow, remedies)))
         for remedies in (("run.step_us = 9000",), ())
     )
     assert "Take a longer" not in with_remedy

@@ -32,8 +32,6 @@ SCENE = Probe(
     largest_current=1.0,
     fastest_change=300.0,
     events_per_s=1e6,
-    draw_s=1e-3,
-    draw_with_rate_s=2e-3,
     motion_px_s=20.0,
 )
 SENSOR = dataclasses.replace(

@@ -53,13 +53,6 @@ def test_a_loose_tolerance_leaves_effects_out_of_the_sensor():
     assert plan.sensor != plan.rig.camera.sensor
 
 
-def test_the_load_counts_pictures():
-    plan = with_tolerance(3.2, motion_px_s=1.0)
-    assert plan.load.pictures_per_s == pytest.approx(1e6 / plan.steps.step_us)
-    assert plan.load.drawing == pytest.approx(SCENE.draw_with_rate_s * plan.load.pictures_per_s)
-    assert plan.load.total == plan.load.drawing + plan.load.pixels + plan.load.events
-
-
 def test_a_probe_of_the_board_predicts_its_events():
     """Squares of 50 px, 100 px/s to the right: two edges of ln(bright/dark) a second in each pixel."""
     sensor = RIG.camera.sensor
