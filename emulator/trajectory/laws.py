@@ -114,6 +114,11 @@ class Orbit(Trajectory):
         self.bounds = Bounds(elements.periapsis_speed_m_s)
         self._world_from_plane = _plane(elements)
 
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """One period."""
+        return 0, round(self._elements.period_s * 1e9)
+
     def pose(self, t_ns: int) -> Pose:
         """Return the place at `t_ns`."""
         k = self._elements

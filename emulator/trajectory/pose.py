@@ -44,7 +44,7 @@ from __future__ import annotations
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -215,6 +215,11 @@ class Trajectory(ABC):
         raise NotImplementedError
 
     @property
+    def span_ns(self) -> tuple[int, int]:
+        """Times between which it has all its poses: of a path that ends, or one period; the same for one pose."""
+        return 0, 0
+
+    @property
     def speed_bound_m_s(self) -> float:
         """Upper bound of the speed."""
         return self.bounds.speed_m_s
@@ -309,6 +314,12 @@ def instants_between(times_ns: npt.NDArray[np.int64]) -> list[int]:
     x = np.arange(_A_PIECE) / _A_PIECE
     inside = (times_ns[:-1, None] + np.diff(times_ns)[:, None] * x).ravel()
     return [int(t) for t in np.unique(np.append(inside.astype(np.int64), times_ns[-1]))]
+
+
+def instants_over(paths: Iterable[Trajectory], first_ns: int, count: int) -> list[int]:
+    """Return `count` instants, evenly spread, from the first one on to where all paths have had all their poses."""
+    last_ns = max(path.span_ns[1] for path in paths)
+    return [first_ns + k * max(last_ns - first_ns, 0) // (count - 1) for k in range(count)]
 
 
 _MORE = 1.25

@@ -1,7 +1,7 @@
 """The bodies of a scene and its camera: shapes, paths, ranges and bounds of motion, computed before anything is drawn.
 
 A body moves along its path in the world, or in the frame of an earlier one that it is fixed to. Ranges and apparent
-speeds are sampled in advance, about once a second of the first minute.
+speeds are sampled in advance over the whole of all paths, so detail depends on neither the time nor a run's length.
 
 Bodies that never move against each other form a rigid group: they cast shadows on each other as one body, from one tree
 of triangles. A body belongs to the group of the body that it is fixed to where its own path stands still; bodies that
@@ -27,10 +27,9 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.building import build_trajectories, build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
-from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError
+from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError, instants_over
 
-_LOOKS = 64
-_LOOK_S = 60.0
+_LOOKS = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class Arrangement:
 
     def __init__(self, camera: Trajectory, bodies: Sequence[PlacedBody], time: Timescale) -> None:
         self._camera, self._bodies = camera, bodies
-        times = [time.scene_ns(round(k * _LOOK_S / _LOOKS * 1e9)) for k in range(_LOOKS)]
+        times = instants_over([camera, *(body.path for body in bodies)], time.scene_ns(0), _LOOKS)
         relative = [[body.path.pose(t) for body in bodies] for t in times]
         self._looks = [self._in_world(poses) for poses in relative]
         self._eyes = np.array([camera.pose(t).position_m for t in times])
@@ -165,7 +164,7 @@ class BodyWorld:
 
     @property
     def motion_bound_px_s(self) -> float:
-        """Bound from the paths' speeds and turns, at the closest ranges in the first minute."""
+        """Bound from the paths' speeds and turns, at the closest ranges."""
         in_a_corner = 1 + math.tan(self.pinhole.widest_rad) ** 2
         return self.pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
 

@@ -34,7 +34,7 @@ from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
-from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, measured_bounds
+from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, instants_over, measured_bounds
 
 Floats = npt.NDArray[np.float64]
 Slopes = npt.NDArray[np.float32]
@@ -160,8 +160,7 @@ def _is_on(at: float, columns: int) -> bool:
     return -3.0 <= at <= columns + 2.0
 
 
-_LOOKS = 240  # instants, a second of the scene apart, at which the path is sampled in advance
-_LOOK_NS = 1_000_000_000
+_LOOKS = 240  # instants at which the path is sampled in advance
 _APART_NS = 20_000_000
 
 
@@ -174,7 +173,7 @@ class TerrainWorld:
     ----------
     sun : (3,) unit, towards it.
     irradiance_w_m2 : sunlight on a surface that faces the Sun, times the albedo of the brightest ground.
-    motion_bound_px_s : from the path's speed, turning and height, sampled once a second of the first four minutes.
+    motion_bound_px_s : from the path's speed, turning and height, sampled over the whole path.
     distance_m : the least sampled height over the ground beneath.
     """
 
@@ -186,7 +185,7 @@ class TerrainWorld:
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene.camera: {error}") from error
         self.ground = build_ground(p)
-        looks = [k * _LOOK_NS for k in range(_LOOKS)]
+        looks = instants_over([self.camera], self.time.scene_ns(0), _LOOKS)
         self.distance_m = max(min(self.height_m(t, self.camera.pose(t)) for t in looks), 1e-3)  # refuses a path below
         self.motion_bound_px_s = max(map(self._moving_px_s, looks))
         self._sun = Sun(distance_au=p.sun_distance_au)

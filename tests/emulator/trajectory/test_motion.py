@@ -1,6 +1,7 @@
 """Orbits, spins, tumbling, looking and landing, against integrated equations and closed forms."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.geometry.camera import Cycle
 from emulator.trajectory.laws import LANDING, Descent, Elements, Gate, Orbit, eccentric_anomaly
 from emulator.trajectory.mounting import Looking, Spinning, Tilt
-from emulator.trajectory.pose import Fixed, Timescale, TrajectoryError, measured_bounds
+from emulator.trajectory.pose import Fixed, Timescale, TrajectoryError, instants_over, measured_bounds
 
 S = 1_000_000_000
 EROS = Elements(4.4628e5, 50_000.0, 0.4, 35.0, 20.0, 70.0, 15.0)
@@ -154,3 +155,21 @@ def test_a_timescale_is_exact():
     fast = Timescale(0.1, start_s=2.0)
     assert fast.scene_ns(10**18 + 17) == 2 * S + 10**17 + 1
     assert fast.factor == 0.1
+
+
+def test_a_path_s_span_has_all_its_poses():
+    circle = Orbit(Elements(gm_m3_s2=4e5, semi_major_axis_m=1e4))
+    first_ns, last_ns = circle.span_ns
+    np.testing.assert_allclose(circle.pose(last_ns).position_m, circle.pose(first_ns).position_m, atol=1e-3)
+    assert Looking(circle, (0, 0, 0), (0, 0, 1), [0]).span_ns == circle.span_ns
+    assert Descent(LANDING).span_ns == (0, 165_000_000_000)
+    slow, fast = (Cycle(Fraction(1, seconds)) for seconds in (40, 8))
+    assert Spinning((0, 0, 0), (0, 0, 1), fast).span_ns == (0, 8_000_000_000)
+    assert Spinning((0, 0, 0), (0, 0, 1), fast, Tilt(0.1, slow)).span_ns == (0, 40_000_000_000)
+    assert Fixed().span_ns == (0, 0)
+
+
+def test_instants_over_paths_reach_the_end_of_the_longest():
+    board, landing = Fixed(), Descent(LANDING)
+    assert instants_over([board, landing], 15_000_000_000, 4) == [15 * 10**9, 65 * 10**9, 115 * 10**9, 165 * 10**9]
+    assert instants_over([board], 7, 3) == [7, 7, 7]

@@ -10,8 +10,11 @@ import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from emulator.geometry.camera import Pinhole
+from emulator.photometry.reflectance import Sun
 from emulator.scene.bodies.albedo import clouded, fractal_noise
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors, find_shape, load_mesh
+from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.regolith import (
     Law,
     coarser,
@@ -23,7 +26,8 @@ from emulator.scene.bodies.regolith import (
     weathered,
 )
 from emulator.scene.bodies.smooth_ground import potential, smooth_ground
-from emulator.scene.bodies.table import Clouds, Regolith
+from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds, Regolith
+from emulator.trajectory.parameters import Keyframe, KeyframePath
 
 PLAIN = Regolith(seed=5, craters=0.02, boulders_km2=2000.0, slope_deg=0.0, albedo_rms=0.1)
 
@@ -312,3 +316,23 @@ def test_damaged_detail_in_the_cache_is_made_again(monkeypatch, tmp_path):
     for file in (tmp_path / "evstim").iterdir():
         file.write_bytes(file.read_bytes()[:200])
     assert np.array_equal(detailed(ball(500.0), PLAIN, 1.0).vertices, made.vertices)
+
+
+def approach(shape, seconds):
+    """Return the light half-way of an approach of so many seconds, (48, 64), and the facets of the body."""
+    far, near = (Keyframe(t_s, (0.0, 0.0, -range_m)) for t_s, range_m in ((0.0, 400.0), (seconds, 30.0)))
+    body = BodyTable(shape=str(shape), detail=dataclasses.replace(PLAIN, most_facets=20_000))
+    parameters = BodiesParameters(bodies=(body,), camera=KeyframePath((far, near)), sun=Sun((1.0, 0.0, -1.0)))
+    light = np.zeros((48, 64), np.float32)
+    with RasterBodies(parameters, Pinhole.of_field((64, 48), 30.0)) as scene:
+        scene.light(round(0.9 * seconds * 1e9), light)
+        return light, len(scene.geometry()._meshes[0].faces)
+
+
+def test_an_approach_of_ten_minutes_shows_what_a_short_one_shows(tmp_path):
+    shape = tmp_path / "ball.obj"
+    trimesh.creation.icosphere(3, 10.0).export(shape)
+    (slow, slow_facets), (fast, fast_facets) = approach(shape, 600.0), approach(shape, 50.0)
+    assert slow_facets == fast_facets > 5000
+    np.testing.assert_allclose(slow, fast, rtol=1e-4, atol=1e-4 * fast.max())
+    assert fast.max() > 0
