@@ -42,7 +42,13 @@ class PlacedBody:
 
 
 class Arrangement:
-    """A camera and the bodies before it; `ranges_m`, (bodies,): the closest range of each, from origin to origin."""
+    """A camera and the bodies before it.
+
+    Attributes
+    ----------
+    ranges_m, median_ranges_m : (bodies,), the closest range of each, from origin to origin, and the median while the
+        camera moves.
+    """
 
     def __init__(self, camera: Trajectory, bodies: Sequence[PlacedBody], time: Timescale) -> None:
         self._camera, self._bodies = camera, bodies
@@ -50,7 +56,10 @@ class Arrangement:
         relative = [[body.path.pose(t) for body in bodies] for t in times]
         self._looks = [self._in_world(poses) for poses in relative]
         self._eyes = np.array([camera.pose(t).position_m for t in times])
-        self.ranges_m = _norms(_places(self._looks) - self._eyes[:, None]).min(axis=0)
+        ranges_m = _norms(_places(self._looks) - self._eyes[:, None])
+        camera_ends = int(np.searchsorted(times, camera.span_ns[1], "right"))
+        self._under_way = slice(camera_ends if camera_ends > 1 else None)
+        self.ranges_m, self.median_ranges_m = ranges_m.min(axis=0), np.median(ranges_m[self._under_way], axis=0)
         self._offsets_m = _norms(_places(relative)).max(axis=0)
 
     def poses(self, scene_ns: int) -> list[Pose]:
@@ -76,12 +85,15 @@ class Arrangement:
         """The closest range of any body, less its radius."""
         return max(float(np.min(self.ranges_m - [body.radius_m for body in self._bodies])), 1e-3)
 
-    def nearest_m(self, k: int, low: Vector, high: Vector) -> float:
-        """Return the least distance of the camera from a box in the frame of body k, given by two corners, m."""
+    def median_distance_m(self, k: int, low: Vector, high: Vector) -> float:
+        """Return the median distance of the camera, while it moves, from a box in the frame of body k, m.
+
+        Two corners give the box.
+        """
         poses = [look[k] for look in self._looks]
         eyes = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
         beside = np.maximum(np.maximum(low - eyes, eyes - high), 0.0)
-        return float(_norms(beside).min())
+        return float(np.median(_norms(beside)[self._under_way]))
 
     @property
     def turn_bound_rad_s(self) -> float:
@@ -197,11 +209,18 @@ class BodyWorld:
 
     def metres_a_pixel(self, k: int) -> float:
         """Return the width of a pixel on body k at its closest range, m."""
-        return max(float(self.ranges_m[k]) - self.meshes[k].radius_m, 1e-6) / self.pinhole.focal_px
+        return self._pixel_m(k, self.ranges_m)
+
+    def median_metres_a_pixel(self, k: int) -> float:
+        """Return the same at its median range."""
+        return self._pixel_m(k, self.arrangement.median_ranges_m)
 
     def close(self) -> None:
         """Close the ports of live poses; a second call does nothing."""
         close_receivers(self.camera, *(placed.path for placed in self.placed))
+
+    def _pixel_m(self, k: int, ranges_m: npt.NDArray[np.float64]) -> float:
+        return max(float(ranges_m[k]) - self.meshes[k].radius_m, 1e-6) / self.pinhole.focal_px
 
     def _placed(self, k: int, path: Trajectory) -> PlacedBody:
         names, fixed_to = [body.name for body in self.parameters.bodies], self.parameters.bodies[k].fixed_to
