@@ -165,17 +165,13 @@ class PolynomialPath(Trajectory):
         self._velocities = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
         require_increasing(times_ns, len(self._places_m))
         self._times_ns = np.array(times_ns, np.int64)
+        self.span_ns = int(times_ns[0]), int(times_ns[-1])
         self._used = degree + 1 if velocities_m_s is None else degree // 2 + 1
         if not 1 <= degree <= _HIGHEST_DEGREE:
             raise TrajectoryError(f"a degree of {degree}: 1 to {_HIGHEST_DEGREE} can be used")
         if len(times_ns) < self._used:
             raise TrajectoryError(f"degree {degree} needs {self._used} samples, and there are {len(times_ns)}")
         self._at: tuple[int, KroghInterpolator] | None = None
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Time of the first sample and of the last."""
-        return int(self._times_ns[0]), int(self._times_ns[-1])
 
     def pose(self, t_ns: int) -> Pose:
         """Return the place at `t_ns`; before the first sample and after the last it stays."""
@@ -256,12 +252,8 @@ class Segmented(Trajectory):
                 problem = f"starts {apart_s:g} s after" if apart_s > 0 else f"starts {-apart_s:g} s before"
                 raise TrajectoryError(f"segment {number} {problem} the end of the one before: they must follow closely")
         self._segments = tuple(segments)
+        self.span_ns = segments[0].start_ns, segments[-1].stop_ns
         self._starts_ns = [segment.start_ns for segment in segments]
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Start of the first segment and end of the last."""
-        return self._segments[0].start_ns, self._segments[-1].stop_ns
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""

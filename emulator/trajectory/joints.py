@@ -119,13 +119,8 @@ class Jointed(Trajectory):
         self._p = p
         tracks = [track for joint in p.joints for track in (joint.translation, joint.rotation)]
         times_ns = np.unique(np.concatenate([np.round(track.times_s * 1e9) for track in tracks])).astype(np.int64)
-        self._last_ns = int(times_ns.max(initial=0))
+        self.span_ns = 0, round(p.period_s * 1e9) or int(times_ns.max(initial=0))
         self.bounds = measured_bounds(self._once, instants_between(times_ns)) if len(times_ns) > 1 else Bounds()
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Time 0, and that of the last key or of the period's end."""
-        return 0, round(self._p.period_s * 1e9) or self._last_ns
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose of the last joint."""

@@ -61,6 +61,7 @@ class Keyframes(Trajectory):
     ) -> None:
         require_increasing(times_ns, len(poses))
         self._times_ns = np.array(times_ns, np.int64)
+        self.span_ns = int(times_ns[0]), int(times_ns[-1])
         self._seconds = (self._times_ns - self._times_ns[0]) * 1e-9
         self._places = np.array([pose.position_m for pose in poses])
         self._turns = np.array([pose.q_world_from_body for pose in poses])
@@ -73,11 +74,6 @@ class Keyframes(Trajectory):
         self._curve, self._vectors = _splines(self._seconds, self._places, velocities, self._turns)
         self._velocity, self._acceleration = self._curve.derivative(), self._curve.derivative(2)
         self._vector_rates = self._vectors.derivative()
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Time of the first keyframe and of the last."""
-        return int(self._times_ns[0]), int(self._times_ns[-1])
 
     @cached_property
     def bounds(self) -> Bounds:

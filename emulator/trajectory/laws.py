@@ -112,12 +112,8 @@ class Orbit(Trajectory):
     def __init__(self, elements: Elements) -> None:
         self._elements = elements
         self.bounds = Bounds(elements.periapsis_speed_m_s)
+        self.span_ns = 0, round(elements.period_s * 1e9)
         self._world_from_plane = _plane(elements)
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """One period."""
-        return 0, round(self._elements.period_s * 1e9)
 
     def pose(self, t_ns: int) -> Pose:
         """Return the place at `t_ns`."""
@@ -225,6 +221,7 @@ class Descent(Trajectory):
         velocities = [gate.forward_m_s * ahead - gate.down_m_s * _UP for gate in gates]
         times_ns = [round(gate.t_s * 1e9) for gate in gates]
         self._path = Keyframes(times_ns, [Pose(place, STILL.q_world_from_body) for place in places], velocities)
+        self.span_ns = self._path.span_ns
         self._ahead, self._depression_rad = ahead, _depression(gates)
         self._depression_rate = self._depression_rad.derivative()
         measured = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))
@@ -243,11 +240,6 @@ class Descent(Trajectory):
         rate = float(self._depression_rate(t_ns * 1e-9)) if first <= t_ns < last else 0.0
         path = self._path.motion(t_ns)
         return Motion(path.velocity_m_s, path.acceleration_m_s2, np.array([-rate, 0.0, 0.0]))
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Time of the first gate and of the last."""
-        return self._path.span_ns
 
     def _require_above(self, ground_m: float) -> None:
         first, last = self.span_ns

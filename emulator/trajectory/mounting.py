@@ -42,14 +42,10 @@ class Looking(Trajectory):
 
     def __init__(self, place: Trajectory, target_m: npt.ArrayLike, up: npt.ArrayLike, times_ns: Sequence[int]) -> None:
         self._place = place
+        self.span_ns = place.span_ns
         self._target_m = np.asarray(target_m, np.float64)
         self._up = unit(up)
         self.bounds = Bounds(place.speed_bound_m_s, measured_bounds(self.pose, times_ns).turn_rad_s)
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """That of the place."""
-        return self._place.span_ns
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose; raises TrajectoryError when the camera is at the target itself."""
@@ -111,12 +107,7 @@ class Spinning(Trajectory):
         self._turned, self._tilt = turned, tilt
         # The greatest rate is that of both, when the axes lie along each other.
         self.bounds = Bounds(0.0, 2 * math.pi * float(abs(turned.rate_hz) + abs(tilt.precession.rate_hz)))
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Time 0, and the end of the slower of both turns."""
-        rates_hz = [abs(cycle.rate_hz) for cycle in (self._turned, self._tilt.precession) if cycle.rate_hz]
-        return 0, round(1e9 / min(rates_hz)) if rates_hz else 0
+        self.span_ns = 0, max(round(1e9 / abs(c.rate_hz)) if c.rate_hz else 0 for c in (turned, tilt.precession))
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""
@@ -146,13 +137,7 @@ class PlaceAndAttitude(Trajectory):
     ) -> None:
         self._places, self._attitudes = places, attitudes
         self._places_zero_ns, self._attitudes_zero_ns = places_zero_ns, attitudes_zero_ns
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Times within which both have all their poses."""
-        spans = (self._places.span_ns, self._places_zero_ns), (self._attitudes.span_ns, self._attitudes_zero_ns)
-        firsts_ns, lasts_ns = zip(*((first - zero, last - zero) for (first, last), zero in spans), strict=True)
-        return min(firsts_ns), max(lasts_ns)
+        self.span_ns = places.span_ns[0] - places_zero_ns, places.span_ns[1] - places_zero_ns
 
     def pose(self, t_ns: int) -> Pose:
         """Return the place of one and the attitude of the other at `t_ns`."""
@@ -176,11 +161,7 @@ class Mounted(Trajectory):
 
     def __init__(self, path: Trajectory, mounting: Pose) -> None:
         self._path, self._mounting = path, mounting
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """That of the path."""
-        return self._path.span_ns
+        self.span_ns = path.span_ns
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""

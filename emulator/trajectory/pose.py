@@ -195,7 +195,9 @@ class Bounds(NamedTuple):
 
 
 class Trajectory(ABC):
-    """A pose at every instant."""
+    """A pose at every instant; between the times `span_ns` it has all its poses: to its end, or in one period."""
+
+    span_ns: tuple[int, int] = (0, 0)
 
     @abstractmethod
     def pose(self, t_ns: int) -> Pose:
@@ -213,11 +215,6 @@ class Trajectory(ABC):
     def bounds(self) -> Bounds:
         """Bounds of its motion; a subclass defines them, or sets them as an attribute."""
         raise NotImplementedError
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Times between which it has all its poses: of a path that ends, or one period; the same for one pose."""
-        return 0, 0
 
     @property
     def speed_bound_m_s(self) -> float:

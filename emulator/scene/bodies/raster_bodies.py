@@ -165,8 +165,8 @@ class LitBodies:
         self._world = world
         parameters = world.parameters
         bodies = range(len(world.meshes))
-        pixel_m = min(map(self._median_distance_m, bodies)) / pinhole.focal_px
-        self._sharp = with_narrow_penumbras(parameters, world.meshes, LONGEST_PX * pixel_m)
+        distances_m = (world.arrangement.median_distance_m(k, world.meshes[k].vertices) for k in bodies)
+        self._sharp = with_narrow_penumbras(parameters, world.meshes, LONGEST_PX * min(distances_m) / pinhole.focal_px)
         self._sides: dict[int, Sides] = {}
         casters = [world.as_seen(k) for k in bodies]
         self.surfaces = [self._surface(k, casters) for k in bodies]
@@ -228,17 +228,13 @@ class LitBodies:
         """Return the longest allowed side of body k's facets."""
         world = self._world
         bodies = world.parameters.bodies
-        body, fine_m = bodies[k], LONGEST_PX * world.median_metres_a_pixel(k)
+        body, fine_m = bodies[k], LONGEST_PX * world.metres_a_pixel(k, world.arrangement.median_ranges_m)
         beside = [j for group in rigid_groups(bodies) if k not in group.members for j in group.members]
         shaded = world.parameters.shadows and any(bodies[j].throws_shadow for j in beside)
         if k not in self._sharp or shaded or not isinstance(body.reflectance, Glossy | Lambert):
             return fine_m
         lobe = body.reflectance.sharpness if isinstance(body.reflectance, Glossy) else 1.0
-        return math.sqrt(32 * LINEAR_WITHIN / lobe) * self._median_distance_m(k)
-
-    def _median_distance_m(self, k: int) -> float:
-        vertices = self._world.meshes[k].vertices
-        return self._world.arrangement.median_distance_m(k, vertices.min(axis=0), vertices.max(axis=0))
+        return math.sqrt(32 * LINEAR_WITHIN / lobe) * world.arrangement.median_distance_m(k, world.meshes[k].vertices)
 
 
 class RasterBodies(WorldScene[BodyWorld]):

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.attitude import Vector
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.scene.bodies.mesh import Mesh
@@ -44,10 +43,7 @@ class PlacedBody:
 class Arrangement:
     """A camera and the bodies before it.
 
-    Attributes
-    ----------
-    ranges_m, median_ranges_m : (bodies,), the closest range of each, from origin to origin, and the median while the
-        camera moves.
+    `ranges_m`, (bodies,), is the closest range of each, from origin to origin, `median_ranges_m` that while it moves.
     """
 
     def __init__(self, camera: Trajectory, bodies: Sequence[PlacedBody], time: Timescale) -> None:
@@ -57,8 +53,7 @@ class Arrangement:
         self._looks = [self._in_world(poses) for poses in relative]
         self._eyes = np.array([camera.pose(t).position_m for t in times])
         ranges_m = _norms(_places(self._looks) - self._eyes[:, None])
-        camera_ends = int(np.searchsorted(times, camera.span_ns[1], "right"))
-        self._under_way = slice(camera_ends if camera_ends > 1 else None)
+        self._under_way = slice(int(np.searchsorted(times[1:], camera.span_ns[1], "right")) or None)
         self.ranges_m, self.median_ranges_m = ranges_m.min(axis=0), np.median(ranges_m[self._under_way], axis=0)
         self._offsets_m = _norms(_places(relative)).max(axis=0)
 
@@ -85,14 +80,11 @@ class Arrangement:
         """The closest range of any body, less its radius."""
         return max(float(np.min(self.ranges_m - [body.radius_m for body in self._bodies])), 1e-3)
 
-    def median_distance_m(self, k: int, low: Vector, high: Vector) -> float:
-        """Return the median distance of the camera, while it moves, from a box in the frame of body k, m.
-
-        Two corners give the box.
-        """
+    def median_distance_m(self, k: int, vertices: npt.NDArray[np.float64]) -> float:
+        """Return the median distance of the camera, while it moves, from the box around the vertices of body k, m."""
         poses = [look[k] for look in self._looks]
         eyes = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
-        beside = np.maximum(np.maximum(low - eyes, eyes - high), 0.0)
+        beside = np.maximum(np.maximum(vertices.min(axis=0) - eyes, eyes - vertices.max(axis=0)), 0.0)
         return float(np.median(_norms(beside)[self._under_way]))
 
     @property
@@ -207,20 +199,14 @@ class BodyWorld:
             self._as_seen[k] = seen
         return self._as_seen[k]
 
-    def metres_a_pixel(self, k: int) -> float:
-        """Return the width of a pixel on body k at its closest range, m."""
-        return self._pixel_m(k, self.ranges_m)
-
-    def median_metres_a_pixel(self, k: int) -> float:
-        """Return the same at its median range."""
-        return self._pixel_m(k, self.arrangement.median_ranges_m)
+    def metres_a_pixel(self, k: int, ranges_m: npt.NDArray[np.float64] | None = None) -> float:
+        """Return the width of a pixel on body k at its closest range, m, or at others, (bodies,)."""
+        range_m = float((self.ranges_m if ranges_m is None else ranges_m)[k])
+        return max(range_m - self.meshes[k].radius_m, 1e-6) / self.pinhole.focal_px
 
     def close(self) -> None:
         """Close the ports of live poses; a second call does nothing."""
         close_receivers(self.camera, *(placed.path for placed in self.placed))
-
-    def _pixel_m(self, k: int, ranges_m: npt.NDArray[np.float64]) -> float:
-        return max(float(ranges_m[k]) - self.meshes[k].radius_m, 1e-6) / self.pinhole.focal_px
 
     def _placed(self, k: int, path: Trajectory) -> PlacedBody:
         names, fixed_to = [body.name for body in self.parameters.bodies], self.parameters.bodies[k].fixed_to

@@ -248,7 +248,9 @@ def test_facets_follow_the_highlight_not_the_size_of_the_picture(shapes, size):
     with RasterBodies(parameters, Pinhole.of_field(size, 30.0)) as body:
         plate = body._lit.surfaces[0]
     sides = plate.vertices[plate.faces] - plate.vertices[np.roll(plate.faces, 1, axis=1)]
-    angle = np.linalg.norm(sides, axis=2).max() / body._lit._median_distance_m(0)
+    angle = np.linalg.norm(sides, axis=2).max() / body._world.arrangement.median_distance_m(
+        0, body._world.meshes[0].vertices
+    )
     assert 100.0 * angle**2 / 32 <= 0.01
     assert len(plate.faces) < 20_000
 
