@@ -129,6 +129,7 @@ def test_what_is_in_the_wheel(wheel):
     assert rooms == {"evstim", "emulator", "transports", "firmware_protocol", "laboratory"}
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_package_index_takes_the_wheel_and_the_sdist_which_makes_the_same_wheel(wheel, tmp_path):
     hatchling = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path]

@@ -59,6 +59,7 @@ def test_the_search_index_has_each_rig_key(site):
     assert [key for key in keys if key[1] not in found.get(f"rigs/#{key[0]}", "")] == []
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.chromium
 @pytest.mark.socket

@@ -183,6 +183,7 @@ class TestCan(LinkContract):
         return CanReader(link, self.parameters)
 
 
+@pytest.mark.long
 class TestCanIsoTp(TestCan):
     parameters = CanLink(port=0, instrument=PATIENT, share=1.0, carriage="isotp", answer_ms=60_000)
 

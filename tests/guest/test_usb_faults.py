@@ -144,6 +144,7 @@ def name_of(exposure: Exposure) -> str:
     return who if len(names) > 1 else f"{who}-{names[0]}"
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize("exposure", TOGETHER, ids=name_of)
 def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(exposed: Exposed, exposure: Exposure) -> None:
@@ -152,6 +153,7 @@ def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(exposed: Expo
     assert found["seen"] - found["delivered"] == exposed.faults(exposure)["repeated_events"]["hits"], found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("exposure", long_but(SHORT, ALONE), ids=name_of)
 def test_a_driver_meets_a_fault(exposed: Exposed, exposure: Exposure) -> None:
     who, (name,) = exposure

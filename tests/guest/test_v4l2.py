@@ -92,6 +92,7 @@ def test_v4l2_compliance_finds_no_fault(guest: Guest, module: None, name: str) -
             assert all(line.endswith("Failed: 0, Warnings: 0") for line in totals), report
 
 
+@pytest.mark.long
 def test_a_program_that_is_killed_amid_a_stream_leaves_nothing(guest: Guest, module: None) -> None:
     for number in range(KILLS):
         out = guest.path_in_guest(f"v4l2-killed-{number}.raw")

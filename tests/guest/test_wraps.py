@@ -102,6 +102,7 @@ def begun(driver: Driver, seen: Events, delivered: Events) -> tuple[Events, int]
     raise AssertionError(f"nothing that was delivered begins as what was seen: {seen[: MOST_KEPT + 5].tolist()}")
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_every_time_is_exact_across_the_wraps(turns: Turns[Driver, Seen], looped: Looped, driver: Driver) -> None:

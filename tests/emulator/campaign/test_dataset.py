@@ -162,6 +162,7 @@ def test_flow_in_dsec_s_files_is_the_motion_of_each_point_until_the_next_map(dse
             assert errors_px.max() < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_sequence_of_dsec_has_its_files_and_the_truth_beside_them(folder, dsec):
     assert [name for name, *_ in digests(dsec)] == [f"sequences/00000{k}" for k in range(3)]
@@ -244,6 +245,7 @@ def test_the_step_divides_the_period_where_one_can(rig, tmp_path, step_us, rate_
     assert Campaign(source).rig(0).run.step_us == expected
 
 
+@pytest.mark.long
 def test_readers_of_dsec_take_a_sequence_for_a_recording(folder):
     path = folder / "sequences" / "000000.h5"
     events = read_events(path)

@@ -164,6 +164,7 @@ def test_columns_have_the_names_that_the_file_gives(campaign, rows, tmp_path):
     assert {name: quantiles(rows, "scene.speed_px_s")[name] for name in worst} == pytest.approx(worst, rel=0.25)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("least", "count", "verdict"), [(0.99, 48, "bad"), (0.5, 48, "good"), (0.5, 64, "unfinished")])
 def test_the_verdict_is_that_of_the_exit_code(campaign, rows, tmp_path, least, count, verdict):
     page = write_report(campaign(count=count, top=f"min_success = {least}"), rows, tmp_path).read_text()

@@ -75,12 +75,14 @@ def test_a_campaign_its_parts_and_its_completion(file, campaign):
     assert "campaign.parameters[0].high was 100, is 101" in summary(done)["error"]
 
 
+@pytest.mark.long
 def test_too_few_successes_end_with_1(file, campaign, tmp_path):
     path = file(count=1, least=1.0)
     path.write_text(path.read_text().replace("read_out > 10", "read_out > 1000000"))
     assert "success: 0 of 1" in campaign(path, "--folder", tmp_path / "here", code=1).out
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_a_summary_and_it_goes_on(file, number):

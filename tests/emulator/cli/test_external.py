@@ -96,6 +96,7 @@ def test_both_carriers_give_the_same_events(tmp_path):
     assert summary["events"]["read_out"] > 10_000
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("end", "reason"),

@@ -171,6 +171,7 @@ def test_a_picture_may_be_shorter_than_a_step(evstim, terminal, clock, rig):
     assert len(pictures(out)) == 26  # every 0.4 ms, of steps of 2 ms
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("kind", ["recording", "rig"])
 def test_a_signal_ends_with_the_terminal_as_it_was_and_a_line(number, kind, request, evstim, terminal, clock):

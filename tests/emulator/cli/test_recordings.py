@@ -151,6 +151,7 @@ def board(tmp_path):
     return tmp_path / "board.toml"
 
 
+@pytest.mark.long
 def test_a_rig_is_recorded_without_its_links(board, tmp_path, capsys):
     code, run = told(capsys, "record", board, tmp_path / "a.aedat4", "--seconds", "0.05")
     assert code == 0
@@ -185,6 +186,7 @@ def camera(tmp_path):
     return of_step
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("step_us", [1000, 270_000])

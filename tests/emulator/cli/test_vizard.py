@@ -144,6 +144,7 @@ def test_a_second_camera_that_is_not_there_or_goes_is_told(tmp_path):
             vizard(str(tmp_path / "rig.toml"), connection=ConnectionOptions("127.0.0.1:0", forward=at))
 
 
+@pytest.mark.long
 def test_one_that_ends_too_soon_makes_the_run_bad(tmp_path):
     with run(tmp_path, "--seconds", "5") as (process, ask):
         assert [ask(state(0)), ask(state(10))] == [[b"OK"], [b"OK"]]
@@ -156,6 +157,7 @@ def test_one_that_ends_too_soon_makes_the_run_bad(tmp_path):
     assert short == "the simulation ended after 0.01 of 5 s"
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_stopped_tells_its_summary(tmp_path, number):

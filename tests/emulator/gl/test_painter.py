@@ -92,6 +92,7 @@ def test_the_names_of_painters_exclude_no_renderer(gl, monkeypatch, wanted):
     made.release()
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.gl
 @pytest.mark.parametrize("painter", ["cpu", "gl"])

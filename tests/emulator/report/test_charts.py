@@ -58,6 +58,7 @@ def test_labels_of_close_marks_do_not_lie_on_each_other():
     assert len(re.findall(r">F\d+<", svg)) == 1
 
 
+@pytest.mark.long
 def test_a_lane_of_a_million_marks_stays_small():
     lane = Lane("triggers", "edge", [Mark(k * 1e-6) for k in range(1_000_000)])
     svg = Chart(Axis("s", 0.0, 1.0), Axis("events", 0.0, 1.0), "lanes", lanes=[lane]).svg()

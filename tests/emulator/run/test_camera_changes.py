@@ -240,6 +240,7 @@ def test_telecommands_and_several_links_are_recorded_with_their_links():
     assert [one.t_ns for one in result.changes] == sorted(one.t_ns for one in result.changes)
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_the_second_camera_follows_its_own_host_at_stated_times():
     def run(tick_us, delay_s):

@@ -92,6 +92,7 @@ def flight(request):
     return rig, steps
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("threads", [2, 3])
 def test_the_number_of_threads_changes_no_bit(flight, threads):
     rig, steps = flight
@@ -299,6 +300,7 @@ def is_alive(group):
     return True
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("links", [False, True])
 def test_a_program_that_is_interrupted_and_closes_nothing_ends_with_all_its_processes(links):

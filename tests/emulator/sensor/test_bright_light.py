@@ -55,6 +55,7 @@ def test_a_step_ends_and_its_crossings_are_the_leak_times_the_light(method, ligh
         assert listed + pixels.lost_in_pixel - before >= 4 * PIXELS * 2**32
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("method", ["array", "array without second pole", "grid", "large signal", "circuit"])
 @pytest.mark.parametrize("bright", [1e7, 1e30, np.inf])
 def test_a_pixel_that_a_flash_has_left_sees_as_before(method, bright):

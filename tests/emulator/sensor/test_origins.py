@@ -62,6 +62,7 @@ def still(level):
     return lambda _: np.full((HEIGHT, WIDTH), level, np.float32)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("p", [EVERYTHING, COUNTED, SCANNED], ids=["everything", "counted photons", "scanned"])
 def test_the_events_are_those_of_the_sensor(p):
     plain, _ = events_of(Sensor(p, 5))

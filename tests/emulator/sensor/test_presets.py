@@ -125,6 +125,7 @@ FOLLOWED = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("pole", FOLLOWED)
 @pytest.mark.parametrize(("factor", "low", "high"), [(0.5, 0.0, 0.5), (1.5, 1.3, 20.0)])
 def test_the_bandwidth_bias_acts_on_noise(factor, low, high, pole):

@@ -85,6 +85,7 @@ def test_a_killed_writer_stops_the_file_and_not_the_link(tmp_path):
     assert "its writer was killed" in report.file_troubles[0]
 
 
+@pytest.mark.long
 def test_a_link_that_is_started_again_begins_another_file(tmp_path):
     """What the first process handed over is in a finished file, which nobody writes over."""
     link = opened(tmp_path / "a.aedat4", restart=True)

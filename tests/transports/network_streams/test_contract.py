@@ -34,6 +34,7 @@ class TestCaer(LinkContract):
         return CaerReader(link)
 
 
+@pytest.mark.long
 class TestJaerUdp(LinkContract):
     form, decoder = "jaer", JaerDecoder
     many, some = 20_000, 5000
@@ -49,6 +50,7 @@ class TestJaerUdp(LinkContract):
         return DatagramReader(self._socket, self.decoder())
 
 
+@pytest.mark.long
 class TestCaerUdp(TestJaerUdp):
     form, decoder = "caer", CaerDatagrams
 
@@ -57,5 +59,6 @@ class TestFaeryLongUdp(TestJaerUdp):
     form, decoder = "t64_x16_y16_on8", staticmethod(lambda: long_events)
 
 
+@pytest.mark.long
 class TestFaeryShortUdp(TestJaerUdp):
     form, decoder = "t32_x16_y15_on1", staticmethod(lambda: short_events)

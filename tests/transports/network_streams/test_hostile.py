@@ -73,6 +73,7 @@ def test_a_client_that_stops_reading_costs_others_nothing():
     balanced(report, len(events))
 
 
+@pytest.mark.long
 def test_a_run_that_is_not_paced_does_not_wait_for_ever_for_a_sleeper():
     events = event_stream(1_500_000)
     link = opened(CAER)

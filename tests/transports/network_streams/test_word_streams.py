@@ -47,6 +47,7 @@ def await_clients(link, count):
         time.sleep(0.01)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("form", list(OCTETS))
 def test_a_million_events_over_tcp_are_read_exactly(form, tmp_path):
     events, link = rows(MANY), opened(f'kind = "tcp"\nformat = "{form}"\nport = 0')
@@ -59,6 +60,7 @@ def test_a_million_events_over_tcp_are_read_exactly(form, tmp_path):
     check_words(form, client.data(), events, tmp_path)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("form", list(OCTETS))
 def test_a_million_events_in_datagrams_are_read_exactly(form, tmp_path):
     events, receiver, parts = rows(MANY), udp_port(), []

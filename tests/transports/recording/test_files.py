@@ -63,6 +63,7 @@ def test_what_was_written_is_read_back(name, tmp_path):
         assert len(edges) == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_recording_of_nothing_is_a_recording(name, tmp_path):
     path = tmp_path / f"a{FORMATS[name].suffixes[0]}"
@@ -95,6 +96,7 @@ def test_what_a_file_cannot_hold_is_told(tmp_path):
     file.close()
 
 
+@pytest.mark.long
 def test_each_clock_has_a_file_of_its_own(tmp_path):
     file = RecordingFile(tmp_path / "a.dvs.ros2", FORMATS["ros2-dvs"], Facts(SIZE))
     file.restart(10**15)  # nothing was written: the same file
@@ -107,6 +109,7 @@ def test_each_clock_has_a_file_of_its_own(tmp_path):
     assert [read_all(path)[0].facts.unix_us for path in file.paths] == [10**15 + 100, 2 * 10**15 + 50]
 
 
+@pytest.mark.long
 def test_a_clock_that_starts_anew_before_anything_is_written_begins_a_new_file_too(tmp_path):
     file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE))
     file.restart(0)
@@ -123,6 +126,7 @@ def edge_at(t_us):
     return edge
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("hold", "behind_us", "is_late"), [(False, 90_000, 0), (False, 110_000, 1), (True, 110_000, 0)]
 )

@@ -44,6 +44,7 @@ def waited(check, seconds=60.0):
     return check()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["aedat4", "evt3", "dsec", "ros2"])
 def test_what_was_appended_is_in_the_file(name, tmp_path):
     edges = sample_edges(EVENTS)
@@ -62,6 +63,7 @@ def test_what_was_appended_is_in_the_file(name, tmp_path):
     assert len(read) in (0, len(edges))
 
 
+@pytest.mark.long
 def test_a_clock_that_starts_anew_has_a_file_of_its_own(tmp_path):
     recorder = LiveRecorder(tmp_path / "a.aedat4", FORMATS["aedat4"], FACTS)
     recorder.append(Part(events_at([100, 200])), unix_us=UNIX_US)
@@ -124,6 +126,7 @@ def test_a_killed_feeder_leaves_a_finished_file(tmp_path):
     assert read_all(path)[1]["t"].tolist() == list(range(5000))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["aedat4", "evt3", "evt2", "evt21", "dat", "es", "csv", "aedat2", "aedat31"])
 def test_a_full_disk_stops_the_record_alone(name, tmp_path):
     (tmp_path / "full").symlink_to("/dev/full")

@@ -11,6 +11,7 @@ from transports.ros2.kind import Ros2Link
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
 
+@pytest.mark.long
 class TestEvt3(LinkContract):
     parameters = Ros2Link(topic=own_topic(), domain=DOMAIN)
 

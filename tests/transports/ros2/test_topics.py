@@ -54,6 +54,7 @@ def first_of(peer, count):
     return [peer.messages.get(timeout=120) for _ in range(count)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("reliability", ["reliable", "best_effort"])
 def test_messages_tell_their_number_size_frame_and_type(reliability):
     topic, events = own_topic(), event_stream(20_000, start_us=500)
@@ -93,6 +94,7 @@ def test_a_paced_run_stamps_messages_with_unix_time():
     assert [stamp - stamps[0] for stamp in stamps] == [1000 * (t - firsts[0]) for t in firsts]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("image", ["display", "event_image"])
 def test_pictures_are_those_of_the_events(image):
     topic, pictures, events = own_topic(), own_topic("images"), event_stream(20_000)
@@ -141,6 +143,7 @@ def test_a_sleeping_reader_costs_others_nothing():
     balanced(report, len(events))
 
 
+@pytest.mark.long
 def test_a_run_that_is_not_paced_waits_for_a_reader_that_sleeps_for_a_second():
     topic, events = own_topic(), event_stream(700_000)
     link = opened(topic, "depth = 4")
@@ -157,6 +160,7 @@ def test_a_run_that_is_not_paced_waits_for_a_reader_that_sleeps_for_a_second():
     balanced(report, len(events))
 
 
+@pytest.mark.long
 def test_events_that_wait_for_others_when_the_last_reader_leaves_are_lost():
     topic = own_topic()
     link = opened(topic, "message_ms = 1000.0")
@@ -174,6 +178,7 @@ def test_events_that_wait_for_others_when_the_last_reader_leaves_are_lost():
     assert (report.delivered, report.camera.lost_on_link) == (0, 500)
 
 
+@pytest.mark.long
 def test_a_run_that_is_not_paced_does_not_wait_for_ever_for_a_sleeper():
     topic, events = own_topic(), event_stream(700_000)
     link = opened(topic, "depth = 4")
@@ -205,6 +210,7 @@ def test_events_without_a_reader_are_counted_and_a_later_one_gets_later_ones():
     assert (report.delivered, report.camera.not_running) == (2000, 1000)
 
 
+@pytest.mark.long
 def test_a_reader_that_leaves_takes_only_what_was_on_its_way():
     topic, events = own_topic(), event_stream(3000)
     link = opened(topic)

@@ -87,6 +87,7 @@ def test_one_bad_bit_or_lost_byte_costs_at_most_two_messages(bench, fault):
     assert sum(each.events_lost for each in report.faults) > 0
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("profile", PROFILES)
 def test_faults_that_begin_and_end_within_messages_are_known_too(bench, profile):
     """On a line so slow that a message takes many ticks."""

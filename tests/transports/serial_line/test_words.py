@@ -49,6 +49,7 @@ def decoded(form, data):
     return (Evt3Decoder() if form == "evt3" else Evt2Decoder(form)).decode(data)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("form", list(OCTETS))
 def test_a_million_events_on_a_line_are_read_exactly(bench, form, tmp_path):
     b = bench(format=form, baud=FAST)

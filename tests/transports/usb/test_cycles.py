@@ -49,6 +49,7 @@ def one_cycle(bench, camera, seed):
     return sent, seen
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.socket
 @pytest.mark.timeout(300)

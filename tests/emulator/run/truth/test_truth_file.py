@@ -300,6 +300,7 @@ def test_others_may_read_while_it_is_written(endless):
     assert process.poll() is None
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_signal_ends_the_file_in_good_order(endless):
     process, path = endless

@@ -184,6 +184,7 @@ def test_gravity_of_a_ball_and_of_two_balls_is_that_of_points():
     np.testing.assert_allclose(potential(mesh, mesh.vertices), -1 / 300, rtol=0.02)
 
 
+@pytest.mark.long
 def test_smooth_ground_of_a_long_body_is_its_waist():
     """On an ellipsoid of 3 : 1 : 1 the potential rises with the distance from the middle (MacCullagh)."""
     solid = trimesh.creation.icosphere(4, 100.0)

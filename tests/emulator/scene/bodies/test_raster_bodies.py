@@ -51,6 +51,7 @@ def frame(body, t_ns):
     return light.astype(float), rate.astype(float)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("body", ["ball", "eros"])
 def test_light_is_that_of_many_point_samples(shapes, body, shadows):

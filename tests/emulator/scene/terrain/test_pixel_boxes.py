@@ -143,6 +143,7 @@ def test_ground_edge_on_and_twisted_footprints_are_doubtful():
     assert [boxes_of(corners)["DOUBT"] for corners in (edge_on, twisted)] == [1.0, 1.0]
 
 
+@pytest.mark.long
 def test_the_next_level_counts_by_its_share(posts):
     """Level 1 is made of numbers of its own; a box that fills 95 % of the range takes half of it."""
     coarse = np.random.default_rng(4).uniform(-1, 1, (ROWS // 2 + 1, COLUMNS // 2 + 1, MOMENTS)).astype(np.float16)

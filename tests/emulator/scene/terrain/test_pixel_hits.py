@@ -91,6 +91,7 @@ def test_a_ridge_before_the_facet_hides_it():
     assert met(ridge)[0] == pytest.approx(10.0, abs=1e-4)
 
 
+@pytest.mark.long
 def test_rays_meet_nested_grids_where_small_steps_do():
     """Rays that graze a cratered map of three grids, beside heights at steps of a twentieth of the finest posts."""
     ground = make_ridge(Ridge(size_m=256.0, finest_m=1.0, posts=64, ridge_m=40.0, crater_density=0.2, seed=4))

@@ -77,6 +77,7 @@ def difference(p, t_ns, side_ns=20_000_000):
     return (looked_at(p, t_ns + side_ns) - looked_at(p, t_ns - side_ns)).astype(np.float64) / (2e-9 * side_ns)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("t_s", "median", "p90"), [(5, 0.02, 0.1), (40, 0.02, 0.1), (65, 0.08, 0.2)])
 @pytest.mark.parametrize("law", [Lambert(0.3), Hapke()])
 def test_the_rate_is_the_change_of_light(t_s, median, p90, law):

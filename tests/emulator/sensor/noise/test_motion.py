@@ -71,6 +71,7 @@ RAMPS = [
 EDGES = [(136, 7.8, 2, -1.79, 0.54), (136, 7.8, 20, -17.9, 5.3), (136, 7.8, 200, -188.7, 55.2)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("tau1_us", "tau2_us", "a", "amplitude", "hz", "rate_hz", "error", "opposite"), SINES)
 def test_events_of_a_sine(tau1_us, tau2_us, a, amplitude, hz, rate_hz, error, opposite):
     p = one_pole(a, tau2_us * 1e-6) if not tau1_us else two_poles(a, tau1_us * 1e-6, tau2_us * 1e-6)

@@ -35,6 +35,7 @@ def assert_alike(one, other, within=0.05):
     assert abs(one.mean() - other.mean()) < within * other.mean() + Z * error, (one.mean(), other.mean())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("p", [two_poles(3.0, 52.6e-6, 84e-6, **LARGE), two_poles(4.2, 487e-6, 84e-6, **LARGE),
                                one_pole(3.5, 1e-3, 0.2, **LARGE), two_poles(3.0, 5e-3, 84e-6, **LARGE)])  # fmt: skip
 def test_the_rate_of_the_first_instant_is_that_of_later_times(p):

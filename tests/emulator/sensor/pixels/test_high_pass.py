@@ -175,6 +175,7 @@ def monte_carlo(p, signal, dt_s, steps, pixels):
     return np.array(counts) / pixels
 
 
+@pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize("step_s", [1e-3, 1e-2])
 def test_noise_and_motion_together_are_those_of_a_monte_carlo(step_s):

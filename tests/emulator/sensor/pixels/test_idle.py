@@ -132,7 +132,9 @@ def steps(kind):
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(
+    "scene", [scene if scene == "spot" else pytest.param(scene, marks=pytest.mark.long) for scene in SCENES]
+)
 def test_skipping_changes_nothing(scene, effect):
     p = sensor(**EFFECTS[effect])
     full = run(PixelArray(p, 1), SCENES[scene], steps("even"), full=True)
@@ -271,6 +273,7 @@ def lamp(k):
     return light, rate
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scene", [lamp, spot_before_texture])
 @pytest.mark.parametrize("told", [True, "boxes"])
 @pytest.mark.parametrize("slopes", [True, False])

@@ -41,6 +41,7 @@ def counts_after_a_jump(step_ns, jump_ns, contrast):
     return n
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("jump_ns", [10, 100 * US])
 @pytest.mark.parametrize("contrast", [1.1, 1 / 1.1, 1.4])
 def test_after_a_jump_the_step_does_not_matter(jump_ns, contrast):
@@ -49,6 +50,7 @@ def test_after_a_jump_the_step_does_not_matter(jump_ns, contrast):
         assert counts_after_a_jump(step_ns, jump_ns, contrast) == pytest.approx(right, rel=0.01)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("hz", POLES_HZ)
 @pytest.mark.parametrize("step_s", [1e-3, 5e-3])
 @pytest.mark.parametrize("refractory_us", [0.0, 2500.0])
