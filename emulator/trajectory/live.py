@@ -258,6 +258,7 @@ class SimulatedPath(ComingPoses):
 
     def __init__(self, start: Trajectory) -> None:
         self._start = start
+        self.span_ns = start.span_ns
         self._known: deque[TimedPose] = deque(maxlen=_KNOWN)
 
     def __deepcopy__(self, memo: object) -> SimulatedPath:
