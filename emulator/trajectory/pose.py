@@ -314,9 +314,9 @@ def instants_between(times_ns: npt.NDArray[np.int64]) -> list[int]:
 
 
 def instants_over(paths: Iterable[Trajectory], first_ns: int, count: int) -> list[int]:
-    """Return `count` instants, evenly spread, from the first one on to where all paths have had all their poses."""
-    last_ns = max(path.span_ns[1] for path in paths)
-    return [first_ns + k * max(last_ns - first_ns, 0) // (count - 1) for k in range(count)]
+    """Return `count` instants of each path, evenly spread from the first one on to where it has had all its poses."""
+    spans_ns = {max(min(path.span_ns[1], _LATEST_NS) - first_ns, 0) for path in paths}
+    return sorted({first_ns + k * span_ns // (count - 1) for span_ns in spans_ns for k in range(count)})
 
 
 _MORE = 1.25

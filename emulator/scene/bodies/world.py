@@ -28,7 +28,7 @@ from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError, instants_over
 
-_LOOKS = 128
+_LOOKS = 64  # of each path
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,7 +169,9 @@ def test_a_path_s_span_has_all_its_poses():
     assert Fixed().span_ns == (0, 0)
 
 
-def test_instants_over_paths_reach_the_end_of_the_longest():
+def test_instants_reach_the_end_of_each_path():
     board, landing = Fixed(), Descent(LANDING)
     assert instants_over([board, landing], 15_000_000_000, 4) == [15 * 10**9, 65 * 10**9, 115 * 10**9, 165 * 10**9]
-    assert instants_over([board], 7, 3) == [7, 7, 7]
+    assert instants_over([board], 7, 3) == [7]
+    day = Spinning((0, 0, 0), (0, 0, 1), Cycle(Fraction(1, 86_400)))
+    assert instants_over([landing, day], 0, 3) == [0, 82_500_000_000, 165_000_000_000, 43_200 * 10**9, 86_400 * 10**9]
