@@ -320,7 +320,7 @@ def test_damaged_detail_in_the_cache_is_made_again(monkeypatch, tmp_path):
 
 
 def approach(shape, seconds):
-    """Return the light half-way of an approach of so many seconds, (48, 64), and the facets of the body."""
+    """Return the light near the end of an approach of so many seconds, (48, 64), and the facets of the body."""
     far, near = (Keyframe(t_s, (0.0, 0.0, -range_m)) for t_s, range_m in ((0.0, 400.0), (seconds, 30.0)))
     body = BodyTable(shape=str(shape), detail=dataclasses.replace(PLAIN, most_facets=20_000))
     parameters = BodiesParameters(bodies=(body,), camera=KeyframePath((far, near)), sun=Sun((1.0, 0.0, -1.0)))
