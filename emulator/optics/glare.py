@@ -15,22 +15,17 @@ uniform field and the mean stay as they are. Usual lenses are taken to lie betwe
 images, and light from beyond the edge of the image, where the image is taken to go on as its mirror image.
 
 Both are one cosine transform of means over cells: of 4 x 4 pixels with a halo, which is flatter than its law within two
-cells of a source, else over the image. It follows the light exactly at each frame, with its time derivative. Between
-two frames it is the cubic through both values and derivatives, so the light of a single pixel there is off by at most
-(g + s) D h^4 / 384 for a step h, D the greatest fourth derivative of any pixel's light. Unknown derivatives count as 0.
-Any change of light changes all pixels, so the sensor cannot skip still pixels. That, and passes over each frame (1 ns a
-pixel for light and derivative, 10 to 18 with a halo), are its cost.
+cells of a source, else over the image. It follows the light exactly at each frame, with its time derivative. Unknown
+derivatives count as 0. Any change of light changes all pixels, so the sensor cannot skip still pixels. That, and passes
+over each frame (1 ns a pixel for light and derivative, 10 to 18 with a halo), are its cost.
 """
 
 from __future__ import annotations
 
-from functools import partial
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import LastArrays, Light, OtherLight, PixelLight, Scene
+from emulator.light import LastArrays, Light, OtherLight, Scene
 from emulator.optics.lens import LensParameters
 from firmware_protocol.compiled import entry_of, kernel
 
@@ -120,25 +115,6 @@ def _add_scattered(
             begin = end
 
 
-class _Scattered(NamedTuple):
-    """Scattered light of a frame at the middles of cells, and its time derivative, a second."""
-
-    t_ns: int
-    light: Floats
-    rate: Floats
-
-
-def _between(first: _Scattered, last: _Scattered, t_ns: int) -> tuple[Floats, Floats]:
-    """Return the scattered light and its derivative at a time between two frames."""
-    h_s = (last.t_ns - first.t_ns) * 1e-9
-    if h_s <= 0:
-        return last.light, last.rate
-    z, rise = (t_ns - first.t_ns) * 1e-9 / h_s, last.light - first.light
-    a0, a1 = first.rate * h_s, last.rate * h_s
-    c2, c3 = 3 * rise - 2 * a0 - a1, a0 + a1 - 2 * rise
-    return first.light + ((c3 * z + c2) * z + a0) * z, ((3 * c3 * z + 2 * c2) * z + a0) / h_s
-
-
 def _transfer(lens: LensParameters, size: tuple[int, int], cells: tuple[int, int]) -> Floats:
     """Return the share of each wave of the image that is scattered, (rows, columns) of a cosine transform."""
     squares_px2 = []
@@ -171,14 +147,7 @@ class Veiled(OtherLight):
         self._transfer = _transfer(lens, scene.size, cells)
         self._sums, self._row = np.zeros(width), np.zeros(cells[1], np.float32)
         self._places = np.arange(width, dtype=np.float32)
-        self._before = self._last = _Scattered(0, np.zeros(cells), np.zeros(cells))
         self._arrays = LastArrays()
-
-    @property
-    def pixel_light(self) -> PixelLight | None:
-        """The function of the scene, with scattered light between the last two frames that were drawn."""
-        inner = self.scene.pixel_light
-        return None if inner is None else partial(self._pixels, inner)
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`."""
@@ -196,13 +165,9 @@ class Veiled(OtherLight):
         still = self._arrays.are(*outs) and changed is not None and changed.empty
         self.changed = changed if still else None
         if still:
-            self._before, self._last = self._last, self._last._replace(t_ns=t_ns)
             return
-        light = self._spread(self._inner[0], np.float32(0))
-        rate = self._spread(self._inner[1], -_LARGEST) if len(outs) == 2 else np.zeros_like(light)
-        self._before, self._last = self._last, _Scattered(t_ns, light, rate)
-        for values, scattered, out in zip(self._inner, self._last[1:], outs, strict=False):
-            _add_scattered(values, self._share, scattered, self._places, self._row, out)
+        for values, least, out in zip(self._inner, (np.float32(0), -_LARGEST), outs, strict=False):
+            _add_scattered(values, self._share, self._spread(values, least), self._places, self._row, out)
 
     def _spread(self, values: Light, least: np.float32) -> Floats:
         """Return the scattered part of an image at the middles of cells."""
@@ -211,20 +176,3 @@ class Veiled(OtherLight):
         means = np.empty_like(self._transfer)
         _cell_means(values, least, self._sums, means)
         return np.ascontiguousarray(idctn(dctn(means) * self._transfer))
-
-    def _pixels(self, inner: PixelLight, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
-        """Return the light and rate of single pixels between the last two frames."""
-        scattered = _between(self._before, self._last, t_ns)
-        light, rate = (
-            values * self._share + self._at(pixels, cells)
-            for values, cells in zip(inner(t_ns, pixels), scattered, strict=True)
-        )
-        return light, rate
-
-    def _at(self, pixels: npt.NDArray[np.int64], cells: Floats) -> Light:
-        """Return the scattered light of pixels, of that at the middles of cells."""
-        from scipy.ndimage import map_coordinates
-
-        middles = np.stack(np.divmod(pixels, self.size[0]), axis=1) + 0.5
-        places = middles * cells.shape / self._inner[0].shape - 0.5
-        return np.asarray(map_coordinates(cells, places.T, np.float32, order=1, mode="nearest"))

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ import numpy.typing as npt
 from numba import njit
 
 from emulator.geometry.camera import Pinhole, Rays, SceneGeometry
-from emulator.light import LastArrays, Light, OtherLight, PixelLight, Region, Scene, SceneError
+from emulator.light import LastArrays, Light, OtherLight, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import entry_of
@@ -234,12 +233,6 @@ class Through(OtherLight):
         """(width, height) in pixels."""
         return self._size
 
-    @property
-    def pixel_light(self) -> PixelLight | None:
-        """The function of the scene, averaged over the blur; None where the lens bends lines."""
-        inner = self.scene.pixel_light
-        return None if inner is None or self._bent is not None else partial(self._pixels, inner)
-
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene, along the rays that the lens bends."""
         return self.scene.geometry(rays or self._rays)
@@ -282,21 +275,6 @@ class Through(OtherLight):
             within = slice(first_row, last_row), slice(first, last)
             source = picture if self._bent is None else out
             np.multiply(source[within], self._factor[within], out=out[within])
-
-    def _pixels(self, inner: PixelLight, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
-        """Return the light and rate of single pixels: of the scene's pixels around each, weighted by the blur."""
-        width, height = self._size
-        rows, columns = np.divmod(pixels, width)
-        reach, factor = self._reach_px, self._factor.reshape(-1)[pixels]
-        away = np.arange(-reach, reach + 1)
-        near_rows = np.clip(rows[:, None] + away, 0, height - 1)
-        near_columns = np.clip(columns[:, None] + away, 0, width - 1)
-        around = (near_rows[:, :, None] * width + near_columns[:, None, :]).reshape(-1)
-        ascending, place = np.unique(around, return_inverse=True)
-        taps = np.ones(1, np.float32) if self._taps is None else self._taps
-        shares = np.outer(taps, taps).reshape(-1)
-        light, rate = (values[place].reshape(len(pixels), -1) @ shares * factor for values in inner(t_ns, ascending))
-        return light, rate
 
 
 def _places(lens: LensParameters, camera: Pinhole) -> npt.NDArray[np.float64] | None:

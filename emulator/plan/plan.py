@@ -139,10 +139,9 @@ def make_plan(rig: Rig, probe: Probe) -> Plan:
     return Plan(rig, probe, tolerance, steps, decisions)
 
 
-def limits(rig: Rig, motion_bound_px_s: float) -> Limits:
+def limits(rig: Rig) -> Limits:
     """Return the limits of controlled steps of this rig."""
-    share = rig.run.tolerated_wrong_share
-    return Limits(rig.run.tolerance_us, motion_bound_px_s=motion_bound_px_s, wrong_share=share)
+    return Limits(rig.run.tolerance_us, wrong_share=rig.run.tolerated_wrong_share)
 
 
 def _steps(rig: Rig, probe: Probe) -> Steps:
@@ -151,20 +150,17 @@ def _steps(rig: Rig, probe: Probe) -> Steps:
         step_us = float(rig.run.step_us)
         error_us = _error(step_us, probe, order)
         return Steps(False, step_us, error_us, "pinned by the rig", _step_for(max(error_us, 0.01), probe, 2))
-    allowed = limits(rig, probe.motion_px_s)
+    allowed = limits(rig)
     by_error_us = _step_for(wanted_us, probe, order)
-    by_sequences_us = _step_for_sequences(allowed.slips, probe, order)
-    by_motion_us = allowed.longest_step_ns(has_slopes=order == _HERMITE) / 1000
-    shortest_us = allowed.shortest_ns / 1000
-    step_us = max(min(by_error_us, by_sequences_us, by_motion_us), shortest_us)
-    bound = "the tolerance" if by_error_us <= by_motion_us else "the motion of the image"
-    if by_sequences_us < min(by_error_us, by_motion_us):
-        bound = "the sequences, where light turns"
-    if by_motion_us >= allowed.longest_ns / 1000 <= min(by_error_us, by_sequences_us):
+    by_slips_us = _step_for_slips(allowed.slips, probe, order)
+    shortest_us, longest_us = allowed.shortest_ns / 1000, allowed.longest_ns / 1000
+    needed_us = min(by_error_us, by_slips_us)
+    bound = "the tolerance" if by_error_us <= by_slips_us else "the wrong events, where light turns"
+    if needed_us >= longest_us:
         bound = "the longest step"
-    if min(by_error_us, by_sequences_us) < shortest_us:
-        needed_us = min(by_error_us, by_sequences_us)
+    if needed_us < shortest_us:
         bound = f"the shortest step: the tolerance would need {needed_us:.2g} us, and cannot be kept"
+    step_us = min(max(needed_us, shortest_us), longest_us)
     return Steps(True, step_us, _error(step_us, probe, order), bound, _step_for(wanted_us, probe, 2))
 
 
@@ -190,7 +186,7 @@ def _step_for(wanted_us: float, probe: Probe, order: int) -> float:
     return min(1e6, probe.step_s * 1e6 * float((wanted_us / error_us) ** (1 / order)))
 
 
-def _step_for_sequences(tolerated: float, probe: Probe, order: int) -> float:
+def _step_for_slips(tolerated: float, probe: Probe, order: int) -> float:
     """Return the step, us, with that number of slips per event; at most a second."""
     slips = probe.hermite_slips if order == _HERMITE else probe.line_slips
     return min(1e6, probe.step_s * 1e6 * float((tolerated / slips) ** (1 / order))) if slips > 0 else 1e6

@@ -18,9 +18,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from emulator.raster.layout import (
     BAND,
     Band,
@@ -362,41 +359,6 @@ def _mark_hidden_samples(data: Data, listed: Ints, band: Band, scratch: Scratch)
     for f in listed:
         if over[f] >= 0:
             shows[f] = shows[over[f]]
-
-
-@entry
-def query_bands(
-    data: Data,
-    lists: Lists,
-    pixels: npt.NDArray[np.int64],
-    begin: int,
-    shape: tuple[int, int],
-    scratch: Scratch,
-    out: Floats,
-) -> tuple[int, int]:
-    """Write light and rate, (n, 2), of pixels in ascending order; return the last index and the missing room."""
-    height, width = shape
-    k = begin
-    while k < len(pixels):
-        number = pixels[k] // width // BAND
-        band = Band(number, number * BAND, min((number + 1) * BAND, height))
-        # List the pixels of this band, as `_sum_up` does with those that it cannot write.
-        n = 0
-        c0, c1 = width, 0
-        while k + n < len(pixels) and pixels[k + n] < band.end_row * width:
-            row, column = pixels[k + n] // width, pixels[k + n] % width
-            scratch.places[n, 0], scratch.places[n, 1] = row, column
-            scratch.slots[row - band.first_row, column] = n
-            scratch.masks[column] |= 1 << (row - band.first_row)
-            c0, c1 = min(c0, column), max(c1, column + 1)
-            n += 1
-        listed = lists.listed[lists.starts[number] : lists.starts[number + 1]]
-        lacking = _one_by_one(data, listed, n, band, (c0, c1), scratch)
-        if lacking > 0:
-            return k, lacking
-        out[k : k + n] = scratch.answers[:n]
-        k += n
-    return k, 0
 
 
 @entry

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import NOTHING, Region
-from emulator.raster.bands import draw_bands, nearest_facets, query_bands
+from emulator.raster.bands import draw_bands, nearest_facets
 from emulator.raster.layout import (
     BAND,
     FACET_FIELDS,
@@ -101,25 +100,6 @@ class Renderer:
         if not window.empty:
             self._draw(window, light, rate, owners)
         return touched
-
-    def query(self, view: View, pixels: npt.NDArray[np.int64]) -> tuple[Float32s, Float32s]:
-        """Return mean radiance and its rate of the pixels row * width + column alone, (n,) float32 each."""
-        width, height = self.screen.width, self.screen.height
-        ascending, place = np.unique(np.asarray(pixels, np.int64), return_inverse=True)
-        if len(ascending) and not 0 <= ascending[0] <= ascending[-1] < width * height:
-            raise ValueError(
-                f"pixels {ascending[0]} to {ascending[-1]} are not all in a light frame of {width} x {height}"
-            )
-        self._prepare(view)
-        out = np.zeros((len(ascending), 2))
-        done = 0
-        while done < len(ascending):
-            scratch = self._scratches[0]
-            done, lacking = query_bands(self._data, self._lists, ascending, done, (height, width), scratch, out)
-            if lacking:
-                self._scratches[0] = scratch._replace(**_room_for(2 * lacking))
-        answers = out[place].astype(np.float32)
-        return answers[:, 0], answers[:, 1]
 
     def nearest(self, view: View, out: Ints) -> None:
         """Write the row of `facets` that is the nearest at each pixel's middle, (height, width) int32; -1 for none."""

@@ -111,8 +111,8 @@ class Run:
     threads : threads of drawing, blur and the pixel step, without effect on events. 0: chosen by the work, at most 4.
     tolerance_us : tolerated timestamp error, 95th percentile: steps are as long as it allows, `step_us` the first one,
         and effects that change less are left out (`evstim plan`). 0: steps of `step_us`, nothing left out.
-    tolerated_wrong_share : with `tolerance_us`: share of the events, and of a pixel's sequences of 300 events, that may
-        be wrong, missing or invented. 1: steps are held to times alone.
+    tolerated_wrong_share : with `tolerance_us`: share of the events that may be wrong, missing or invented. 1: times
+        alone limit steps.
     """
 
     seconds: Annotated[float, Meta(ge=0, le=3.2e7)] = 0.0

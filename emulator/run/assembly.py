@@ -234,7 +234,7 @@ def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> Step
     threshold = min(sensor.threshold_on, sensor.threshold_off)
     refinement = None if frames.last.at is None else RefinementModel(threshold)
     dark = at_temperature(sensor).dark_current_relative
-    return ControlledSteps(limits(rig, frames.scene.motion_bound_px_s), dark, first_ns, refinement)
+    return ControlledSteps(limits(rig), dark, first_ns, refinement)
 
 
 def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> CameraView:

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import config
 
-from emulator.light import LightFrame, MachineLacks, Region, Scene, SceneError
+from emulator.light import LightFrame, MachineLacks, Region, SceneError
 from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
@@ -80,8 +80,6 @@ def parts_of(rig: Rig) -> list[Part]:
         painter = f"by {selected_painter(rig.run.painter)}"  # GL compiles other kernels
     seconds = _LONG_SCENES_S.get(rig.scene.kind, _SCENE_S)
     parts = [Part(f"scene {rig.scene.kind}", seconds, partial(_draw, rig), painter)] if kind.kernels else []
-    if parts and rig.run.tolerance_us:
-        parts.append(Part(f"pixels of {rig.scene.kind}", 2.0, partial(_draw_pixel, rig), painter, after=(parts[0],)))
     if not kind.events:
         parts += [*PIXELS.after, PIXELS, _effects(sensor)]
     kinds = [LINKS[link.kind] for link in rig.links]
@@ -173,26 +171,17 @@ def _read_out(sensor: SensorParameters) -> None:
 
 
 def _draw(rig: Rig) -> None:
-    """Draw three light frames of the rig's scene."""
-    width, height = _size(rig)
+    """Draw three light frames of the rig's scene, and a pixel where it gives one; the run reports errors of it."""
+    from emulator.run.assembly import build_scene
 
-    def draw(scene: Scene) -> None:
-        light, rate = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    width, height = _size(rig)
+    light, rate = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    with suppress(MachineLacks, SceneError), build_scene(rig, (width, height)) as scene:
         scene.light(0, light)
         for t_ns in (1_000_000, 2_000_000):  # at the second one some scenes clear the first
             scene.light_and_rate(t_ns, light, rate)
-
-    _use_scene(rig, draw)
-
-
-def _draw_pixel(rig: Rig) -> None:
-    """Draw a single pixel of the rig's scene, where it can."""
-
-    def draw(scene: Scene) -> None:
         if scene.pixel_light is not None:
             scene.pixel_light(0, np.zeros(1, np.int64))
-
-    _use_scene(rig, draw)
 
 
 def _size(rig: Rig) -> tuple[int, int]:
@@ -200,14 +189,6 @@ def _size(rig: Rig) -> tuple[int, int]:
     from emulator.scene.bodies.table import BodiesParameters
 
     return rig.camera.size if isinstance(rig.scene, BodiesParameters) else (_WIDTH, _HEIGHT)
-
-
-def _use_scene(rig: Rig, use: Callable[[Scene], None]) -> None:
-    """Build the rig's scene and use it; the run reports errors of the scene."""
-    from emulator.run.assembly import build_scene
-
-    with suppress(MachineLacks, SceneError), build_scene(rig, _size(rig)) as scene:
-        use(scene)
 
 
 def _find_truth() -> None:

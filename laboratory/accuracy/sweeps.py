@@ -312,9 +312,9 @@ def effect_rows(case: Case, step_s: float, effects: Sequence[Effect] = EFFECTS) 
         )
 
 
-WISHES_US = (1.0, 10.0, 100.0)
-"""Wanted 95th percentiles of timestamp errors, us."""
+WISHES_US = (1.0, 10.0, 100.0)  # wanted 95th percentiles of timestamp errors
 
+WRONG_SHARE = 0.01 / 300  # tolerated, of the events: one of a hundred sequences of 300 events
 _FIRST_NS = 1_000_000
 
 
@@ -345,7 +345,7 @@ def controlled(cases: Sequence[Swept], wishes_us: Sequence[float] = WISHES_US) -
     for swept in cases:
         for wish_us in wishes_us:
             for with_rate, refined in ((True, True), (True, False), (False, False)):
-                yield control(swept.case, Limits(wish_us), with_rate=with_rate, refined=refined)
+                yield control(swept.case, Limits(wish_us, wrong_share=WRONG_SHARE), with_rate=with_rate, refined=refined)
 
 
 def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = False) -> Controlled:

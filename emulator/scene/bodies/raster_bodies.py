@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import NOTHING, LastArrays, Light, PixelLight, SceneError
+from emulator.light import NOTHING, LastArrays, Light, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Renderer, Screen, View
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
@@ -273,19 +273,11 @@ class RasterBodies(WorldScene[BodyWorld]):
         self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
         self.changed = None if before is None else self._drawn.union(before)
 
-    @property
-    def pixel_light(self) -> PixelLight:
-        """Function that gives the light of single pixels and its rate at any instant."""
-        return self._pixels
-
     def close(self) -> None:
         """End the threads and close the ports; a second call does nothing."""
         self._renderer.close()
         self._lit.close()
         super().close()
-
-    def _pixels(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
-        return self._renderer.query(self._view(t_ns), pixels)
 
     def _view(self, t_ns: int) -> View:
         view = self._lit.view(t_ns)

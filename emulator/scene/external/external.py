@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole
-from emulator.light import Light, PixelLight, Scene, SceneEnded, SceneError
+from emulator.light import Light, Scene, SceneEnded, SceneError
 from emulator.scene.external.joining import Joined, Pair, TimedImage, compile_kernels, front_motion
 from emulator.scene.external.table import ExternalParameters
 from emulator.trajectory.building import build_trajectory
@@ -37,7 +37,6 @@ _LOG = logging.getLogger(__name__)
 _SRGB_KNEE = 0.04045
 _MOST = 1e9
 _MOST_RATE = 3e38
-_KEPT = 6
 _LEAST_NS = 1000  # between two images: the shortest period of requested ones
 _STOP_S = 1.0  # for the images of the present light frame, when a run is stopped
 _MOST_A_FRAME = 4096  # images: a signal ends the run between two light frames
@@ -75,8 +74,6 @@ def _light_table(hello: Hello) -> npt.NDArray[np.float32] | None:
 class ImageQueue:
     """The images of a connection, which has `p.slots` slots, in the order of their times; `path` is the camera's.
 
-    Those since the last light frame stay, at most `_KEPT`, for single pixels at times in between.
-
     Attributes
     ----------
     taken : number of images received.
@@ -87,8 +84,8 @@ class ImageQueue:
         self._connection, self._p = connection, p
         self._path, self._time = path, Timescale(p.time_scale)
         self._table = _light_table(connection.hello)
-        self._images: deque[TimedImage] = deque()
-        self._next_ns = self._last_ns = 0
+        self._images: deque[TimedImage] = deque(maxlen=2)  # those around the last light frame
+        self._next_ns = 0
         self._zero_ns: int | None = None
         self.taken = 0
         self.bound_px_s = math.inf
@@ -99,7 +96,7 @@ class ImageQueue:
         return self._connection.hello.name
 
     def around(self, t_ns: int) -> Pair:
-        """Return the images around `t_ns`, and receive those that are missing; raises SceneError."""
+        """Return the images around `t_ns`, or a single one twice, and receive the missing ones; raises SceneError."""
         try:
             self._go_to(t_ns)
         except RendererEnded as error:
@@ -107,13 +104,7 @@ class ImageQueue:
         except (RendererError, MessageError) as error:
             self.close(str(error))
             raise SceneError(f"renderer {self.name!r}: {error}") from error
-        self._last_ns = t_ns
-        return self.pair(t_ns)
-
-    def pair(self, t_ns: int) -> Pair:
-        """Return those of the present images that are around `t_ns`, or the nearest one twice."""
-        later = next((k for k, image in enumerate(self._images) if image.t_ns >= t_ns), len(self._images) - 1)
-        return self._images[max(later - 1, 0)], self._images[later]
+        return self._images[0], self._images[-1]
 
     def stop(self) -> None:
         """Limit the wait for further images."""
@@ -153,9 +144,7 @@ class ImageQueue:
         self._images.clear()
 
     def _receive(self) -> None:
-        """Receive the next image, and forget those that no light frame needs."""
-        while len(self._images) > 1 and (self._images[1].t_ns <= self._last_ns or len(self._images) >= _KEPT):
-            self._images.popleft()
+        """Receive the next image."""
         self._request(self._p.slots)
         image = self._connection.receive(self._p.timeout_s)
         self._images.append(self._checked(image))
@@ -256,11 +245,6 @@ class External(Scene):
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative; raises SceneError."""
         self._joined.write(self._images.around(t_ns), t_ns, light, rate)
-
-    @property
-    def pixel_light(self) -> PixelLight:
-        """Light of single pixels since the last light frame."""
-        return lambda t_ns, pixels: self._joined.pixels(self._images.pair(t_ns), t_ns, pixels)
 
     def close(self) -> None:
         """End the connection and the threads."""

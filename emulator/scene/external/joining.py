@@ -136,12 +136,6 @@ class Joined:
 
         self._pool.each(share, -(-self._rows // _ROWS))
 
-    def pixels(self, pair: Pair, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Floats, _Floats]:
-        """Return light and derivative of the pixels row * width + column, (n,) each."""
-        light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
-        _write_listed(_planes(pair), self._terms(pair, t_ns), pixels, _moves(pair), light, rate)
-        return light, rate
-
     def close(self) -> None:
         """End the threads; a second call does nothing."""
         self._pool.close()
@@ -460,21 +454,10 @@ def _write_standing(planes: Any, terms: Any, rows: tuple[int, int], light: Light
                 rate[row, column] = slope * terms[2]
 
 
-@_entry
-def _write_listed(
-    planes: Any, terms: Any, pixels: npt.NDArray[np.int64], moves: bool, light: _Floats, rate: _Floats
-) -> None:
-    for k in range(pixels.size):
-        row, column = divmod(pixels[k], planes[0].shape[1])
-        value, slope = _moved(planes, terms, row, column) if moves else _standing(planes, terms, row, column)
-        light[k], rate[k] = value * terms[2], slope * terms[2]
-
-
 def compile_kernels() -> None:
     """Compile all kernels, or read them from disk, before a run needs them."""
-    still, pixel = np.zeros((1, 1), np.float32), np.zeros(1, np.int64)
+    still = np.zeros((1, 1), np.float32)
     joined = Joined((1, 1), threads=1)
     for motion in (None, front_motion(np.zeros((1, 1, 2), np.float32), None)):
         image = TimedImage(0, still, motion)
         joined.write((image, image), 0, still.copy(), still.copy())
-        joined.pixels((image, image), 0, pixel)

@@ -35,10 +35,6 @@ class Lit(Scene):
     def changed(self):
         return self.now_changed
 
-    @property
-    def pixel_light(self):
-        return lambda t_ns, k: tuple(f(t_ns * 1e-9, k).astype(np.float32) for f in (self._light, self._rate))
-
     def light(self, t_ns, out):
         if not self.now_changed.empty:
             out[:] = self._light(t_ns * 1e-9, np.arange(1200)).reshape(30, 40)
@@ -79,22 +75,6 @@ def test_light_and_rate_are_those_of_the_image_and_of_its_mean():
     alone = np.zeros((30, 40), np.float32)
     scene.light(20 * MS, alone)
     assert np.array_equal(alone, light)
-
-
-def test_single_pixels_have_the_light_of_a_frame_at_the_ends_and_its_bound_between():
-    frames = SceneFrames(Veiled(waves(), EVEN), with_rate=True, with_pixel_light=True)
-    k = np.array([0, 7, 1199])
-    frames.draw(0)
-    frame = frames.draw(10 * MS)
-    at_end, rate_at_end = frame.at(10 * MS, k)
-    assert np.allclose(at_end, frame.light.reshape(-1)[k], atol=1e-6)
-    assert np.allclose(rate_at_end, frame.rate.reshape(-1)[k], atol=1e-4)
-    fourth = 0.5 * 30**4  # at most, of any pixel's light and so of the mean
-    for t_ns in (1 * MS, 4 * MS, 9 * MS):
-        light, _ = frame.at(t_ns, k)
-        own = 1 + 0.5 * np.sin(30 * t_ns * 1e-9 + 0.01 * np.arange(1200))
-        off = np.abs(light - (0.95 * own[k] + 0.05 * own.mean()))
-        assert off.max() <= 0.05 * fourth * 0.01**4 / 384 + 5e-7
 
 
 def test_only_a_scene_in_which_nothing_changed_leaves_the_frame_as_it_is():
@@ -141,16 +121,11 @@ def test_a_halo_falls_from_its_source_by_the_law_and_a_uniform_field_and_the_mea
     assert np.allclose(light, 1, atol=1e-6)
 
 
-def test_a_halo_moves_with_its_source_and_single_pixels_have_it_too():
-    scene, k = Veiled(waves(), LensParameters(halo=0.4, halo_px=4)), np.array([0, 7, 619, 1199])
-    frames = SceneFrames(scene, with_rate=True, with_pixel_light=True)
-    frames.draw(10 * MS)
+def test_a_halo_moves_with_its_source():
+    frames = SceneFrames(Veiled(waves(), LensParameters(halo=0.4, halo_px=4)), with_rate=True)
     early, late = (frames.draw(t_ns * MS // 1000).light.astype(np.float64) for t_ns in (19_999, 20_001))
     frame = frames.draw(20_001 * MS // 1000)
     assert np.allclose(frame.rate, (late - early) / 2e-6, atol=0.2)  # float32 light: 1e-7 over 2 us
-    light, rate = frame.at(20_001 * MS // 1000, k)
-    assert np.allclose(light, frame.light.reshape(-1)[k], atol=1e-6)
-    assert np.allclose(rate, frame.rate.reshape(-1)[k], atol=1e-4)
 
 
 def test_an_unknown_rate_leaves_those_of_other_pixels_known():

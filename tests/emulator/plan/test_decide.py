@@ -1,14 +1,17 @@
 """Effects kept or dropped by their bounds."""
 
 import dataclasses
+import functools
 import math
 
 import pytest
 
 from emulator.optics.lens import LensParameters
+from emulator.plan import costs
 from emulator.plan.costs import EFFECTS, lens_costs
 from emulator.plan.plan import Tolerance, decide, without
 from emulator.plan.scene_probe import Probe
+from emulator.sensor.noise.law import still_hz
 from emulator.sensor.parameters import (
     ComparatorParameters,
     DefectParameters,
@@ -88,6 +91,14 @@ ALL = {
 }
 ALWAYS = {"dark current"}
 NOT_ASKED = {"large signals"}
+
+
+STILL_HZ = functools.cache(still_hz)  # solved once: no tolerance changes it
+
+
+@pytest.fixture(autouse=True)
+def solved_once(monkeypatch):
+    monkeypatch.setattr(costs, "still_hz", STILL_HZ)
 
 
 def decisions(eps_us, wrong_share=0.01, sensor=SENSOR, scene=SCENE, duration_s=10.0):

@@ -28,23 +28,23 @@ def test_a_rig_without_tolerance_pins_everything():
 
 
 def test_a_tolerance_sets_the_step_by_the_fourth_root():
-    near, far = with_tolerance(0.2, motion_px_s=1.0), with_tolerance(3.2, motion_px_s=1.0)
+    near, far = with_tolerance(0.2), with_tolerance(3.2)
     assert far.steps.step_us / near.steps.step_us == pytest.approx(2.0)
     assert far.steps.error_us == pytest.approx(3.2)
     assert far.steps.bound == "the tolerance"
 
 
 def test_a_line_needs_far_more_pictures():
-    plan = with_tolerance(3.2, motion_px_s=1.0)
+    plan = with_tolerance(3.2)
     assert plan.steps.line_step_us == pytest.approx(1000 * (3.2 / 5.0) ** 0.5)
     assert plan.steps.step_us > 2.9 * plan.steps.line_step_us
 
 
-def test_motion_and_the_longest_step_bound_it():
-    assert with_tolerance(1e5, motion_px_s=100.0).steps.step_us == 5000
-    assert "motion" in with_tolerance(1e5, motion_px_s=100.0).steps.bound
-    assert with_tolerance(1e5, motion_px_s=1.0).steps.step_us == 20_000
-    assert "longest" in with_tolerance(1e5, motion_px_s=1.0).steps.bound
+def test_the_longest_step_and_the_wrong_events_bound_it():
+    assert with_tolerance(1e6, hermite_error_us=1e-3).steps.step_us == 100_000
+    assert "longest" in with_tolerance(1e6, hermite_error_us=1e-3).steps.bound
+    assert with_tolerance(1e5, hermite_slips=0.08).steps.step_us == pytest.approx(1000 * 0.5)
+    assert "wrong events" in with_tolerance(1e5, hermite_slips=0.08).steps.bound
 
 
 def test_a_loose_tolerance_leaves_effects_out_of_the_sensor():

@@ -65,15 +65,6 @@ def test_a_dark_square_takes_its_area_and_its_edges_move(picture):
     assert rate == pytest.approx(-1.5 * np.outer(shares(y, y + side, 18), edges), abs=1e-4)
 
 
-def test_a_patch_costs_no_single_pixel_and_these_agree(picture):
-    topology, view = dark_square(3.3, 9.4, 4.0)
-    renderer = Renderer(topology, SCREEN)
-    light, rate, _ = picture(renderer, view)
-    alone = renderer.query(view, np.arange(24 * 18))
-    assert alone[0].reshape(18, 24) == pytest.approx(light, abs=1e-5)
-    assert alone[1].reshape(18, 24) == pytest.approx(rate, abs=1e-4)
-
-
 def test_a_nearer_surface_hides_a_patch_and_its_outline_over_it_is_right(picture, sample):
     """A part of the patch holds no sample and is farther than all samples around: it must not be lost."""
     topology, view = dark_square(3.3, 9.4, 4.0)

@@ -57,22 +57,6 @@ def test_threads_take_bands_in_small_shares(picture, monkeypatch):
     assert 8 <= len(taken) <= 20
 
 
-def test_single_pixels_are_those_of_the_picture(picture):
-    topology, corners = grid(12)
-    points = np.column_stack([2 * corners, 8 + np.sin(5 * corners[:, 0]) * np.cos(4 * corners[:, 1])])
-    rng = np.random.default_rng(1)
-    view = View(points, rng.normal(0, 1, points.shape), rng.uniform(0, 1, len(points)), np.ones(len(points)))
-    renderer = Renderer(topology, SCREEN)
-    light, rate, _ = picture(renderer, view)
-    pixels = rng.permutation(np.concatenate([np.arange(light.size), [7, 7, 640]]))
-    alone, alone_rate = renderer.query(view, pixels)
-    np.testing.assert_allclose(alone, light.ravel()[pixels], atol=1e-6)
-    np.testing.assert_allclose(alone_rate, rate.ravel()[pixels], atol=1e-5)
-    assert renderer.query(view, np.zeros(0, np.int64))[0].shape == (0,)
-    with pytest.raises(ValueError, match="not all in a light frame"):
-        renderer.query(view, np.array([light.size]))
-
-
 def test_only_what_changes_is_written():
     topology, corners = grid(1)
     renderer = Renderer(topology, SCREEN)

@@ -11,7 +11,6 @@ import pytest
 
 import emulator
 from emulator.cli import checks
-from emulator.raster import Renderer
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import kernels as preparation
 from emulator.run.assembly import build_scene
@@ -70,19 +69,6 @@ def test_other_numbers_of_a_sensor_need_no_other_kernels_and_other_effects_do():
     assert keys() == keys(noise=dataclasses.replace(noise, rms=0.0))  # noise is a part of every pixel step
     assert keys() != keys(noise=dataclasses.replace(noise, grade="grid"))
     assert keys() != keys(radiation=RadiationParameters(hits_per_cm2_s=1.0))
-
-
-@pytest.mark.long
-def test_steps_under_control_need_the_light_of_single_pixels(monkeypatch):
-    rig, queried = load_rig("eros"), []
-    controlled = dataclasses.replace(rig, run=dataclasses.replace(rig.run, tolerance_us=100.0))
-    (key,) = {part.key for part in parts_of(controlled)} - {part.key for part in parts_of(rig)}
-    (part,) = (part for part in parts_of(controlled) if part.key == key)
-    drawn = Renderer.query
-    monkeypatch.setattr(Renderer, "query", lambda self, *inputs: (queried.append(inputs), drawn(self, *inputs))[1])
-    part.compile()
-    assert len(queried) == 1
-    assert [needed.name for needed in part.after] == ["scene bodies"]
 
 
 def test_a_camera_on_usb_that_sends_evt3_needs_its_coder():

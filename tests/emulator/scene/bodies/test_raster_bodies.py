@@ -110,19 +110,6 @@ def test_light_and_rate_fit_over_a_turn(shapes):
     assert np.quantile(np.abs(integral - change), 0.995) < 0.05 * scale
 
 
-def test_single_pixels_are_those_of_the_picture_also_through_a_lens(shapes):
-    parameters = scene(eros())
-    chip = CAMERA_MODELS["davis346"].chip
-    lens = LensParameters(field_of_view_deg=30.0, blur_px=0.8)
-    with Through(lens, chip, SIZE, lambda camera: RasterBodies(parameters, camera)) as seen:
-        light, rate = frame(seen, 40 * MS)
-        pixels = np.random.default_rng(1).choice(light.size, 400, replace=False)
-        one, its_rate = seen.pixel_light(40 * MS, pixels)
-    assert light.ravel()[pixels].any()
-    np.testing.assert_allclose(one, light.ravel()[pixels], rtol=2e-4, atol=1e-6)
-    np.testing.assert_allclose(its_rate, rate.ravel()[pixels], rtol=2e-3, atol=1e-3 * np.abs(rate).max())
-
-
 def test_frames_in_the_same_arrays_are_those_in_fresh_ones(shapes):
     """Only the part that changed is written; the rest must be what a whole frame has."""
     parameters = scene(spinning(shapes / "box.obj", deg_s=300.0))

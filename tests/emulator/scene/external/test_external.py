@@ -109,16 +109,6 @@ def test_a_time_before_starts_again_there():
     assert 30 in renderer.times
 
 
-def test_single_pixels_are_known_since_the_last_light_frame():
-    """A step over three images: their light is that of each, not of a line over the step."""
-    with scene_of(lambda t_s, _: 1 + math.sin(300 * t_s)) as (scene, _):
-        lit(scene, 2)
-        lit(scene, 32)
-        for t_ms, expected in ((10, 1 + math.sin(3)), (20, 1 + math.sin(6)), (5, 1 + math.sin(3) / 2)):
-            light, _ = scene.pixel_light(round(t_ms * 1e6), np.array([0, 23]))
-            np.testing.assert_allclose(light, 2 * expected, rtol=1e-5)
-
-
 @pytest.mark.parametrize("value", [math.nan, -1.0, math.inf])
 def test_what_a_renderer_writes_after_it_has_sent_an_image_changes_nothing(monkeypatch, value):
     slots = []
@@ -131,7 +121,6 @@ def test_what_a_renderer_writes_after_it_has_sent_an_image_changes_nothing(monke
             for plane in planes.values():
                 plane[:] = value
         assert lit(scene, 5) == before
-        np.testing.assert_array_equal(scene.pixel_light(5_000_000, np.array([0]))[0], np.float32(before[0]))
 
 
 def test_long_steps_do_not_run_out_of_slots():

@@ -164,16 +164,13 @@ def test_the_derivative_is_that_of_the_light() -> None:
     assert agree.mean() > 0.97  # not where a surface appears within the 10 us
 
 
-def test_single_pixels_and_threads_give_the_same_light() -> None:
+def test_threads_give_the_same_light() -> None:
     images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=True) for k in (0, 1)]
     pair, t_ns = (images[0], images[1]), 3_333_333
     light, rate = _written(pair, t_ns)
     again = _written(pair, t_ns, threads=3)
     np.testing.assert_array_equal(light, again[0])
-    pixels = np.arange(0, _SIZE[0] * _SIZE[1], 7)
-    values, slopes = Joined(_SIZE).pixels(pair, t_ns, pixels)
-    np.testing.assert_array_equal(values, light.reshape(-1)[pixels])
-    np.testing.assert_array_equal(slopes, rate.reshape(-1)[pixels])
+    np.testing.assert_array_equal(rate, again[1])
 
 
 def test_motion_out_of_every_bound_stays_within_the_image() -> None:
