@@ -20,10 +20,9 @@ demo: $(VENV)/.installed
 	$(BIN)/evstim demo stars-gige
 
 # In parts, each a target of its own and a job of the forge's workflow. What QEMU emulates has the machine to itself.
-# Before them Python's packages come beside Debian's, and the type checker runs beside the compilation of kernels.
+# Before them Debian's packages come beside Python's, and beside the type checker and the compilation of kernels.
 test:
-	$(MAKE) -j2 packages $(VENV)/.installed-test
-	$(MAKE) -j2 check prepare
+	$(MAKE) -j3 packages check prepare
 	$(MAKE) fast
 	$(MAKE) laboratory
 	$(MAKE) programs

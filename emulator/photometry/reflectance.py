@@ -24,6 +24,9 @@ the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F =
                         T = e^(-0.126 (m(mu0) + m(mu))),  m(x) = (x^2 + 2 H / (pi R))^(-1/2), through the Earth's air:
                         Rayleigh scattering, 0.0973 at 550 nm (Bucholtz 1995, Appl. Opt. 34, 2765), in the mean of 400
                         to 700 nm; m is 1 / x, at the horizon Chapman's sqrt(pi R / 2 H), H = 8 km
+    air                 r = 3 (1 + cos^2 g) / (16 pi) m(mu) / p (1 - e^(-0.126 p)) (1 - A)^2,  p = 1 / mu0 + m(mu)
+                        Rayleigh scattering, once, before ground of the albedo A (Chandrasekhar 1960, Radiative
+                        Transfer; the last factor is that of a thin layer, 1 / mu0 ends light at the terminator)
 
 with the phase function of Henyey and Greenstein, its mean over all directions 1, b < 0 scattering light back:
 
@@ -70,8 +73,26 @@ def _seeliger(mu0: Floats, mu: Floats) -> Floats:
     return np.asarray(mu0 / np.maximum(mu0 + np.abs(mu), _TINY))
 
 
+class _Law:
+    """Bounds and GLSL text of a law."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    def glsl(self) -> str:
+        """Return the law as GLSL: unlit points are black, and the cosine of emission counts by its magnitude."""
+        return (
+            "float seeliger(float mu0, float mu) { return mu0 / max(mu0 + mu, 1e-12); }\n"
+            "float reflect_sun(float mu0, float mu, float phase) {\n"
+            f"    if (mu0 <= 0.0) return 0.0;\n    mu = abs(mu);\n    {self._formula()}\n}}\n"
+        )
+
+    def _formula(self) -> str:
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Lambert:
+class Lambert(_Law):
     """Even in all directions: painted panels, test targets.
 
     Attributes
@@ -82,20 +103,16 @@ class Lambert:
     kind: ClassVar[str] = "lambert"
     albedo: Share = 0.5
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
         return np.asarray(self.albedo / math.pi * np.maximum(mu0, 0))
 
-    def glsl(self) -> str:
-        """Return the law as GLSL; see the module docstring."""
-        return _glsl(f"return {self.albedo / math.pi!r} * mu0;")
+    def _formula(self) -> str:
+        return f"return {self.albedo / math.pi!r} * mu0;"
 
 
 @dataclass(frozen=True)
-class LommelSeeliger:
+class LommelSeeliger(_Law):
     """Single scattering in a dark, porous ground: asteroids.
 
     Attributes
@@ -110,22 +127,18 @@ class LommelSeeliger:
     single_scattering_albedo: Share = 0.33
     asymmetry: _Asymmetry = -0.25
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
         scattered = henyey_greenstein(phase_rad, self.asymmetry) * self.single_scattering_albedo / (4 * math.pi)
         return np.asarray(scattered * _seeliger(np.maximum(mu0, 0), mu))
 
-    def glsl(self) -> str:
-        """Return the law as GLSL; see the module docstring."""
+    def _formula(self) -> str:
         share = self.single_scattering_albedo / (4 * math.pi)
-        return _glsl(f"return {share!r} * {_HG.format(b=self.asymmetry)} * seeliger(mu0, mu);")
+        return f"return {share!r} * {_HG.format(b=self.asymmetry)} * seeliger(mu0, mu);"
 
 
 @dataclass(frozen=True)
-class LunarLambert:
+class LunarLambert(_Law):
     """Between Lommel-Seeliger and Lambert, the Moon's mixture.
 
     Attributes
@@ -136,9 +149,6 @@ class LunarLambert:
     kind: ClassVar[str] = "lunar-lambert"
     albedo: Share = 0.12
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
         g = np.degrees(phase_rad)
@@ -147,19 +157,18 @@ class LunarLambert:
         mixture = 2 * share * _seeliger(lit, mu) + (1 - share) * lit
         return np.asarray(self.albedo / math.pi * np.exp(-0.9 * np.asarray(phase_rad)) * mixture)
 
-    def glsl(self) -> str:
-        """Return the law as GLSL; see the module docstring."""
+    def _formula(self) -> str:
         g = "degrees(phase)"
         share = f"clamp(1.0 + {g} * (-0.019 + {g} * (2.42e-4 - 1.46e-6 * {g})), 0.0, 1.0)"
         scale = f"{self.albedo / math.pi!r} * exp(-0.9 * phase)"
-        return _glsl(
+        return (
             f"vec2 terms = {scale} * vec2(2.0 * {share}, 1.0 - {share});"
             " return terms.x * seeliger(mu0, mu) + terms.y * mu0;"
         )
 
 
 @dataclass(frozen=True)
-class Hapke:
+class Hapke(_Law):
     """Multiple scattering and the opposition surge.
 
     Attributes
@@ -179,9 +188,6 @@ class Hapke:
     surge: Annotated[float, Meta(ge=0, le=10)] = 1.0
     surge_width: Annotated[float, Meta(ge=1e-4, le=10)] = 0.05
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
         w = self.single_scattering_albedo
@@ -192,12 +198,11 @@ class Hapke:
         often = (1 + 2 * lit) / (1 + 2 * lit * gamma) * (1 + 2 * seen) / (1 + 2 * seen * gamma) - 1
         return np.asarray(w / (4 * math.pi) * _seeliger(lit, seen) * (once + often))
 
-    def glsl(self) -> str:
-        """Return the law as GLSL; see the module docstring."""
+    def _formula(self) -> str:
         w = self.single_scattering_albedo
         gamma = math.sqrt(1 - w)
         surge = f"(1.0 + {self.surge!r} / (1.0 + tan(0.5 * phase) / {self.surge_width!r}))"
-        return _glsl(
+        return (
             "float often = (1.0 + 2.0 * mu0) * (1.0 + 2.0 * mu)"
             f" / ((1.0 + 2.0 * mu0 * {gamma!r}) * (1.0 + 2.0 * mu * {gamma!r})) - 1.0;"
             f" return {w / (4 * math.pi)!r} * seeliger(mu0, mu) * ({surge} * {_HG.format(b=self.asymmetry)} + often);"
@@ -205,7 +210,7 @@ class Hapke:
 
 
 @dataclass(frozen=True)
-class Glossy:
+class Glossy(_Law):
     """A rough mirror over a diffuse ground: insulation foil, solar cells.
 
     Attributes
@@ -220,19 +225,15 @@ class Glossy:
     shine: Share = 0.5
     sharpness: Annotated[float, Meta(ge=1, le=1e5)] = 200.0
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
         lit, m = np.maximum(mu0, 0), self.sharpness
         halfway = np.minimum((lit + np.abs(mu)) / (2 * np.maximum(np.cos(np.asarray(phase_rad) / 2), 1e-6)), 1)
         return np.asarray(lit * (self.albedo / math.pi + self.shine * (m + 8) / (8 * math.pi) * halfway**m))
 
-    def glsl(self) -> str:
-        """Return the law as GLSL; see the module docstring."""
+    def _formula(self) -> str:
         lobe = self.shine * (self.sharpness + 8) / (8 * math.pi)
-        return _glsl(
+        return (
             "float halfway = min((mu0 + mu) * (0.5 / max(cos(0.5 * phase), 1e-6)), 1.0);"
             f" return mu0 * ({self.albedo / math.pi!r} + {lobe!r} * pow(halfway, {self.sharpness!r}));"
         )
@@ -272,6 +273,14 @@ class Water:
 _LEAST = 1e-4  # of a cosine: nearer to the horizon the law of water stays as it is there
 _WATER_INDEX = 1.34
 _AIR_DEPTH, _AIR_CURVED = 0.126, 2 * 8.0 / (math.pi * 6371.0)
+PLANET_ALBEDO = 0.3  # the mean of the Earth's ground and clouds, before which its air is
+
+
+def air_light(mu0: Floats, mu: Floats, phase_rad: Floats, ground: float | Floats) -> Floats:
+    """Return r of the Earth's air before ground of this albedo, 1/sr."""
+    down, up = 1 / np.maximum(mu0, _TINY), 1 / np.sqrt(mu**2 + _AIR_CURVED)
+    scattered = 3 * (1 + np.cos(phase_rad) ** 2) / (16 * math.pi) * -np.expm1(-_AIR_DEPTH * (down + up))
+    return np.asarray(np.where(mu0 > 0, scattered * up / (down + up) * (1 - ground) ** 2, 0.0))
 
 
 def _behind_waves(cosine: Floats, slope2: float) -> Floats:
@@ -286,15 +295,6 @@ Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke | Glossy
 """Any of them, as the type of a key in a rig's table."""
 
 _HG = "(1.0 - ({b!r}) * ({b!r})) / pow(1.0 + 2.0 * ({b!r}) * cos(phase) + ({b!r}) * ({b!r}), 1.5)"
-
-
-def _glsl(body: str) -> str:
-    """Wrap a formula: unlit points are black, and the cosine of emission counts by its magnitude."""
-    return (
-        "float seeliger(float mu0, float mu) { return mu0 / max(mu0 + mu, 1e-12); }\n"
-        "float reflect_sun(float mu0, float mu, float phase) {\n"
-        f"    if (mu0 <= 0.0) return 0.0;\n    mu = abs(mu);\n    {body}\n}}\n"
-    )
 
 
 SUN_W_M2 = 530.0

@@ -163,7 +163,7 @@ def _cost(plan: Plan, scene: Scene, step_ns: int, duration_s: float) -> StepCost
 def _cost_at(frames: SceneFrames, sensor: EventSource, t_ns: int, step_ns: int) -> tuple[float, float]:
     """Return seconds of drawing and of pixels of a step from an instant on.
 
-    These are medians, which a busy neighbour changes less than means; the first step settles and is left out.
+    These are means, because a few steps draw the noise of many pixels; the first step settles and is left out.
     """
     sensor.reset(frames.draw(t_ns))
     drawing_s, pixels_s = list[float](), list[float]()
@@ -176,7 +176,7 @@ def _cost_at(frames: SceneFrames, sensor: EventSource, t_ns: int, step_ns: int) 
         sensor.expose(frame)
         drawing_s.append(drawn_s - begun_s)
         pixels_s.append(time.perf_counter() - drawn_s)
-    return statistics.median(drawing_s[1:]), statistics.median(pixels_s[1:])
+    return statistics.fmean(drawing_s[1:]), statistics.fmean(pixels_s[1:])
 
 
 _STREAM_S, _WALL_S = 2.0, 10.0

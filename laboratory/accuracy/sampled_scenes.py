@@ -39,7 +39,7 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole
 from emulator.light import Light, MachineLacks, Scene, SceneError
-from emulator.photometry.reflectance import Sun, Water
+from emulator.photometry.reflectance import PLANET_ALBEDO, Sun, Water, air_light
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds
 from emulator.scene.bodies.world import BodyWorld
@@ -309,7 +309,8 @@ class SampledBodies(SampledScene):
         direct = np.where(lit, sun_w_m2 * law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
         radiance = there[:, 4] * (direct + self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0))
         if isinstance(detail, Clouds):
-            radiance += np.where(lit, there[:, 5] * sun_w_m2 * Water(detail.wind_m_s).reflect(mu0, mu, phase), 0.0)
+            sea = there[:, 5] * Water(detail.wind_m_s).reflect(mu0, mu, phase)
+            radiance += sun_w_m2 * lit * (sea + air_light(mu0, mu, phase, PLANET_ALBEDO * there[:, 4]))
         return radiance, lit
 
     def _hidden(self, starts_m: _Floats, to_sun: _Floats, pose: Pose, poses: list[Pose]) -> npt.NDArray[np.bool_]:

@@ -315,7 +315,6 @@ def effect_rows(case: Case, step_s: float, effects: Sequence[Effect] = EFFECTS) 
 WISHES_US = (1.0, 10.0, 100.0)  # wanted 95th percentiles of timestamp errors
 
 WRONG_SHARE = 0.01 / 300  # tolerated, of the events: one of a hundred sequences of 300 events
-_FIRST_NS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -344,8 +343,8 @@ def controlled(cases: Sequence[Swept], wishes_us: Sequence[float] = WISHES_US) -
     """Run every wish on every case: with light in between, with derivatives alone, and with neither."""
     for swept in cases:
         for wish_us in wishes_us:
-            for with_rate, refined in ((True, True), (True, False), (False, False)):
-                yield control(swept.case, Limits(wish_us, wrong_share=WRONG_SHARE), with_rate=with_rate, refined=refined)
+            for rate, refined in ((True, True), (True, False), (False, False)):
+                yield control(swept.case, Limits(wish_us, wrong_share=WRONG_SHARE), with_rate=rate, refined=refined)
 
 
 def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = False) -> Controlled:
@@ -353,7 +352,7 @@ def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = Fals
     array = PixelArray(case.parameters, SEED)
     at, threshold = (pixel_light(case) if refined else None), case.parameters.threshold_on
     refinement = RefinementModel(threshold) if refined else None
-    steps = ControlledSteps(limits, case.parameters.dark_current_relative, _FIRST_NS, refinement)
+    steps = ControlledSteps(limits, case.parameters.dark_current_relative, 1_000_000, refinement)
     end_ns, t_ns, frames = round(case.duration_s * 1e9), 0, 0
     found: list[Crossings] = []
     light, rate = _frame(case, 0)

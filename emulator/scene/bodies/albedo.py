@@ -6,8 +6,9 @@ A planet like the Earth from space has oceans, land and clouds at the vertices o
 
 29 % is land. Clouds lie in belts: much at the equator and beyond 45 degrees, little at 25 degrees. Albedo is relative:
 `with_albedo` scales it to a mean of 1 over the surface, so the body's reflectance is that of the whole body, 0.3 for
-the Earth. Open water, the share of ocean without cloud or ice, has the glint of the Sun too (`Water`), 0.012 more.
-Left out: light from the air itself, before the limb and some 30 km above it, colours, and any real geography.
+the Earth. Open water, the share of ocean without cloud or ice, has the glint of the Sun too (`Water`), 0.012 more; air
+before the ground adds 0.03 (`air_light`), most at the limb. Left out: air above the limb, some 30 km high, what it
+scatters more than once (a fifth more), colours, and any real geography.
 
 The patterns come from noise, a smooth and seeded random function of the position in space; roughness uses it too. One
 octave is gradient noise: at each point of a cubic lattice a direction from a hash of the point and the seed, and

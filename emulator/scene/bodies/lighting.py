@@ -1,9 +1,9 @@
 """Radiance of bodies in sunlight at the points of their surfaces, and its rate of change, with shadows: on the CPU.
 
-    L = E_sun r(mu0, mu, g) share + ambient r(mu, mu, 0) + E_sun glint(mu0, mu, g) share water
+    L = E_sun r(mu0, mu, g) share + ambient r(mu, mu, 0) + E_sun [glint(mu0, mu, g) water + air(mu0, mu, g, A)] share
 
-with a law of reflection r, the visible share of the Sun's disc, and the glint on open water of a planet (`Water`). Near
-a shadow edge mu0 is the mean over the visible part of the disc, so the light is smooth in time. Shadows:
+with a law of reflection r, the visible share of the Sun's disc, and of a planet the glint on open water and the air
+(`Water`, `air_light`). Near a shadow edge mu0 is the mean over the visible disc, so light is smooth in time. Shadows:
 
     smooth bodies        rays at vertices (`sun_rays`), and polygons on facets that an edge crosses (`shadow_edges`), in
                          the shadows of all that is rigidly fixed to the body; sides are cut before (`curved_sides`)
@@ -31,7 +31,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
 from emulator.geometry.camera import Pinhole
-from emulator.photometry.reflectance import Water
+from emulator.photometry.reflectance import PLANET_ALBEDO, Water, air_light
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
 from emulator.raster import Facets, join, prepare
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
@@ -395,16 +395,15 @@ class Lighting:
                 self._cast(body, tree, group, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
         irradiance = self._sun.irradiance_w_m2
-        glint = self._glint(body, count)  # before `write_radiance` overwrites the angles
+        other = self._sea_and_air(body, count)  # before `write_radiance` overwrites the angles
         write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
         if (body.sharp or body.edges is not None) and self._ambient > 0:
             write_radiance(body.law, 0.0, self._ambient, step_s, chosen, count, angles, shares, room, dark)
         if body.albedo is not None:
             out *= body.albedo
             dark *= body.albedo
-        if glint is not None:
-            out[0, chosen[:count]] += glint[0]
-            out[1, chosen[:count]] += (glint[1] - glint[0]) / step_s
+        if other is not None:
+            out[:, chosen[:count]] += other[0], (other[1] - other[0]) / step_s
         if body.edges is not None:
             window = self._window(group)
             hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
@@ -415,16 +414,17 @@ class Lighting:
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
 
-    def _glint(self, body: _Lit, count: int) -> Floats | None:
-        """Return the Sun's glint on open water at the chosen points, now and an instant later, (2, count)."""
-        if body.sea is None or body.water is None:
+    def _sea_and_air(self, body: _Lit, count: int) -> Floats | None:
+        """Return the light of a planet's water and air at the chosen points, now and an instant later, (2, count)."""
+        if body.sea is None or body.water is None or body.albedo is None:
             return None
-        water, out = body.water[self._chosen[:count]], np.zeros((2, count))
+        chosen = self._chosen[:count]
+        mu0, mu, chord2 = self._angles[:, :count].reshape(3, 2, -1)
+        phase, water = 2 * np.arcsin(np.sqrt(chord2) / 2), body.water[chosen]
+        out = air_light(mu0, mu, phase, PLANET_ALBEDO * body.albedo[chosen])
         wet = np.flatnonzero(water)
-        mu0, mu, chord2 = self._angles[:, wet].reshape(3, 2, -1)
-        light = self._sun.irradiance_w_m2 * self._shares[:, wet] * water[wet]
-        out[:, wet] = light * body.sea.reflect(mu0, mu, 2 * np.arcsin(np.sqrt(chord2) / 2))
-        return out
+        out[:, wet] += water[wet] * body.sea.reflect(mu0[:, wet], mu[:, wet], phase[:, wet])
+        return self._sun.irradiance_w_m2 * self._shares[:, :count] * out
 
     def _window(self, group: _Seen) -> Window:
         """Return the part of a group's space that the camera sees."""

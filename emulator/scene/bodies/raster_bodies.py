@@ -270,7 +270,9 @@ class RasterBodies(WorldScene[BodyWorld]):
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
         before = self._drawn if self._arrays.are(light, rate) else None
-        self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
+        view = self._lit.view(t_ns)
+        self._renderer.topology = self._lit.topology
+        self._drawn = self._renderer.draw(view, light, rate, before)
         self.changed = None if before is None else self._drawn.union(before)
 
     def close(self) -> None:
@@ -278,11 +280,6 @@ class RasterBodies(WorldScene[BodyWorld]):
         self._renderer.close()
         self._lit.close()
         super().close()
-
-    def _view(self, t_ns: int) -> View:
-        view = self._lit.view(t_ns)
-        self._renderer.topology = self._lit.topology
-        return view
 
 
 def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, Floats, Floats]]:

@@ -16,6 +16,7 @@ from emulator.photometry.reflectance import (
     Sun,
     Water,
     _behind_waves,
+    air_light,
     henyey_greenstein,
 )
 
@@ -146,6 +147,25 @@ def without_air(law, *angles):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("emulator.photometry.reflectance._AIR_DEPTH", 0.0)
         return law.reflect(*angles)
+
+
+def test_air_gives_the_light_that_a_layer_scatters_once():
+    """The layer in 20 000 sheets: each is lit through those above, and seen through them."""
+    depth = (np.arange(20_000) + 0.5) / 20_000 * 0.126
+    for mu0, mu, phase in ((1.0, 0.4, 1.1), (0.3, 0.9, 1.2), (0.5, 0.25, 0.3)):
+        scattered = 3 / 4 * (1 + math.cos(phase) ** 2) / (4 * math.pi)
+        expected = scattered * np.mean(np.exp(-depth / mu0 - depth / mu)) * 0.126 / mu
+        assert float(air_light(np.array(mu0), np.array(mu), np.array(phase), 0.0)) == pytest.approx(expected, rel=0.01)
+        half = air_light(np.array(mu0), np.array(mu), np.array(phase), 0.5)
+        assert float(half) == pytest.approx(expected / 4, rel=0.01)
+
+
+def test_air_is_dark_at_night_and_finite_at_the_limb():
+    mu0, mu = np.array([-0.1, 0.0, 0.5, 1.0, 0.1]), np.array([0.5, 0.5, 0.0, 0.0, 0.0])
+    light = air_light(mu0, mu, np.full(5, 1.0), 0.05)
+    assert not light[:2].any()
+    assert np.isfinite(light).all()
+    assert (light[2:] > 0.02).all()
 
 
 def test_water_mirrors_the_sun_as_often_as_slopes_drawn_at_random():

@@ -1,4 +1,4 @@
-"""The Sun's glint on open water: the flux of a ball of waves, its rate, clouds over it, and the truth by rays."""
+"""A planet's water and air: the flux of a ball of waves, its rate, clouds over it, the limb, and the truth by rays."""
 
 import dataclasses
 import math
@@ -95,7 +95,8 @@ def test_the_rate_of_the_glint_is_the_limit_of_finer_differences():
         look_at_m=(0.0, 0.0, 0.0),
     )
     parameters, mesh = scene(planet(path=path), 1.0, camera=camera), sea(2e5)
-    lighting = Lighting(parameters, Pinhole(400, 400, 0.1), [mesh], [lit_surface(mesh, smooth=True)])
+    surface = lit_surface(mesh, smooth=True)
+    lighting = Lighting(parameters, Pinhole(400, 400, 0.1), [mesh], [surface])
     body, eye = build_trajectory(path), build_trajectory(camera)
 
     def light(t_ns):
@@ -105,7 +106,11 @@ def test_the_rate_of_the_glint_is_the_limit_of_finer_differences():
     at, steps = 5_000_000_000, (8_000_000, 4_000_000)
     coarse, fine = ((light(at + h)[0] - light(at - h)[0]) / (2e-9 * h) for h in steps)
     radiance, rate = light(at)
-    bright = radiance > 1e-3 * radiance.max()
+    turn = body.pose(at).world_from_body
+    toward = (eye.pose(at).position_m - body.pose(at).position_m) @ turn - surface.points
+    mu = (toward * surface.normals).sum(axis=1) / np.linalg.norm(toward, axis=1)
+    mu0 = surface.normals @ (np.array(parameters.sun.direction) @ turn)
+    bright = (radiance > 1e-3 * radiance.max()) & (mu > 0.01) & (mu0 > 0.01)  # not what appears meanwhile
     assert bright.sum() > 100
     np.testing.assert_allclose(rate[bright], (4 * fine - coarse)[bright] / 3, rtol=2e-5, atol=2e-6 * np.abs(rate).max())
 
@@ -124,8 +129,28 @@ def test_water_lies_where_the_ocean_is_not_under_cloud():
     assert open_sky.water.mean() == pytest.approx(0.71, abs=0.1)  # all but land and ice
 
 
+def test_air_brightens_the_planet_towards_its_limb(monkeypatch):
+    """Even ground: Lambert's law, and what a flat layer scatters once."""
+    made = sea()
+    ground = dataclasses.replace(made, albedo=np.ones(made.faces.shape), water=np.zeros(made.faces.shape))
+    monkeypatch.setattr("emulator.scene.bodies.world.detailed", lambda *_: ground)
+    light = light_of(RasterBodies(scene(planet(0.3), 300 * RADIUS_M), Pinhole(240, 240, 30_000.0)))
+    y, x = (np.mgrid[:240, :240] + 0.5 - 120) / 100  # radii from the middle
+    mu = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+    mu0 = x * math.sin(PHASE_RAD) + mu * math.cos(PHASE_RAD)
+    seen = (mu > 0.25) & (mu0 > 0.25)
+    mu, mu0, light = mu[seen], mu0[seen], light[seen]
+    bright = SUN_W_M2 * 0.3 * mu0 / math.pi
+    once = 3 / (16 * math.pi) * (1 + math.cos(PHASE_RAD) ** 2) * mu0 / (mu0 + mu)
+    air = SUN_W_M2 * once * (1 - np.exp(-0.126 * (1 / mu0 + 1 / mu))) * 0.7**2
+    np.testing.assert_allclose(light, bright + air, rtol=0.01)
+    assert 0.05 < (air / bright).min() < 0.07
+    assert (air / bright).max() > 0.3
+
+
 def test_the_glint_brightens_open_water_alone(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("emulator.photometry.reflectance._AIR_DEPTH", 0.0)
     body = planet(0.3, seed=11, path=OPEN_SEA["path"])  # half of the water in the glint is under cloud
     pinhole, parameters = Pinhole(160, 160, 400.0), scene(body, 7 * RADIUS_M)
     made, lights = detailed(load_mesh(find_shape("globe"), RADIUS_M), body.detail, RADIUS_M / 60), []
