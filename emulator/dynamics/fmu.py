@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import multiprocessing
 import signal
+import tempfile
 from pathlib import Path
 from typing import Self
 
@@ -32,13 +33,15 @@ class Fmu:
         if not file.is_file():
             raise DynamicsError(f"{file}: no such file")
         self._file, self._names = file, list(dict.fromkeys(mapping.outputs))
+        self._folder = tempfile.TemporaryDirectory(prefix="evstim-fmu-", ignore_cleanup_errors=True)  # outlives a crash
         context = multiprocessing.get_context("spawn")
         self._near, child_end = context.Pipe()
         self._process = context.Process(target=serve, args=(child_end,), name=f"FMU {file.name}", daemon=True)
         with starting_a_process(serve):
             self._process.start()
         child_end.close()
-        content = {"file": str(file), "start": mapping.start, "outputs": self._names, "inputs": list(inputs)}
+        where = {"file": str(file), "folder": self._folder.name}
+        content = {**where, "start": mapping.start, "outputs": self._names, "inputs": list(inputs)}
         try:
             self.outputs = self._answer(content, _START_S, "when it starts")
         except BaseException:
@@ -69,12 +72,13 @@ class Fmu:
         return signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
 
     def close(self) -> None:
-        """End the process."""
+        """End the process, and remove what it has unpacked."""
         self._near.close()
         self._process.join(2)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
+        self._folder.cleanup()
 
     def __enter__(self) -> Self:
         return self

@@ -1,6 +1,6 @@
 """The process of an FMU: its machine code runs here, so that its crash is only a missing answer.
 
-first message    {"file", "start": {variable: value}, "outputs", "inputs"}
+first message    {"file", "folder": to unpack it, "start": {variable: value}, "outputs", "inputs"}
 each later one   (t_s, step_s, {variable: value}): set inputs, do one step
 answers          ("ok", values of the outputs) | ("wrong", the FMU cannot be used so) | ("failed", a call failed)
 
@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import importlib
 import os
-import shutil
 import signal
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -37,22 +35,19 @@ def serve(connection: Connection) -> None:
     """Answer until the other side closes the connection."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(2, 1)  # output of an FMU must not mix with the command's result
-    folder = tempfile.mkdtemp(prefix="evstim-fmu-")
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         try:
-            _serve(connection, connection.recv(), folder)
+            _serve(connection, connection.recv())
         except _Wrong as error:
             connection.send(("wrong", str(error)))
         except EOFError:
             pass
         except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception for all errors of an FMU
             connection.send(("failed", str(error)))
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
-def _serve(connection: Connection, setup: dict[str, Any], folder: str) -> None:
-    unit = _Unit(setup["file"], folder, {*setup["outputs"], *setup["inputs"], *setup["start"]})
+def _serve(connection: Connection, setup: dict[str, Any]) -> None:
+    unit = _Unit(setup["file"], setup["folder"], {*setup["outputs"], *setup["inputs"], *setup["start"]})
     unit.begin(setup["start"])
     connection.send(("ok", unit.get(setup["outputs"])))
     while True:

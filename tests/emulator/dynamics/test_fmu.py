@@ -31,14 +31,15 @@ def test_a_body_falls_as_the_closed_form_says(falling, version):
 @pytest.mark.parametrize(
     ("trouble", "told"), [(1, r"crashed in its step from 0\.5 s \(SIGSEGV"), (3, "failed in its step")]
 )
-def test_an_fmu_that_fails_in_flight(falling, version, trouble, told):
+def test_an_fmu_that_fails_in_flight(falling, version, trouble, told, unpacked):
     with Fmu(falling(version), FALL, ("trouble",)) as unit:
         unit.step(0.0, 0.5, {})
         with pytest.raises(FlightEnded, match=told):
             unit.step(0.5, 0.5, {"trouble": float(trouble)})
+    assert not list(unpacked.iterdir())
 
 
-def test_an_fmu_that_hangs(falling, monkeypatch):
+def test_an_fmu_that_hangs(falling, monkeypatch, unpacked):
     monkeypatch.setattr(fmu, "_STEP_S", 0.5)
     with (
         Fmu(falling(2), FALL, ("trouble",)) as unit,
@@ -46,6 +47,7 @@ def test_an_fmu_that_hangs(falling, monkeypatch):
     ):
         unit.step(0.0, 0.5, {"trouble": 4.0})
     assert unit._process.exitcode is not None
+    assert not list(unpacked.iterdir())
 
 
 @pytest.mark.parametrize(
