@@ -16,8 +16,8 @@ in log light decides whether a level is met at all. The probability that an even
 
 which is kept below half of the tolerated share of wrong events. Both are predicted for steps from half to twice as long
 as the last, e and bend in proportion to dt^p, p = 2 (line), 4 (Hermite), and the longest permitted step is taken. The
-motion of the image sets no limit: values and slopes of exact light show more of an edge than where it is, and a limit
-of half a pixel made steps of drawn scenes 5 to 40 times shorter than fixed ones with the same wrong events.
+motion of the image sets no limit: values and slopes of exact light show more of an edge than where it is, and steps of
+at most half a pixel were 2 to 15 times as dear as fixed ones with the same wrong events (docs/accuracy.md).
 
 Where the scene can give the light of single pixels, undersampled steps are refined (see `refinement`). A refinement
 divides the error by 2^4, and limits the step by another rule: a number of single lights equal to the pixels of a frame
