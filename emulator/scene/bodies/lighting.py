@@ -395,15 +395,15 @@ class Lighting:
                 self._cast(body, tree, group, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
         irradiance = self._sun.irradiance_w_m2
-        other = self._sea_and_air(body, count)  # before `write_radiance` overwrites the angles
+        planet = self._sea_and_air(body, count)  # before `write_radiance` overwrites the angles
         write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
         if (body.sharp or body.edges is not None) and self._ambient > 0:
             write_radiance(body.law, 0.0, self._ambient, step_s, chosen, count, angles, shares, room, dark)
         if body.albedo is not None:
             out *= body.albedo
             dark *= body.albedo
-        if other is not None:
-            out[:, chosen[:count]] += other[0], (other[1] - other[0]) / step_s
+        if planet is not None:
+            out[:, chosen[:count]] += planet[0], (planet[1] - planet[0]) / step_s
         if body.edges is not None:
             window = self._window(group)
             hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
