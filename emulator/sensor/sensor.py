@@ -332,7 +332,7 @@ class Sensor:
         self._t_ns = frame.t_ns
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
-        self.pixels.reset(self._imager.see(LightFrame(frame.t_ns, frame.light)))  # at rest: no derivative
+        self.pixels.reset(self._imager.see(LightFrame(frame.t_ns, frame.light, frame.rate)))
         if self._kicks is not None:
             self._kicks.reset()
         for source in self._sources:

@@ -127,7 +127,7 @@ def _rank(rig: str) -> tuple[bool, int, str]:
 
 _STEP_SHARES = (0.5, 2.0, 4.0)
 _LONGEST_STEP_US = 1_000_000
-_TOLERANCES_US = (100.0, 1000.0)
+_TOLERANCE_US = 1000.0
 _SAMPLES = (1, 2, 4)
 _SMALLEST = (32, 24)  # pixels, of a scene that is built to read its properties
 
@@ -155,8 +155,7 @@ def _steps(rig: Rig) -> Iterator[Setting]:
     if rig.run.tolerance_us:
         yield Setting("fixed steps", {("run", "tolerance_us"): 0.0})
         return
-    for tolerance_us in _TOLERANCES_US:
-        yield Setting(f"adaptive, {tolerance_us:g} us", {("run", "tolerance_us"): tolerance_us})
+    yield Setting(f"adaptive, {_TOLERANCE_US:g} us", {("run", "tolerance_us"): _TOLERANCE_US})
 
 
 def _has_rate(rig: Rig) -> bool:

@@ -139,8 +139,8 @@ def _v_mag(columns: dict[str, Floats]) -> Floats:
     return np.asarray(v_mag)
 
 
-REACH_SIGMAS = 4.0
-"""Limit at which the Gaussian is cut off; 6e-5 of the light lies beyond it on each side."""
+_REACH_SIGMAS = 4.0  # at least; 6e-5 of the light lies beyond it on each side
+_LEAST_LIGHT = 1e-7  # of a pixel: less is left out, even before the dark current of a cooled sensor, some 1e-5
 
 _MOST = 256
 _entry = entry_of(__name__, error_model="python")
@@ -165,20 +165,17 @@ def _shares(x: float, first: int, n: int, sigma: float, share: Floats, slope: Fl
 
 
 @_entry
-def _reach(sigma: float) -> tuple[int, int]:
-    """Return the number of pixels that a point touches before its own, and in all."""
-    reach = math.ceil(REACH_SIGMAS * sigma) + 1
-    return reach, min(2 * reach + 1, _MOST)
-
-
-@_entry
 def boxes_of(points: Floats, sigma: float, size: tuple[int, int], boxes: Boxes) -> None:
     """Write the boxes in which `splat` draws points on a frame of `size` = (width, height); empty if outside."""
-    reach, n = _reach(sigma)
     for k in range(points.shape[0]):
-        left, top = math.floor(points[k, 0]) - reach, math.floor(points[k, 1]) - reach
-        boxes[k, 0], boxes[k, 1] = min(max(top, 0), size[1]), min(max(top + n, 0), size[1])
-        boxes[k, 2], boxes[k, 3] = min(max(left, 0), size[0]), min(max(left + n, 0), size[0])
+        x, y = points[k, 0], points[k, 1]
+        peak = points[k, 2] / (2.0 * math.pi * sigma * sigma)
+        wings = math.sqrt(2.0 * math.log(peak / _LEAST_LIGHT)) if peak > _LEAST_LIGHT else 0.0
+        reach = min(sigma * max(_REACH_SIGMAS, wings), 0.5 * _MOST - 1.0)
+        boxes[k, 0] = min(max(math.floor(y - reach), 0), size[1])
+        boxes[k, 1] = min(max(math.floor(y + reach) + 1, 0), size[1])
+        boxes[k, 2] = min(max(math.floor(x - reach), 0), size[0])
+        boxes[k, 3] = min(max(math.floor(x + reach) + 1, 0), size[0])
 
 
 @_entry
@@ -192,8 +189,8 @@ def clear(boxes: Boxes, sky: np.float32, light: Light, rate: Light) -> None:
 
 
 @_entry
-def splat(points: Floats, sigma: float, light: Light, rate: Light) -> None:
-    """Add points to a light frame and to its time derivative.
+def splat(points: Floats, sigma: float, boxes: Boxes, light: Light, rate: Light) -> None:
+    """Add points to a light frame and to its time derivative, each in its box of `boxes_of`.
 
     Parameters
     ----------
@@ -201,23 +198,22 @@ def splat(points: Floats, sigma: float, light: Light, rate: Light) -> None:
     sigma : of the Gaussian, pixels.
     light, rate : (height, width) float32, added to; `rate` may have no pixels.
     """
-    height, width = light.shape
-    reach, n = _reach(sigma)
     across, across_slope = np.empty(_MOST), np.empty(_MOST)
     down, down_slope = np.empty(_MOST), np.empty(_MOST)
     for k in range(points.shape[0]):
-        x, y, flux = points[k, 0], points[k, 1], points[k, 2]
-        left, top = math.floor(x) - reach, math.floor(y) - reach
-        if left >= width or top >= height or left + n <= 0 or top + n <= 0:
+        flux, top, left = points[k, 2], boxes[k, 0], boxes[k, 2]
+        rows = boxes[k, 1] - top
+        columns = boxes[k, 3] - left
+        if rows <= 0 or columns <= 0:
             continue
-        _shares(x, left, n, sigma, across, across_slope)
-        _shares(y, top, n, sigma, down, down_slope)
-        for j in range(max(0, -top), min(n, height - top)):
-            row = light[top + j]
-            for i in range(max(0, -left), min(n, width - left)):
-                row[left + i] += np.float32(flux * across[i] * down[j])
+        _shares(points[k, 0], left, columns, sigma, across, across_slope)
+        _shares(points[k, 1], top, rows, sigma, down, down_slope)
+        for j in range(rows):
+            line = light[top + j]
+            for i in range(columns):
+                line[left + i] += np.float32(flux * across[i] * down[j])
             if rate.size:
                 change = rate[top + j]
-                for i in range(max(0, -left), min(n, width - left)):
+                for i in range(columns):
                     by_x = points[k, 3] * across_slope[i] * down[j]
                     change[left + i] += np.float32(flux * (by_x + points[k, 4] * across[i] * down_slope[j]))

@@ -181,9 +181,9 @@ class StarField(Scene):
             light.fill(sky)
             rate.fill(0)
         clear(self._boxes, sky, light, rate)  # always, so that the kernel is loaded before the run begins
-        splat(points, self._sigma_px, light, rate)
         before, self._boxes = self._boxes, np.empty((len(points), 4), np.int64)
         boxes_of(points, self._sigma_px, self._size, self._boxes)
+        splat(points, self._sigma_px, self._boxes, light, rate)
         boxes = np.concatenate([before, self._boxes])
         self.changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
 

@@ -37,10 +37,14 @@ _Int64s = npt.NDArray[np.int64]
 _U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL, _ = (int(f) * BLOCK for f in Field)
 # Of a certificate.
 _CERTIFIED = 1.5  # its bound, over the hazard's
+_LEAST_SETTLED = (
+    0.75  # deviations, of a limit after the noise has forgotten its reset: no hazard is above its bound there
+)
 _REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
-_SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
-_AMPLE, _FARTHEST = 3.0, 30.0  # deviations beyond FARTHEST, for a pixel that is slow; at which its hazard is a number
+_SLOW, _FASTER = 0.3, 2.0  # least speed of a certificate, in units of the noise's own; its speed over the present one
+_AMPLE, _FARTHEST = FARTHEST + 3, 30.0  # deviations: well beyond FARTHEST; at which the hazard is still a number
 _LONGEST_S, _LONGEST_STEPS = 2.0**33 * 1e-9, 256
+_STILL = 0.05  # deviations that a pixel at rest may go meanwhile
 _SLOWEST = 0.1  # 1/s: forgets in more than the longest time
 _LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
 _ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
@@ -59,6 +63,21 @@ def _make_pieces(rows: _Float32s, n: int) -> None:
 
 
 @kernel
+def _loudest(noise: Noise, on: float, off: float, rms: float, rate: float, c: StepConstants) -> Noise:
+    """Return the noise that light may bring within limits on and off, ln units from the present value.
+
+    Light that falls to the limit may raise the rms by a share, to no more than behind the receptor. Behind a high-pass,
+    light may change by twice as much in one time constant, and the rms rises with it too.
+    """
+    if noise.a1 == noise.a2 and c.high_rate == 0:
+        return noise
+    reach = max(off, 0.0) if c.high_rate == 0 else 2 * max(on, off)
+    slower = noise.a1 / (noise.a1 + noise.a2) if noise.a1 != noise.a2 else 0.0
+    share = 1 + 0.5 * max(slower, c.high_rate / (rate + c.high_rate)) * reach
+    return Noise(min(noise.sigma * share, rms), noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
+
+
+@kernel
 def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float, c: StepConstants) -> None:
     """Write the certificate of a pixel at the end of the step.
 
@@ -66,30 +85,25 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     `moving` the speed of the value without leak, a second. A pixel that rests gets a longer certificate with narrower
     limits, so that its whole block can rest; one that moves needs none for long after it will have left the limits.
     """
-    at, a, moves = slot(pixel), passage.state_of(pixels, pixel, c), moving != 0.0
-    fields, rms = pixels.fields, c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + passage.SCALE])
+    at, a, fields = slot(pixel), passage.state_of(pixels, pixel, c), pixels.fields
+    rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + passage.SCALE])
     fields[at + _UNTIL] = -np.float32(np.inf)
     noise = noise_of(rate, c.noise_pole, rms, c.high_rate)
     if a.reference != a.reference:
         return
-    room = passage.room_of((c.h_ns - a.reset) * 1e-9, value, noise, a)
-    on, off = room.on, room.off
-    # Light that falls to the limit may raise the rms by a share, to no more than behind the receptor. Behind a
-    # high-pass, light may change by twice as much in one time constant, and the rms rises with it too.
-    if noise.a1 != noise.a2 or c.high_rate > 0:
-        reach = max(off, 0.0) if c.high_rate == 0 else 2 * max(on, off)
-        slower = noise.a1 / (noise.a1 + noise.a2) if noise.a1 != noise.a2 else 0.0
-        share = 1 + 0.5 * max(slower, c.high_rate / (rate + c.high_rate)) * reach
-        louder = min(noise.sigma * share, rms)
-        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
-    speed = _SPEED_SHARE * noise.sigma * noise.rate
+    since_s = (c.h_ns - a.reset) * 1e-9
+    on, off = passage.room_of(since_s, value, noise, a)
+    nearest = _LEAST_SETTLED if since_s * min(noise.a1, noise.a2) > passage.FORGOTTEN else passage.LEAST_FAR
+    noise = _loudest(noise, on, off, rms, rate, c)
+    moves = abs(moving) * _LONGEST_S > _STILL * noise.sigma  # parasitic leak alone does not
+    unit = noise.sigma * noise.rate
+    nu = max(_SLOW, _FASTER * abs(moving) / unit)
     c_on, c_off = min(on / noise.sigma, _FARTHEST), min(off / noise.sigma, _FARTHEST)
-    if not (c_on >= passage.LEAST_FAR and c_off >= passage.LEAST_FAR):  # or not a number
+    if not (c_on >= nearest and c_off >= nearest):  # or not a number
         return
     # Beyond FARTHEST no passage is likely at any speed: limits there need none.
-    ample = 0.0 if abs(moving) > speed else _AMPLE
-    least = FARTHEST if c.high_rate == 0 and min(c_on, c_off) > FARTHEST + ample else passage.LEAST_FAR
-    on_hz, off_hz = passage.bound_of(c_on, _SPEED_SHARE, noise), passage.bound_of(c_off, _SPEED_SHARE, noise)
+    least = FARTHEST if c.high_rate == 0 and min(c_on, c_off) > _AMPLE else nearest
+    on_hz, off_hz = passage.bound_of(c_on, nu, noise), passage.bound_of(c_off, nu, noise)
     bound_hz = max(_CERTIFIED * (on_hz + off_hz), _REVISITS / c.h if moves else _RESTS_HZ)
     # Limits at which a threshold's hazard has come to what the other one, which is farther then, leaves of the bound.
     limit_on = max(math.sqrt(max(c_on * c_on - 2 * math.log((bound_hz - off_hz) / on_hz), 0.0)), least)
@@ -106,7 +120,8 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     fields[at + _ON_LIMIT] = np.float32(on + value - a.reference - noise.sigma * limit_on)
     fields[at + _OFF_LIMIT] = np.float32(off - value + a.reference - noise.sigma * limit_off)
     # Slow light could go any way behind a high-pass: there a pixel that rests is certified for still light only.
-    fields[at + _SPEED] = np.float32((speed if least < FARTHEST else math.inf) if moves or c.high_rate == 0 else 0.0)
+    fastest = nu * unit if least < FARTHEST else math.inf
+    fields[at + _SPEED] = np.float32(fastest if moves or c.high_rate == 0 else 0.0)
     # Seconds since the epoch, earlier than the point by more than float32 may round.
     until_s = np.float64(c.since_epoch_1) + (until_ns - end_ns) * 1e-9
     fields[at + _UNTIL] = np.float32(until_s - 1e-6 - 1e-6 * abs(until_s))
@@ -126,8 +141,8 @@ def _finish(  # noqa: PLR0913, PLR0917
         pixels.fields[at + _REF] -= np.float32(leaked)
         pixels.fields[at + _P] = np.float32(-lit * c.since_epoch_1)
         base -= leaked
-    leak = np.float64(pixels.fields[at + _LEAK])
-    value = base + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
+    leaked = np.float64(pixels.fields[at + _LEAK]) * (c.since_s + c.h_ns * 1e-9)
+    value = base + piece.c1 + piece.c2 + piece.c3 + leaked
     moving = (piece.c1 + 2 * piece.c2 + 3 * piece.c3) / piece.span_ns * 1e9
     certify(pixels, pixel, value, piece.rate1, moving, c)
 

@@ -48,11 +48,11 @@ _MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
 _TOO_MANY = 8e9  # points in 1e-9: a window is divided
 _BURST = 5.0  # time constants of the slower pole for which a window is no longer than the time since the reset
 _FIRST = 0.2  # length of the first window after a reset, over the time of noise and signal
-_FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
 _OVERSHOOT = 0.4  # of the mean of the noise by its slope at the reset, at most, over slope / rate
 _MOST_CALM = 3.0  # points that are expected below the bound of a calm window, at most
 _POINTS = 2.0  # expected below the bound of a window of an approach
 LEAST_FAR = 1.5  # deviations, of a threshold whose hazard is bounded without tables
+FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
 INFINITE = 1e15  # deviations: a dead pixel's threshold
 _FALSE_POSITIONS, _CLOSE = 6, 0.1  # steps, at most; share of the travel
 _WIDEST = 4.0  # interval of false positions, over the time that the present speed needs
@@ -216,7 +216,7 @@ def room_of(since_s: float, value: float, noise: Noise, a: _State) -> _Room:
     """Return the room of a pixel at a time after its reset: that part of its noise's value is left, and its slope's."""
     age = since_s * min(noise.a1, noise.a2)
     left = kick = 0.0
-    if age < _FORGOTTEN:
+    if age < FORGOTTEN:
         decay = math.exp(-age)
         left = (1 + age) * decay
         kick = abs(a.v_r) / noise.rate * (_OVERSHOOT if age < 1 else age * decay)
@@ -254,7 +254,7 @@ def _calm_window(t: float, limit: float, now: _Signal, curve: _Curve, a: _State)
     that is too far, when the noise has forgotten the reset, or at a quarter of that time, and so on.
     """
     to, after = limit, _signal(limit, curve)
-    forgotten = a.reset + _FORGOTTEN / min(now.noise.a1, now.noise.a2) * 1e9
+    forgotten = a.reset + FORGOTTEN / min(now.noise.a1, now.noise.a2) * 1e9
     while True:
         calm_s, gone = (to - t) * 1e-9, after.value - now.value
         louder = now.noise if now.noise.sigma > after.noise.sigma else after.noise

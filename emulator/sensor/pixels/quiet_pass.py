@@ -63,6 +63,7 @@ _MORE = np.float32(1.5)  # the same for the integral of light
 _SHORT_LIVED = np.float32(3)  # length of a step, in time constants, from which the exponential counts as a part of it
 _LEFT_OUT = np.float32(0.004)  # of a threshold: exponential that a high-pass may see without being solved with it
 _FASTER = np.float32(1.65)  # slopes behind a filter whose rate changes, over those of its light
+_BEHIND = np.float32(4)  # log light
 _BULGE = np.float32(1.2)  # ... and for light that is higher inside the step than at its ends: e^x < 1 + 1.2 x
 
 
@@ -299,7 +300,8 @@ def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: Ste
         a0, a1 = before[_A0 + i], before[_A1 + i]
         d = s[_U + i] - before[_U0 + i]
         behind = abs(before[_U0 + i] - before[_V0 + i])
-        lag = behind * (_ONE + behind) if behind < _HALF else _ENDLESS  # farther behind it may be any steeper
+        # Above e^behind - 1, the speed of the large-signal law over its rate; farther behind it may be any steeper.
+        lag = behind * (_ONE + behind * (_ONE + behind)) if behind < _BEHIND else _ENDLESS
         steepest = max(max(max(abs(a0), abs(a1)), abs(_THREE * d - a0 - a1)), c.h * before[_L0 + i] * lag)
         if_second = c.second * abs(before[_V0 + i] - before[_W0 + i]) if c.second > _ZERO else _ZERO
         if_high = c.high * max(abs(before[_HIGH + i]), abs(before[_LOW + i])) if c.high > _ZERO else _ZERO

@@ -113,14 +113,8 @@ def _gather_undersampled(  # noqa: PLR0913, PLR0917
 ) -> tuple[int, int]:
     """Move the undersampled pixels of a block's candidates to the subset, behind its first n.
 
-    Parameters
-    ----------
-    flagged : indices of the candidates in the block, (any,) int64; those that remain move to the front.
-    firsts : first pixels of the block's parts, (parts,) int64.
-
-    Returns
-    -------
-    The number of candidates that remain, and of pixels in the subset. Pixels with unreadable light always remain.
+    `flagged`, (any,), are the candidates' indices in the block: those that remain, unreadable ones too, move to the
+    front. `firsts` are the first pixels of its parts. Returns the numbers of those and of pixels in the subset.
     """
     remaining = 0
     for place in flagged:
@@ -341,21 +335,10 @@ def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: 
 def advance(
     frame: FlatLight, pixels: Pixels, buffers: Buffers, keys: Keys, share: Share, c: StepConstants
 ) -> tuple[Keys, int, Tally]:
-    """Move a share of the pixels over one step. Of pixels collected for refinement only the light moves.
+    """Move a share of the pixels to the time of `frame`. Of pixels collected for refinement only the light moves.
 
-    Parameters
-    ----------
-    frame : light at the end of the step.
-    pixels : the state, changed in place.
-    buffers : for the candidates, and for the undersampled pixels if `c.refine`.
-    keys : buffer for the events, (any,) uint64.
-    share : the pixels to move; its table of idle blocks is changed in place.
-    c : the step.
-
-    Returns
-    -------
-    The keys (a longer copy where they were too short), the number of events in them (packed as in `unpack`, unsorted),
-    and the counts of the step.
+    `pixels` and the share's table of idle blocks change; `buffers` are for candidates, and undersampled pixels. Returns
+    the keys of the events, packed as in `unpack`, unsorted (a longer array where it was too short), and their number.
     """
     n_keys = lost = undersampled = NONE
     at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)
@@ -385,7 +368,7 @@ def _replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepCo
 def replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
     """Let the light jump to that of `frame` at the start of a step; return the number of pixels with unreadable light.
 
-    Filters and references stay.
+    Filters and references stay. The loop is apart because kernels do not count references to the arrays they return.
     """
     return int(_replace_light(frame, pixels, scratch, c))
 

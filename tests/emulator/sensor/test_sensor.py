@@ -387,3 +387,24 @@ def test_the_kernels_of_a_later_step_are_loaded_before_the_first(monkeypatch):
     monkeypatch.setattr(crossings_module, "unpack_both", lambda *_: loaded.append("unpack_both"))
     Sensor(PRESETS["davis346"], 0).warm_up()
     assert loaded == ["unpack_both"]
+
+
+def test_the_derivative_at_the_start_spares_the_first_step():
+    """It needs no more pixels than the next one; without the derivative all pixels of the first step are solved."""
+    p = dataclasses.replace(PRESETS["davis346"], width=40, height=30)
+
+    def frame(t_ns, known=True):
+        light = drifting(t_ns)
+        y, x = np.mgrid[: p.height, : p.width]
+        rate = light * 0.8 * -40 * np.cos(0.3 * x + 0.2 * y - 40e-9 * t_ns)
+        return LightFrame(t_ns, light, rate.astype(np.float32) if known else None)
+
+    solved = []
+    for known in (True, False):
+        sensor = Sensor(p, 1)
+        sensor.reset(frame(0, known))
+        for t_ns in (MS, 2 * MS):
+            sensor.expose(frame(t_ns))
+            solved.append(sensor.pixels.candidates)
+    assert solved[0] < 0.5 * PIXELS
+    assert solved[2] >= PIXELS  # whole blocks

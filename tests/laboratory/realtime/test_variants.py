@@ -52,7 +52,7 @@ def test_rigs_that_differ_in_links_alone_are_measured_once():
 
 def test_a_rig_has_the_settings_that_it_has_a_choice_of(tmp_path):
     board = {one.name for one in settings_of(variant_of("checkerboard", SIZES[0]))}
-    assert {"as shipped", "steps x 2", "line", "adaptive, 100 us"} <= board
+    assert {"as shipped", "steps x 2", "line", "adaptive, 1000 us"} <= board
     assert not any("parts" in name for name in board)
     controlled = tmp_path / "controlled.toml"
     text = '[scene]\nkind = "checkerboard"\n[run]\nstep_us = 1000\nthreads = 1\nmethod = "line"\ntolerance_us = 50.0\n'

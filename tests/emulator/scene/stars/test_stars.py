@@ -14,7 +14,7 @@ from emulator.light import SceneError
 from emulator.optics.lens import LensParameters
 from emulator.photometry.reflectance import SUN_W_M2, Sun
 from emulator.rig.kinds import CAMERA_MODELS
-from emulator.scene.stars.catalogue import SUN_V, irradiance_w_m2, load_stars, splat
+from emulator.scene.stars.catalogue import SUN_V, boxes_of, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import MovingPoint, StarsParameters
 from emulator.trajectory.mounting import looking_along
@@ -24,6 +24,7 @@ from firmware_protocol.pose_message import NOW, PoseMessage
 SIZE = (64, 48)
 LENS = LensParameters(field_of_view_deg=20.0, blur_px=0.5, f_number=1.4)
 CHIP = CAMERA_MODELS["davis346"].chip
+NO_RATE = np.zeros((0, 0), np.float32)
 SIRIUS = np.radians([101.287, -16.716])
 
 
@@ -46,10 +47,17 @@ def drawn(parameters, lens=LENS, t_ns=0):
     return light, rate
 
 
+def draw_points(points, sigma, light, rate=NO_RATE):
+    boxes = np.empty((len(points), 4), np.int64)
+    boxes_of(np.array(points), sigma, light.shape[::-1], boxes)
+    splat(np.array(points), sigma, boxes, light, rate)
+    return boxes
+
+
 @given(st.floats(20, 30), st.floats(20, 30), st.floats(0.3, 1.2))
 def test_no_light_is_lost_between_pixels(x, y, sigma):
     light = np.zeros((50, 50), np.float32)
-    splat(np.array([[x, y, 3.0, 0.0, 0.0]]), sigma, light, np.zeros((0, 0), np.float32))
+    draw_points([[x, y, 3.0, 0.0, 0.0]], sigma, light)
     assert light.sum(dtype=float) == pytest.approx(3.0, rel=1e-3)
     rows, columns = np.mgrid[:50, :50] + 0.5
     sampling = math.exp(-2 * (math.pi * sigma) ** 2) / math.pi  # pixels themselves cannot tell the middle better
@@ -61,18 +69,28 @@ def test_no_light_is_lost_between_pixels(x, y, sigma):
 def test_a_rate_is_the_light_s_derivative(x, y, vx, vy):
     h = 1e-2
     pictures = [np.zeros((50, 50), np.float32) for _ in range(4)]
-    no_rate = np.zeros((0, 0), np.float32)
-    splat(np.array([[x - h * vx, y - h * vy, 1.0, 0, 0]]), 0.7, pictures[0], no_rate)
-    splat(np.array([[x + h * vx, y + h * vy, 1.0, 0, 0]]), 0.7, pictures[1], no_rate)
-    splat(np.array([[x, y, 1.0, vx, vy]]), 0.7, pictures[2], pictures[3])
+    draw_points([[x - h * vx, y - h * vy, 1.0, 0, 0]], 0.7, pictures[0])
+    draw_points([[x + h * vx, y + h * vy, 1.0, 0, 0]], 0.7, pictures[1])
+    draw_points([[x, y, 1.0, vx, vy]], 0.7, pictures[2], pictures[3])
     np.testing.assert_allclose(pictures[3], (pictures[1] - pictures[0]) / (2 * h), atol=5e-3)
 
 
 def test_a_point_beyond_the_picture_touches_nothing_outside():
     light = np.zeros((5, 5), np.float32)
-    far = np.array([[-100.0, 2, 1, 0, 0], [2, 1e9, 1, 0, 0], [5.2, 2, 1, 0, 0]])
-    splat(far, 0.5, light, np.zeros((0, 0), np.float32))
+    draw_points([[-100.0, 2, 1, 0, 0], [2, 1e9, 1, 0, 0], [5.2, 2, 1, 0, 0]], 0.5, light)
     assert 0 < light.sum() < 1
+
+
+@given(st.floats(10, 40), st.floats(10, 40), st.floats(0.3, 1.2), st.floats(-6, 1))
+def test_a_star_touches_no_more_pixels_than_have_light(x, y, sigma, exponent):
+    flux, light = 10.0**exponent, np.zeros((50, 50), np.float32)
+    rows, columns = np.mgrid[:51, :51]
+    down, across = (np.vectorize(math.erf)((at - by) / (sigma * 2**0.5)) / 2 for at, by in ((rows, y), (columns, x)))
+    whole = flux * np.diff(down, axis=0)[:, 1:] * np.diff(across, axis=1)[1:]
+    ((top, bottom, left, right),) = draw_points([[x, y, flux, 0, 0]], sigma, light)
+    np.testing.assert_allclose(light, whole, rtol=1e-5, atol=1.01e-7)
+    reach = sigma * max(4.0, (2 * math.log(max(1e7 * flux / (2 * math.pi * sigma**2), 1))) ** 0.5)
+    assert max(bottom - top, right - left) <= 2 * reach + 2
 
 
 def test_the_brightest_star_is_where_sirius_is():

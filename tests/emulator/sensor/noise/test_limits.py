@@ -260,3 +260,14 @@ def test_few_pixels_in_still_light_have_no_certificate(name, level):
     array = begun(SENSORS[name], still(level))
     found = run(array, still(level), ends(10, 500))
     assert array.candidates < 0.1 * 50 * 512 + 3 * len(found.t_ns)
+
+
+def test_parasitic_leak_does_not_move_a_pixel_at_rest():
+    """In the dark it is a change of no account: certificates are as long as without it."""
+    cold = dataclasses.replace(PRESETS["davis346"], width=64, height=64, dark_current_relative=2e-5)
+    few, none = (
+        run(begun(p, still(0.0)), still(0.0), ends(20, 10_000)).array.candidates  # longer than a certificate
+        for p in (cold, dataclasses.replace(cold, parasitic_hz_at_reference=0.0))
+    )
+    assert cold.parasitic_hz_at_reference > 0
+    assert 4096 < few < 1.1 * none
