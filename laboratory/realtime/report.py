@@ -82,9 +82,10 @@ def _mark(axes: Any, row: Row, k: int) -> None:
 
 def _name(axes: Any, rig: str) -> None:
     axes.set_title(rig, fontsize=10)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_ylim(0.8 * _FLOOR_PERCENT, _TOP_PERCENT)
+    axes.set(xscale="log", yscale="log", ylim=(0.8 * _FLOOR_PERCENT, _TOP_PERCENT))
+    axes.xaxis.get_major_locator().set_params(subs=(1.0, 3.0))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
     axes.axvline(1, color="black", linewidth=0.6, linestyle=":")
     axes.set_xlabel("times real time", fontsize=9)
     axes.set_ylabel("false + missed events, %", fontsize=9)
