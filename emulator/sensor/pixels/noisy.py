@@ -37,14 +37,12 @@ _Int64s = npt.NDArray[np.int64]
 _U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL, _ = (int(f) * BLOCK for f in Field)
 # Of a certificate.
 _CERTIFIED = 1.5  # its bound, over the hazard's
-_LEAST_SETTLED = (
-    0.75  # deviations, of a limit after the noise has forgotten its reset: no hazard is above its bound there
-)
+_LEAST_SETTLED = 0.75  # deviations of a limit, once the noise has forgotten its reset: the bound holds from there on
 _REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
 _SLOW, _FASTER = 0.3, 2.0  # least speed of a certificate, in units of the noise's own; its speed over the present one
 _AMPLE, _FARTHEST = FARTHEST + 3, 30.0  # deviations: well beyond FARTHEST; at which the hazard is still a number
 _LONGEST_S, _LONGEST_STEPS = 2.0**33 * 1e-9, 256
-_STILL = 0.05  # deviations that a pixel at rest may go meanwhile
+_STILL = 0.05  # deviations that the value of a pixel at rest may move in the longest time
 _SLOWEST = 0.1  # 1/s: forgets in more than the longest time
 _LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
 _ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))

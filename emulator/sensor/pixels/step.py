@@ -338,7 +338,8 @@ def advance(
     """Move a share of the pixels to the time of `frame`. Of pixels collected for refinement only the light moves.
 
     `pixels` and the share's table of idle blocks change; `buffers` are for candidates, and undersampled pixels. Returns
-    the keys of the events, packed as in `unpack`, unsorted (a longer array where it was too short), and their number.
+    the keys of the events, packed as in `unpack`, unsorted (a longer array where it was too short), their number, and
+    the counts of the step.
     """
     n_keys = lost = undersampled = NONE
     at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)

@@ -263,7 +263,7 @@ def test_few_pixels_in_still_light_have_no_certificate(name, level):
 
 
 def test_parasitic_leak_does_not_move_a_pixel_at_rest():
-    """In the dark it is a change of no account: certificates are as long as without it."""
+    """In the dark it is too slow to matter: certificates are as long as without it."""
     cold = dataclasses.replace(PRESETS["davis346"], width=64, height=64, dark_current_relative=2e-5)
     few, none = (
         run(begun(p, still(0.0)), still(0.0), ends(20, 10_000)).array.candidates  # longer than a certificate
