@@ -31,6 +31,12 @@ EFFECTS = (
 )
 """All effects that a plan can decide on; one that a plan lacks is switched off."""
 
+SHAPES_NOISE = {
+    *("low-pass", "bandwidth following the light", "high-pass", "leak", "parasitic", "mismatch"),
+    *("refractory period", "reset offset", "reset noise", "temperature"),
+}
+"""Effects on which the rate of noise events depends; their costs leave this out."""
+
 
 @dataclass(frozen=True)
 class Tolerance:
@@ -99,9 +105,6 @@ def tau_us(p: SensorParameters, current: float) -> float:
     return 1e6 / (2 * math.pi * corner_hz)
 
 
-_FASTEST_HZ = 1e6
-
-
 def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
     """Return the cost of each effect of the pixel."""
     return [
@@ -127,9 +130,7 @@ def _low_pass(p: SensorParameters, scene: Probe) -> Decision | None:
     lag_us = tau_us(p, least_current(p, scene))
     if p.photoreceptor == "circuit":
         return Decision("low-pass", "longest time constant; of the circuit, kept", lag_us, None, choice=False)
-    limits_noise = p.noise.rms and math.isinf(fixed_corner_hz(p))
-    noise: dict[str, Any] = {"noise": {"corner_hz": min(p.corner_max_hz, _FASTEST_HZ)}} if limits_noise else {}
-    return Decision("low-pass", "longest time constant", lag_us, None, {**noise, "corner_hz_at_reference": math.inf})
+    return Decision("low-pass", "longest time constant", lag_us, None, {"corner_hz_at_reference": math.inf})
 
 
 def _bandwidth(p: SensorParameters, scene: Probe) -> Decision | None:

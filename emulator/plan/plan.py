@@ -36,6 +36,8 @@ darkest active light.
     dead pixels         their events                                       less than delta of the pixels
     radiation, dose     its events                                         less than delta of the stream
 
+Noise without a low-pass fires a hundred times as often, without leak a quarter less: where noise is kept, so is all on
+which its rate depends.
 Mismatch and leak soon change the sequences of events: they are dropped only where the run tolerates that. Effects that
 the rig has switched off are not modelled and have no bound.
 """
@@ -45,7 +47,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from emulator.plan.costs import Decision, Tolerance, chip_costs, lens_costs, pixel_costs
+from emulator.plan.costs import SHAPES_NOISE, Decision, Tolerance, chip_costs, lens_costs, pixel_costs
 from emulator.plan.scene_probe import Probe
 from emulator.plan.step_control import Limits
 from emulator.rig.kinds import SCENES
@@ -58,7 +60,10 @@ __all__ = ["Decision", "Plan", "Steps", "Tolerance", "decide", "limits", "make_p
 def decide(sensor: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision]:
     """Return a decision for each effect that `sensor` has switched on."""
     costs = [*pixel_costs(sensor, scene, tolerance), *chip_costs(sensor, scene, tolerance)]
-    return [_judge(cost, tolerance) for cost in costs if cost is not None]
+    decisions = [_judge(cost, tolerance) for cost in costs if cost is not None]
+    if any(decision.effect == "noise" and decision.kept for decision in decisions):
+        return [_kept_with_noise(decision) for decision in decisions]
+    return decisions
 
 
 def without(sensor: SensorParameters, decisions: list[Decision]) -> SensorParameters:
@@ -79,6 +84,14 @@ def _judge(cost: Decision, tolerance: Tolerance) -> Decision:
     too_late = cost.cost_us is not None and not cost.cost_us < tolerance.eps_us
     too_many = cost.cost_share is not None and not cost.cost_share < tolerance.wrong_share
     return dataclasses.replace(cost, kept=too_late or too_many)
+
+
+def _kept_with_noise(decision: Decision) -> Decision:
+    if decision.kept or decision.effect not in SHAPES_NOISE:
+        return decision
+    return dataclasses.replace(
+        decision, bound=f"{decision.bound}; kept with the noise, whose rate depends on it", kept=True
+    )
 
 
 _LINE, _HERMITE = 2, 4  # orders of the two interpolations

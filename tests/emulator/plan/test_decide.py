@@ -8,7 +8,7 @@ import pytest
 
 from emulator.optics.lens import LensParameters
 from emulator.plan import costs
-from emulator.plan.costs import EFFECTS, lens_costs
+from emulator.plan.costs import EFFECTS, SHAPES_NOISE, lens_costs
 from emulator.plan.plan import Tolerance, decide, without
 from emulator.plan.scene_probe import Probe
 from emulator.sensor.noise.law import still_hz
@@ -60,6 +60,7 @@ SENSOR = dataclasses.replace(
     comparator=ComparatorParameters(on_us=0.03, off_us=53.0),
     reset=ResetParameters(offset=0.01, noise=0.002, at_acknowledge=True),
 )
+WITHOUT_NOISE = dataclasses.replace(SENSOR, noise=NoiseParameters())
 ALL = {
     "low-pass",
     "bandwidth following the light",
@@ -124,11 +125,25 @@ def test_nothing_is_dropped_without_tolerance_and_everything_with_much():
 
 @pytest.mark.parametrize("effect", sorted(ALL))
 def test_a_cost_is_compared_with_the_tolerance(effect):
-    cost = decisions(1.0)[effect]
+    sensor = WITHOUT_NOISE if effect in SHAPES_NOISE else SENSOR  # what noise depends on is kept with it
+    cost = decisions(1.0, sensor=sensor)[effect]
     eps_us = cost.cost_us if cost.cost_us is not None else 1.0
     share = cost.cost_share if cost.cost_share is not None else 0.5
-    assert decisions(eps_us * 0.99, share * 0.99)[effect].kept
-    assert not decisions(eps_us * 1.01, min(share * 1.01, 1e9))[effect].kept
+    assert decisions(eps_us * 0.99, share * 0.99, sensor)[effect].kept
+    assert not decisions(eps_us * 1.01, min(share * 1.01, 1e9), sensor)[effect].kept
+
+
+def test_what_the_rate_of_noise_depends_on_is_kept_with_it():
+    noisy = dataclasses.replace(SENSOR, noise=NoiseParameters(rms=0.08))
+    found = decisions(5000.0, 0.04, noisy, duration_s=1e-3)  # noise costs 4.3 % of the events
+    quiet = decisions(5000.0, 0.04, WITHOUT_NOISE, duration_s=1e-3)
+    dropped = {name for name, d in found.items() if not d.kept}
+    assert found["noise"].kept
+    assert {"source follower", "jitter", "leak spread"} <= dropped
+    assert not dropped & SHAPES_NOISE
+    assert {name for name in SHAPES_NOISE if quiet[name].kept} == {"high-pass"}
+    planned = without(noisy, list(found.values()))
+    assert still_hz(planned, 300.0) == pytest.approx(still_hz(noisy, 300.0), rel=1e-12)
 
 
 def test_dropping_takes_an_effect_out_of_the_sensor():
