@@ -32,10 +32,12 @@ import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import entry_of
 
 _SOURCES = ("emulator.scene.terrain", "emulator.photometry", "emulator.raster.layout", "emulator.sensor.numerics")
@@ -172,23 +174,24 @@ def build_pyramid(ground: Ground, sun_radii: Heights, sun: npt.NDArray[np.float6
     heights = np.empty(posts, np.float32)
     moments = np.zeros((posts + _BEYOND * (table[:, 2].max() + 1), MOMENTS), np.float16)
     finer_z, finer = np.empty((0, 0), np.float32), np.empty((0, 0, MOMENTS), np.float32)
+    pool = ThreadPool(available_threads())
     for level, (first, rows, columns) in enumerate(table[:, :3]):
         if level < ground.grids:
             z = ground.heights_m[level]
             albedo = (
                 np.ones((1, 1), np.float32) if ground.albedo is None else ground.albedo[level] / ground.albedo.max()
             )
-            north, east = np.gradient(z, ground.post_m(level))
-            posts_moments = _own(north, east, sun_radii[level], albedo, sun)
+            posts_moments = _moments_at_posts(z, ground.post_m(level), sun_radii[level], albedo, sun, pool)
             if level:
                 top, left = ((n - 1) // 4 for n in ground.shape)
                 inner = posts_moments[top:, left:][: (len(finer) + 1) // 2, : (finer.shape[1] + 1) // 2]
-                inner[1:-1, 1:-1] = _coarsened(finer)[1:-1, 1:-1]
+                inner[1:-1, 1:-1] = _coarsened(finer, pool)[1:-1, 1:-1]
         else:
-            z, posts_moments = finer_z[_evens(len(finer_z))][:, _evens(finer_z.shape[1])], _coarsened(finer)
+            z, posts_moments = finer_z[_evens(len(finer_z))][:, _evens(finer_z.shape[1])], _coarsened(finer, pool)
         heights[first : first + rows * columns] = z.ravel()
-        moments[first : first + rows * columns] = posts_moments.reshape(-1, MOMENTS)
+        _store(posts_moments.reshape(-1, MOMENTS), moments[first : first + rows * columns], pool)
         finer_z, finer = z, posts_moments
+    pool.close()
     return Pyramid(heights, moments.reshape(-1).view(np.uint16), table)
 
 
@@ -223,20 +226,50 @@ def share_above(radii: float) -> float:
 
 _FIT = np.array([-0.125, 0.25, 0.75, 0.25, -0.125], np.float32)
 _LIT = 6  # moments that light weights: the first ones
+_BAND = 64  # rows that a thread takes at a time
+
+
+def _moments_at_posts(
+    z: Heights, post_m: float, sun_radii: Heights, albedo: Heights, sun: npt.NDArray[np.float64], pool: ThreadPool
+) -> _Moments:
+    """Return the moments of a grid's posts, (rows, columns, MOMENTS); an albedo of one post is that of all."""
+    north, east = (np.asarray(slope, np.float32) for slope in np.gradient(z, post_m))
+    out = np.zeros((*z.shape, MOMENTS), np.float32)
+    out[:, :, P], out[:, :, Q] = east, north
+    light = _PostLight(north, east, sun_radii, albedo, sun)
+    pool.each(lambda band, _: _add_light(light, _BAND * band, _BAND * (band + 1), out), -(-len(z) // _BAND))
+    return out
+
+
+def _store(moments: _Moments, out: npt.NDArray[np.float16], pool: ThreadPool) -> None:
+    """Write moments, (posts, MOMENTS), as 16-bit floats."""
+    part = -(-len(moments) // pool.threads)
+
+    def write(k: int, _: int) -> None:
+        out[k * part : (k + 1) * part] = moments[k * part : (k + 1) * part]
+
+    pool.each(write, pool.threads)
+
+
+class _PostLight(NamedTuple):
+    """Slopes of a grid's posts, heights of the Sun in its radii, albedo (one: that of all), and the Sun's direction."""
+
+    north: Heights
+    east: Heights
+    sun_radii: Heights
+    albedo: Heights
+    sun: npt.NDArray[np.float64]
 
 
 @map_entry
-def _own(north: Heights, east: Heights, sun_radii: Heights, albedo: Heights, sun: npt.NDArray[np.float64]) -> _Moments:
-    """Return the moments of a grid's posts, (rows, columns, MOMENTS), from light at the posts and half way between.
-
-    `north` and `east` are the slopes, an albedo of one post is that of all.
-    """
+def _add_light(of: _PostLight, first: int, end: int, out: _Moments) -> None:
+    """Write the moments that light weights, of the rows from `first` to before `end`, from light there and between."""
+    north, east, sun_radii, albedo, sun = of
     rows, columns = north.shape
-    out = np.zeros((rows, columns, MOMENTS), np.float32)
-    out[:, :, P], out[:, :, Q] = east, north
+    end = min(end, rows)
     posts, light = np.ones((4, columns), np.float32), np.empty((2, _LIT, columns + 1), np.float32)
     fitted = np.empty((_LIT, columns), np.float32)
-    for line in range(-2, 2 * rows + 1):  # two lines a row; beyond the border the first and the last one go on
+    for line in range(2 * first - 2, 2 * end + 1):  # two a row; beyond the border the first and the last one go on
         i = min(max(line, 0), 2 * rows - 2) // 2
         below = i if line < 0 else min(i + line % 2, rows - 1)
         for j in range(columns):
@@ -247,12 +280,11 @@ def _own(north: Heights, east: Heights, sun_radii: Heights, albedo: Heights, sun
                 posts[3, j] = np.float32(0.5) * (albedo[i, j] + albedo[below, j])
         _write_light(posts, sun, light)
         _fit(light, fitted)
-        for row in range(max((line - 1) // 2, 0), min((line + 2) // 2, rows - 1) + 1):
+        for row in range(max((line - 1) // 2, first), min((line + 2) // 2, end - 1) + 1):
             weight = _FIT[line - 2 * row + 2]
             for j in range(columns):
                 for k in range(_LIT):
                     out[row, j, k] += weight * fitted[k, j]
-    return out
 
 
 @map_entry
@@ -285,10 +317,28 @@ def _fit(light: _Moments, out: _Moments) -> None:
             )
 
 
-def _coarsened(fine: _Moments) -> _Moments:
+def _coarsened(fine: _Moments, pool: ThreadPool) -> _Moments:
     """Return the moments of the posts of the next level, filtered along both axes."""
-    for axis, posts in enumerate(fine.shape[:2]):
-        middle = 2 * np.arange(posts // 2 + 1)
-        parts = (w * fine.take(np.clip(middle + k - 2, 0, posts - 1), axis) for k, w in enumerate(_FIT))
-        fine = np.asarray(sum(parts), np.float32)
-    return fine
+    out = np.empty((len(fine) // 2 + 1, fine.shape[1] // 2 + 1, MOMENTS), np.float32)
+    pool.each(lambda band, _: _coarsen(fine, _BAND * band, _BAND * (band + 1), out), -(-len(out) // _BAND))
+    return out
+
+
+@map_entry
+def _coarsen(fine: _Moments, first: int, end: int, out: _Moments) -> None:
+    """Write the rows of the next level from `first` to before `end`; beyond the border the last posts go on."""
+    rows, columns = fine.shape[:2]
+    line = np.empty((columns, MOMENTS), np.float32)
+    for i in range(first, min(end, len(out))):
+        line[:] = 0.0
+        for k in range(len(_FIT)):  # along the rows' axis first: one line is then filtered along the other
+            row = min(max(2 * i + k - 2, 0), rows - 1)
+            for j in range(columns):
+                for m in range(MOMENTS):
+                    line[j, m] += _FIT[k] * fine[row, j, m]
+        for j in range(out.shape[1]):
+            out[i, j] = 0.0
+            for k in range(len(_FIT)):
+                column = min(max(2 * j + k - 2, 0), columns - 1)
+                for m in range(MOMENTS):
+                    out[i, j, m] += _FIT[k] * line[column, m]

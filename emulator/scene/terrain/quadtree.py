@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.terrain.ground import Ground, entry, map_entry
+from emulator.scene.terrain.ground import Ground, Heights, entry, map_entry
 
 BLOCK = 8
 LEAST_REACH = 80.0
@@ -145,7 +145,7 @@ def _bounds(ground: Ground) -> list[tuple[Floats, Floats]]:
     """Return the lowest and highest post of each block, level by level, with those of finer levels within."""
     levels: list[tuple[Floats, Floats]] = []
     for grid in range(ground.grids):
-        low, high = (_over_blocks(ground.heights_m[grid].astype(np.float64), f) for f in (np.minimum, np.maximum))
+        low, high = (_over_blocks(ground.heights_m[grid], f) for f in (np.minimum, np.maximum))
         if levels:
             _take_finer(ground, low, levels[-1][0], np.minimum)
             _take_finer(ground, high, levels[-1][1], np.maximum)
@@ -156,13 +156,13 @@ def _bounds(ground: Ground) -> list[tuple[Floats, Floats]]:
     return levels
 
 
-def _over_blocks(heights: Floats, extreme: np.ufunc) -> Floats:
+def _over_blocks(heights: Heights, extreme: np.ufunc) -> Floats:
     """Return the extreme of the posts of each block, its last row and column with it."""
     rows, columns = (max(n - 1, 1) for n in heights.shape)
     shared = extreme(heights[:rows, :columns], heights[1:, :columns])
     shared = extreme(shared, extreme(heights[:rows, 1:], heights[1:, 1:]))
     by_rows = extreme.reduceat(shared, np.arange(0, rows, BLOCK), axis=0)
-    return np.asarray(extreme.reduceat(by_rows, np.arange(0, columns, BLOCK), axis=1))
+    return np.asarray(extreme.reduceat(by_rows, np.arange(0, columns, BLOCK), axis=1), np.float64)
 
 
 def _take_finer(ground: Ground, coarse: Floats, finer: Floats, extreme: np.ufunc) -> None:

@@ -8,6 +8,7 @@ import pytest
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
+from emulator.scene.terrain import ground as of_ground
 from emulator.scene.terrain.ground import MOMENTS, build_pyramid
 from emulator.scene.terrain.pixel_hits import Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
@@ -263,6 +264,19 @@ def test_levels_have_the_ground_s_heights_and_keep_means():
         if level >= ground.grids:
             np.testing.assert_allclose(inner.mean(axis=(0, 1)), coarser, atol=0.02)
         coarser = inner.mean(axis=(0, 1))
+
+
+def test_moments_do_not_depend_on_bands_and_threads(monkeypatch):
+    ridge = make_ridge(RIDGE)
+    rng = np.random.default_rng(5)
+    albedo = rng.uniform(0.1, 1.0, ridge.heights_m.shape).astype(np.float32)
+    uneven = dataclasses.replace(ridge, albedo=albedo)
+    radii = rng.normal(0.0, 1.0, ridge.heights_m.shape).astype(np.float32)
+    sun = np.array([0.6, 0.0, 0.8])
+    at_once = build_pyramid(uneven, radii, sun, ridge.grids + 3).moments
+    monkeypatch.setattr(of_ground, "_BAND", 5)
+    monkeypatch.setattr(of_ground, "available_threads", lambda: 3)
+    np.testing.assert_array_equal(build_pyramid(uneven, radii, sun, ridge.grids + 3).moments, at_once)
 
 
 def test_light_of_a_plane_is_its_law_of_reflection(tmp_path):
