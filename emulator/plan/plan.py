@@ -61,9 +61,9 @@ def decide(sensor: SensorParameters, scene: Probe, tolerance: Tolerance) -> list
     """Return a decision for each effect that `sensor` has switched on."""
     costs = [*pixel_costs(sensor, scene, tolerance), *chip_costs(sensor, scene, tolerance)]
     decisions = [_judge(cost, tolerance) for cost in costs if cost is not None]
-    if any(decision.effect == "noise" and decision.kept for decision in decisions):
-        return [_kept_with_noise(decision) for decision in decisions]
-    return decisions
+    if not any(decision.effect == "noise" and decision.kept for decision in decisions):
+        return decisions
+    return [_kept_with_noise(decision) for decision in decisions]
 
 
 def without(sensor: SensorParameters, decisions: list[Decision]) -> SensorParameters:
@@ -89,9 +89,8 @@ def _judge(cost: Decision, tolerance: Tolerance) -> Decision:
 def _kept_with_noise(decision: Decision) -> Decision:
     if decision.kept or decision.effect not in SHAPES_NOISE:
         return decision
-    return dataclasses.replace(
-        decision, bound=f"{decision.bound}; kept with the noise, whose rate depends on it", kept=True
-    )
+    bound = f"{decision.bound}; kept with the noise, whose rate depends on it"
+    return dataclasses.replace(decision, bound=bound, kept=True)
 
 
 _LINE, _HERMITE = 2, 4  # orders of the two interpolations
@@ -158,14 +157,17 @@ def limits(rig: Rig) -> Limits:
 
 
 def _steps(rig: Rig, probe: Probe) -> Steps:
-    wanted_us, order = rig.run.tolerance_us, _order(rig)
-    if not wanted_us:
+    tolerance_us, order = rig.run.tolerance_us, _HERMITE if rig.run.method == "hermite" else _LINE
+    error_us = probe.hermite_error_us if order == _HERMITE else probe.line_error_us
+    if not tolerance_us:
         step_us = float(rig.run.step_us)
-        error_us = _error(step_us, probe, order)
-        return Steps(False, step_us, error_us, "pinned by the rig", _step_for(max(error_us, 0.01), probe, 2))
+        pinned_us = _error(step_us, error_us, probe, order)
+        line_us = _step_for(max(pinned_us, 0.01), probe.line_error_us, probe, _LINE)
+        return Steps(False, step_us, pinned_us, "pinned by the rig", line_us)
     allowed = limits(rig)
-    by_error_us = _step_for(wanted_us, probe, order)
-    by_slips_us = _step_for_slips(allowed.slips, probe, order)
+    slips = probe.hermite_slips if order == _HERMITE else probe.line_slips
+    by_error_us = _step_for(tolerance_us, error_us, probe, order)
+    by_slips_us = _step_for(allowed.slips, slips, probe, order)
     shortest_us, longest_us = allowed.shortest_ns / 1000, allowed.longest_ns / 1000
     needed_us = min(by_error_us, by_slips_us)
     bound = "the tolerance" if by_error_us <= by_slips_us else "the wrong events, where light turns"
@@ -174,32 +176,15 @@ def _steps(rig: Rig, probe: Probe) -> Steps:
     if needed_us < shortest_us:
         bound = f"the shortest step: the tolerance would need {needed_us:.2g} us, and cannot be kept"
     step_us = min(max(needed_us, shortest_us), longest_us)
-    return Steps(True, step_us, _error(step_us, probe, order), bound, _step_for(wanted_us, probe, 2))
+    line_us = _step_for(tolerance_us, probe.line_error_us, probe, _LINE)
+    return Steps(True, step_us, _error(step_us, error_us, probe, order), bound, line_us)
 
 
-def _order(rig: Rig) -> int:
-    """Return the power of the step to which the error is proportional."""
-    return _HERMITE if rig.run.method == "hermite" else _LINE
+def _error(step_us: float, probed: float, probe: Probe, order: int) -> float:
+    """Return the error at another step than the probe's, where it is `probed`."""
+    return float(probed * (step_us * 1e-6 / probe.step_s) ** order)
 
 
-def _probed_us(probe: Probe, order: int) -> float:
-    return probe.hermite_error_us if order == _HERMITE else probe.line_error_us
-
-
-def _error(step_us: float, probe: Probe, order: int) -> float:
-    """Return the error at another step than the probe's, us."""
-    return float(_probed_us(probe, order) * (step_us * 1e-6 / probe.step_s) ** order)
-
-
-def _step_for(wanted_us: float, probe: Probe, order: int) -> float:
-    """Return the step, us, that makes an error of `wanted_us`; at most a second."""
-    error_us = _probed_us(probe, order)
-    if error_us <= 0:
-        return 1e6
-    return min(1e6, probe.step_s * 1e6 * float((wanted_us / error_us) ** (1 / order)))
-
-
-def _step_for_slips(tolerated: float, probe: Probe, order: int) -> float:
-    """Return the step, us, with that number of slips per event; at most a second."""
-    slips = probe.hermite_slips if order == _HERMITE else probe.line_slips
-    return min(1e6, probe.step_s * 1e6 * float((tolerated / slips) ** (1 / order))) if slips > 0 else 1e6
+def _step_for(error: float, probed: float, probe: Probe, order: int) -> float:
+    """Return the step, us, that makes this error where the probe's makes `probed`; at most a second."""
+    return min(1e6, probe.step_s * 1e6 * float((error / probed) ** (1 / order))) if probed > 0 else 1e6

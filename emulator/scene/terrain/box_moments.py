@@ -65,18 +65,6 @@ def _product_sum(builder: ir.IRBuilder, a: Any, b: Any, c: Any) -> Any:
     return builder.fadd(builder.fmul(a, b, flags=_FUSED), c, flags=_FUSED)
 
 
-@_intrinsic
-def half_at(context: Any, moments: Any, place: Any) -> Any:
-    """Return a number of an array of 16-bit floats, given as uint16."""
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-        data = _make_array(signature.args[0])(context, builder, arguments[0]).data
-        half = builder.load(builder.bitcast(builder.gep(data, [arguments[1]]), _HALF.as_pointer()), align=2)
-        return builder.fpext(half, _FLOAT)
-
-    return _types.float32(moments, _types.int64), generate
-
-
 def _adding(moments: Any, sums: Any, numbers: int) -> tuple[Any, Any]:
     """Return signature and generator of an intrinsic that adds the means over a box of so many `numbers` to `sums`."""
 

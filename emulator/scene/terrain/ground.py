@@ -32,7 +32,6 @@ import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +48,7 @@ map_entry = entry_of(*_SOURCES, error_model="python")
 """Compile a loop over a map, which may allocate; a division by zero raises."""
 
 Heights = npt.NDArray[np.float32]
+Vector = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class Pyramid:
         return dataclasses.replace(ground, heights_m=self.heights[: math.prod(shape)].reshape(shape))
 
 
-def build_pyramid(ground: Ground, sun_radii: Heights, sun: npt.NDArray[np.float64], levels: int) -> Pyramid:
+def build_pyramid(ground: Ground, sun_radii: Heights, sun: Vector, levels: int) -> Pyramid:
     """Return `levels` levels of `ground`, in the light of `sun`, (3,) unit, towards it.
 
     `sun_radii`, (grids, rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
@@ -174,24 +174,20 @@ def build_pyramid(ground: Ground, sun_radii: Heights, sun: npt.NDArray[np.float6
     heights = np.empty(posts, np.float32)
     moments = np.zeros((posts + _BEYOND * (table[:, 2].max() + 1), MOMENTS), np.float16)
     finer_z, finer = np.empty((0, 0), np.float32), np.empty((0, 0, MOMENTS), np.float32)
-    pool = ThreadPool(available_threads())
     for level, (first, rows, columns) in enumerate(table[:, :3]):
         if level < ground.grids:
             z = ground.heights_m[level]
-            albedo = (
-                np.ones((1, 1), np.float32) if ground.albedo is None else ground.albedo[level] / ground.albedo.max()
-            )
-            posts_moments = _moments_at_posts(z, ground.post_m(level), sun_radii[level], albedo, sun, pool)
+            albedo = np.ones((), np.float32) if ground.albedo is None else ground.albedo[level] / ground.albedo.max()
+            posts_moments = _moments_at_posts(z, ground.post_m(level), sun_radii[level], albedo, sun)
             if level:
                 top, left = ((n - 1) // 4 for n in ground.shape)
                 inner = posts_moments[top:, left:][: (len(finer) + 1) // 2, : (finer.shape[1] + 1) // 2]
-                inner[1:-1, 1:-1] = _coarsened(finer, pool)[1:-1, 1:-1]
+                inner[1:-1, 1:-1] = _coarsened(finer)[1:-1, 1:-1]
         else:
-            z, posts_moments = finer_z[_evens(len(finer_z))][:, _evens(finer_z.shape[1])], _coarsened(finer, pool)
+            z, posts_moments = finer_z[_evens(len(finer_z))][:, _evens(finer_z.shape[1])], _coarsened(finer)
         heights[first : first + rows * columns] = z.ravel()
-        _store(posts_moments.reshape(-1, MOMENTS), moments[first : first + rows * columns], pool)
+        moments[first : first + rows * columns] = posts_moments.reshape(-1, MOMENTS)
         finer_z, finer = z, posts_moments
-    pool.close()
     return Pyramid(heights, moments.reshape(-1).view(np.uint16), table)
 
 
@@ -229,55 +225,31 @@ _LIT = 6  # moments that light weights: the first ones
 _BAND = 64  # rows that a thread takes at a time
 
 
-def _moments_at_posts(
-    z: Heights, post_m: float, sun_radii: Heights, albedo: Heights, sun: npt.NDArray[np.float64], pool: ThreadPool
-) -> _Moments:
-    """Return the moments of a grid's posts, (rows, columns, MOMENTS); an albedo of one post is that of all."""
-    north, east = (np.asarray(slope, np.float32) for slope in np.gradient(z, post_m))
-    out = np.zeros((*z.shape, MOMENTS), np.float32)
+def _moments_at_posts(z: Heights, post_m: float, sun_radii: Heights, albedo: Heights, sun: Vector) -> _Moments:
+    """Return the moments of a grid's posts, (rows, columns, MOMENTS)."""
+    north, east = np.gradient(z, post_m)
+    fields = np.stack(np.broadcast_arrays(east, north, sun_radii, albedo))
+    out, pool = np.zeros((*z.shape, MOMENTS), np.float32), ThreadPool(available_threads())
     out[:, :, P], out[:, :, Q] = east, north
-    light = _PostLight(north, east, sun_radii, albedo, sun)
-    pool.each(lambda band, _: _add_light(light, _BAND * band, _BAND * (band + 1), out), -(-len(z) // _BAND))
+    pool.each(lambda band, _: _add_light(fields, sun, _BAND * band, _BAND * (band + 1), out), -(-len(z) // _BAND))
+    pool.close()
     return out
 
 
-def _store(moments: _Moments, out: npt.NDArray[np.float16], pool: ThreadPool) -> None:
-    """Write moments, (posts, MOMENTS), as 16-bit floats."""
-    part = -(-len(moments) // pool.threads)
-
-    def write(k: int, _: int) -> None:
-        out[k * part : (k + 1) * part] = moments[k * part : (k + 1) * part]
-
-    pool.each(write, pool.threads)
-
-
-class _PostLight(NamedTuple):
-    """Slopes of a grid's posts, heights of the Sun in its radii, albedo (one: that of all), and the Sun's direction."""
-
-    north: Heights
-    east: Heights
-    sun_radii: Heights
-    albedo: Heights
-    sun: npt.NDArray[np.float64]
-
-
 @map_entry
-def _add_light(of: _PostLight, first: int, end: int, out: _Moments) -> None:
-    """Write the moments that light weights, of the rows from `first` to before `end`, from light there and between."""
-    north, east, sun_radii, albedo, sun = of
-    rows, columns = north.shape
+def _add_light(fields: Heights, sun: Vector, first: int, end: int, out: _Moments) -> None:
+    """Write the moments that light weights, of the rows from `first` to before `end`, from light there and between.
+
+    `fields` are slopes to the east and north, the height of the Sun in its radii, and albedo, (4, rows, columns).
+    """
+    rows, columns = fields.shape[1:]
     end = min(end, rows)
-    posts, light = np.ones((4, columns), np.float32), np.empty((2, _LIT, columns + 1), np.float32)
+    posts, light = np.empty((4, columns), np.float32), np.empty((2, _LIT, columns + 1), np.float32)
     fitted = np.empty((_LIT, columns), np.float32)
     for line in range(2 * first - 2, 2 * end + 1):  # two a row; beyond the border the first and the last one go on
         i = min(max(line, 0), 2 * rows - 2) // 2
         below = i if line < 0 else min(i + line % 2, rows - 1)
-        for j in range(columns):
-            posts[0, j] = np.float32(0.5) * (east[i, j] + east[below, j])
-            posts[1, j] = np.float32(0.5) * (north[i, j] + north[below, j])
-            posts[2, j] = np.float32(0.5) * (sun_radii[i, j] + sun_radii[below, j])
-            if albedo.size > 1:
-                posts[3, j] = np.float32(0.5) * (albedo[i, j] + albedo[below, j])
+        posts[:] = np.float32(0.5) * (fields[:, i] + fields[:, below])
         _write_light(posts, sun, light)
         _fit(light, fitted)
         for row in range(max((line - 1) // 2, first), min((line + 2) // 2, end - 1) + 1):
@@ -288,7 +260,7 @@ def _add_light(of: _PostLight, first: int, end: int, out: _Moments) -> None:
 
 
 @map_entry
-def _write_light(posts: Heights, sun: npt.NDArray[np.float64], out: _Moments) -> None:
+def _write_light(posts: Heights, sun: Vector, out: _Moments) -> None:
     """Write b and its moments on a line, at the posts and half way to the next, (2, moments, posts)."""
     last = posts.shape[1] - 1
     for j in range(last + 1):
@@ -317,28 +289,18 @@ def _fit(light: _Moments, out: _Moments) -> None:
             )
 
 
-def _coarsened(fine: _Moments, pool: ThreadPool) -> _Moments:
-    """Return the moments of the posts of the next level, filtered along both axes."""
-    out = np.empty((len(fine) // 2 + 1, fine.shape[1] // 2 + 1, MOMENTS), np.float32)
-    pool.each(lambda band, _: _coarsen(fine, _BAND * band, _BAND * (band + 1), out), -(-len(out) // _BAND))
-    return out
-
-
 @map_entry
-def _coarsen(fine: _Moments, first: int, end: int, out: _Moments) -> None:
-    """Write the rows of the next level from `first` to before `end`; beyond the border the last posts go on."""
+def _coarsened(fine: _Moments) -> _Moments:
+    """Return the moments of the posts of the next level, filtered along both axes."""
     rows, columns = fine.shape[:2]
+    out = np.zeros((rows // 2 + 1, columns // 2 + 1, MOMENTS), np.float32)
     line = np.empty((columns, MOMENTS), np.float32)
-    for i in range(first, min(end, len(out))):
+    for i in range(len(out)):
         line[:] = 0.0
-        for k in range(len(_FIT)):  # along the rows' axis first: one line is then filtered along the other
-            row = min(max(2 * i + k - 2, 0), rows - 1)
-            for j in range(columns):
-                for m in range(MOMENTS):
-                    line[j, m] += _FIT[k] * fine[row, j, m]
+        for k in range(len(_FIT)):  # along the first axis; the line is then filtered along the other
+            line += _FIT[k] * fine[min(max(2 * i + k - 2, 0), rows - 1)]
         for j in range(out.shape[1]):
-            out[i, j] = 0.0
             for k in range(len(_FIT)):
-                column = min(max(2 * j + k - 2, 0), columns - 1)
                 for m in range(MOMENTS):
-                    out[i, j, m] += _FIT[k] * line[column, m]
+                    out[i, j, m] += _FIT[k] * line[min(max(2 * j + k - 2, 0), columns - 1), m]
+    return out

@@ -6,7 +6,7 @@ from numba import njit
 from scipy.interpolate import RegularGridInterpolator
 
 from emulator.scene.terrain import tile
-from emulator.scene.terrain.box_moments import add_box, add_box_and_rate, half_at
+from emulator.scene.terrain.box_moments import add_box, add_box_and_rate
 from emulator.scene.terrain.ground import MOMENTS
 from emulator.scene.terrain.pixel_boxes import box_means, footprints
 from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, level_for
@@ -76,16 +76,6 @@ def test_the_rate_of_a_mean_is_its_change_as_the_box_moves(posts, half_x, move):
     rate = (later - before) / (2 * moment_s)
     np.testing.assert_allclose(sums[RATES + MOMENTS :], rate, atol=2e-3 * np.abs(move).max())
     assert not sums[2 * MOMENTS : RATES + MOMENTS].any()
-
-
-@njit
-def halves(values):
-    return [half_at(values, k) for k in range(len(values))]
-
-
-def test_numbers_of_16_bits_are_read_exactly():
-    values = np.array([0.0, 1.0, -2.5, 6e-8, 65504.0, 0.1], np.float16)
-    np.testing.assert_array_equal(halves(values.view(np.uint16)), values.astype(np.float32))
 
 
 def with_corners(corners):
