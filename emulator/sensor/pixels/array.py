@@ -35,8 +35,6 @@ from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
 
-__all__ = ["PixelArray"]
-
 _EPOCH_NS = 1 << layout.EPOCH_BITS
 _LONG_AGO_NS = 1 << 40
 _CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made

@@ -37,6 +37,8 @@ _Int64s = npt.NDArray[np.int64]
 _U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL, _ = (int(f) * BLOCK for f in Field)
 # Of a certificate.
 _CERTIFIED = 1.5  # its bound, over the hazard's
+_STEPS_AHEAD = (4.5, 2.5, 1.5)  # in which the signal comes to its limits, the longest first ...
+_MOST_AHEAD = 2.0  # ... and points that are expected below the bound then, at most
 _LEAST_SETTLED = 0.75  # deviations of a limit, once the noise has forgotten its reset: the bound holds from there on
 _REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
 _SLOW, _FASTER = 0.3, 2.0  # least speed of a certificate, in units of the noise's own; its speed over the present one
@@ -80,8 +82,8 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     """Write the certificate of a pixel at the end of the step.
 
     `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s;
-    `moving` the speed of the value without leak, a second. A pixel that rests gets a longer certificate with narrower
-    limits, so that its whole block can rest; one that moves needs none for long after it will have left the limits.
+    `moving` the speed of the value without leak, a second. A pixel that rests gets narrow limits for long, so
+    that its block can rest; one that moves, limits that it reaches in some steps, where few points are below the bound.
     """
     at, a, fields = slot(pixel), passage.state_of(pixels, pixel, c), pixels.fields
     rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + passage.SCALE])
@@ -103,6 +105,12 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     least = FARTHEST if c.high_rate == 0 and min(c_on, c_off) > _AMPLE else nearest
     on_hz, off_hz = passage.bound_of(c_on, nu, noise), passage.bound_of(c_off, nu, noise)
     bound_hz = max(_CERTIFIED * (on_hz + off_hz), _REVISITS / c.h if moves else _RESTS_HZ)
+    for steps in _STEPS_AHEAD:  # a pixel that moves would leave narrow limits at once
+        c_ahead = (c_on if moving > 0 else c_off) - steps * c.h * abs(moving) / noise.sigma
+        ahead_hz = passage.bound_of(c_ahead, nu, noise) + (off_hz if moving > 0 else on_hz)
+        if c_ahead > nearest and ahead_hz * steps * c.h < _MOST_AHEAD:
+            bound_hz = max(bound_hz, ahead_hz)
+            break
     # Limits at which a threshold's hazard has come to what the other one, which is farther then, leaves of the bound.
     limit_on = max(math.sqrt(max(c_on * c_on - 2 * math.log((bound_hz - off_hz) / on_hz), 0.0)), least)
     limit_off = max(math.sqrt(max(c_off * c_off - 2 * math.log((bound_hz - on_hz) / off_hz), 0.0)), least)
@@ -160,9 +168,7 @@ def _solve_whole(pixels: Pixels, table: Table, j: int, keys: Keys, n_keys: int, 
         np.float64(rows[row.C_L1 + j]),
     )
     n_keys, fired, lost = passage.pass_piece(pixels, pixel, piece, keys, n_keys, NONE, c)
-    leaked = np.float64(rows[row.C_P1 + j]) if c.parasitic > _ZERO else 0.0
-    lit = np.float64(rows[row.C_LIT + j]) if c.parasitic > _ZERO else 0.0
-    _finish(pixels, pixel, piece, leaked, lit, fired, c)
+    _finish(pixels, pixel, piece, np.float64(rows[row.C_P1 + j]), np.float64(rows[row.C_LIT + j]), fired, c)
     return n_keys, lost
 
 

@@ -369,11 +369,6 @@ class Levels:
     def __init__(self, array: _Array) -> None:
         self._array = array
 
-    @property
-    def _pixels(self) -> Pixels:
-        state = self._array.state
-        return Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, state.memory)
-
     def _field(self, field: int, pixel: _Int64s) -> _Float32s:
         return np.asarray(self._array.state.fields.reshape(-1)[field_index(pixel, Field(field))])
 
@@ -394,6 +389,7 @@ class Levels:
     def fire(self, pixel: _Int64s) -> None:
         """Move the references of pixels (n,), each named once, by an ON event."""
         if len(pixel):
-            reset = self._array.parameters.reset
-            _fire(self._pixels, pixel, ResetError(np.float32(reset.offset), np.float32(reset.noise)))
+            state, reset = self._array.state, self._array.parameters.reset
+            pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, state.memory)
+            _fire(pixels, pixel, ResetError(np.float32(reset.offset), np.float32(reset.noise)))
             self._array.wake()

@@ -117,6 +117,7 @@ def passing(t_s):
         (LOUD, sine(0.5, 2.0, 1.0), 1, 400, 1.1),
         (COLD, still(0.0), 50, 120, 200.0),  # many thresholds within 1.5 deviations, and noise of seconds
         (COLD, passing, 100, 120, 1.3),
+        (IMX, sine(0.15, 1.0), 20, 100, 2.3),  # it leaves narrow limits in each step
     ],
 )
 def test_certificates_do_not_matter(p, light, step_ms, steps, times):
