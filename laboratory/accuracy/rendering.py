@@ -296,7 +296,7 @@ def false_and_missed(scores: Scores) -> tuple[float, float]:
     total = max(scores.true_events, 1)
     wrong = scores.wrong_events * total if scores.true_events else scores.events
     more = scores.events - scores.true_events
-    return (wrong + more) / 2 / total, (wrong - more) / 2 / total
+    return max(wrong + more, 0.0) / 2 / total, max(wrong - more, 0.0) / 2 / total  # rounded, a 0 may be below 0
 
 
 def _compared(names: tuple[str, str], stream: Stream, truth: Stream, ms: float, step_ns: int) -> Drawn:

@@ -43,6 +43,8 @@ _DAVIS = dataclasses.replace(
     PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1, noise=NoiseParameters()
 )  # the sensor of all earlier measurements, for comparison: without its fixed pole and noise
 
+_WITHOUT_LEAK = dataclasses.replace(_DAVIS, leak_hz=0.0)
+
 _STEP_NS = 1_000_000
 _WARM_UP = 50
 _STEPS = 400
@@ -125,24 +127,22 @@ def firing(
 
 
 def _quiet(*, line: bool) -> float:
-    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0)
-    still = grating(parameters, 0.0, 0.0)
-    median_s, _ = _timed(PixelArray(parameters, 1, 1), lambda k: still, _STEPS, line=line)
-    return still[0].size / median_s / 1e6
+    at_rest = grating(_WITHOUT_LEAK, 0.0, 0.0)
+    median_s, _ = _timed(PixelArray(_WITHOUT_LEAK, 1, 1), lambda k: at_rest, _STEPS, line=line)
+    return at_rest[0].size / median_s / 1e6
 
 
-def pixel_changing() -> float:
-    """Return Mpixel/s of a step in which the light of all pixels changes and nothing fires, 346 x 260."""
-    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0)
+def pixel_changing(parameters: SensorParameters = _WITHOUT_LEAK) -> float:
+    """Return Mpixel/s of a step in which the light of all pixels changes and none fires by it, 346 x 260."""
     pictures = [grating(parameters, -1e-4 * k, 1e-4) for k in range(_WARM_UP + 100)]
     median_s, _ = _timed(PixelArray(parameters, 1, 1), lambda k: pictures[k % len(pictures)], 99, line=False)
     return pictures[0][0].size / median_s / 1e6
 
 
-def _still(changed: Region | None) -> float:
-    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0, width=1280, height=720)
+def still(changed: Region | None, parameters: SensorParameters = _WITHOUT_LEAK) -> float:
+    """Return Mpixel/s of a black light frame, 1280 x 720, of which the caller reports that part as changed."""
     black = np.zeros((720, 1280), np.float32)
-    array = PixelArray(parameters, 1, 1)
+    array = PixelArray(dataclasses.replace(parameters, width=1280, height=720), 1, 1)
     array.reset(LightFrame(0, black, black))
     seconds = []
     for k in range(1, _WARM_UP + _STEPS):
@@ -154,12 +154,12 @@ def _still(changed: Region | None) -> float:
 
 def pixel_still() -> float:
     """Return Mpixel/s of a black light frame that the caller reports as unchanged, 1280 x 720, nothing leaks."""
-    return _still(Region(0, 0, 0, 0))
+    return still(Region(0, 0, 0, 0))
 
 
 def pixel_still_compared() -> float:
     """Return Mpixel/s of the same light frame where it must be compared with the last one."""
-    return _still(None)
+    return still(None)
 
 
 @dataclasses.dataclass(frozen=True)
