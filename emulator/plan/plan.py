@@ -36,8 +36,8 @@ darkest active light.
     dead pixels         their events                                       less than delta of the pixels
     radiation, dose     its events                                         less than delta of the stream
 
-Noise without a low-pass fired 70 times as often, without leak a quarter less often (EVK4): where noise is kept, so is all
-on which its rate depends.
+Noise without a low-pass fired 70 times as often, without leak a quarter less often (EVK4): where noise is kept, so is
+all on which its rate depends.
 Mismatch and leak soon change the sequences of events: they are dropped only where the run tolerates that. Effects that
 the rig has switched off are not modelled and have no bound.
 """
