@@ -128,16 +128,14 @@ def _noise() -> None:
 
 
 def _step() -> None:
-    """Advance a few pixels by a step in which some fire, and some are refined; merge the events of two threads."""
+    """Advance a few pixels by a step in which some fire, and some are refined."""
     from emulator.sensor.pixels.array import PixelArray
-    from emulator.sensor.pixels.crossings import EventBuffers
 
     dark, bright = np.zeros((_HEIGHT, _WIDTH), np.float32), np.ones((_HEIGHT, _WIDTH), np.float32)
     pixels = PixelArray(_FEW, 0)
     pixels.reset(LightFrame(0, dark))
     everything = Region(0, _HEIGHT, 0, _WIDTH, np.array([[0, _HEIGHT, 0, _WIDTH]]))
     pixels.step(LightFrame(1_000_000, bright, dark, _lit, everything))
-    EventBuffers().add([np.zeros(1, np.uint64)] * 2, 0, 10, 0)
 
 
 def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:

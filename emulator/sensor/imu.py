@@ -118,11 +118,6 @@ ImuMotion = npt.NDArray[np.void]
 """An array of IMU_MOTION records, shape (n,), sorted by t."""
 
 
-def no_motion(n: int = 0) -> ImuMotion:
-    """Return an array of `n` zeroed records."""
-    return np.zeros(n, IMU_MOTION)
-
-
 STANDARD_GRAVITY_M_S2 = 9.80665
 """1 g: the unit of accelerometers, by definition (CGPM 1901)."""
 
@@ -174,7 +169,7 @@ class ImuUnit:
     def between(self, t0_ns: int, t1_ns: int) -> ImuMotion:
         """Return the samples after `t0_ns` and up to `t1_ns` of stream time, (n,) IMU_MOTION."""
         first, last = self._samples_until(t0_ns), self._samples_until(t1_ns)
-        motion = no_motion(last - first)
+        motion = np.zeros(last - first, IMU_MOTION)
         for k in range(first, last):
             self._sense(self._time_ns(k), motion[k - first : k - first + 1])
         errors = self._errors.at(first, last - first)

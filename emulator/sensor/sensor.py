@@ -30,7 +30,7 @@ from emulator.sensor.chip.sources import BackgroundEvents, Particles, hits_per_s
 from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, rms, still_hz
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, joined
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.passage import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
@@ -66,22 +66,9 @@ def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
     return pixels
 
 
-def make_jitter(p: SensorParameters, seed: int) -> Jitter | None:
-    """Return the delays of a sensor's events; None where there are none."""
-    return Jitter(p.jitter, seed, p.width * p.height) if p.jitter.latency_us else None
-
-
 def make_readout(p: SensorParameters) -> ReadOut:
     """Return the sensor's read-out, at rest."""
     return ScanReadOut(p) if p.readout.scan_us else ArbiterReadOut(p)
-
-
-def rest_of_delays(jitter: Jitter | None, late: Crossings) -> Crossings:
-    """Return the crossings that still wait in a delay, with `late` ones of after the last step, as they leave it."""
-    if jitter is None:
-        return late
-    begun = jitter.step(late, int(late.t_ns[-1]) + 1) if len(late) else late
-    return joined([begun, jitter.step(NO_CROSSINGS, jitter.last_ns() + 1)])
 
 
 def finished(readout: ReadOut, late: Crossings) -> Events:
@@ -244,7 +231,7 @@ class Sensor:
         self._dead = dead_pixels(p, defects)
         self._leaks = _leaks(self.pixels, p, seed, defects)
         self._sources = make_sources(p, seed, defects)
-        self._jitter = make_jitter(p, seed)
+        self._jitter = Jitter(p.jitter, seed, p.width * p.height) if p.jitter.latency_us else None
         self._readout = make_readout(p)
         self._dark = np.float32(at_reference.dark_current_relative)
         self._before, self._way = (np.empty((p.height, p.width), np.float32) for _ in range(2))
@@ -323,8 +310,6 @@ class Sensor:
         everything = Region(0, 16, 0, 16, np.array([[0, 16, 0, 16]]))
         flashed.expose(LightFrame(1_000_000, bright, dark, changed=everything))
         flashed.finish()
-        key = np.zeros(1, np.uint64)  # such a flash does not reach the merger of two threads' events
-        EventBuffers().add([key, key], 0, 10, 0)
 
     def reset(self, frame: LightFrame) -> None:
         """Start at rest on the light of `frame`, at its time; nothing is pending, all counters are zero."""
@@ -410,7 +395,10 @@ class Sensor:
     def _rest(self) -> Crossings:
         """Return the crossings that have not reached the read-out."""
         late = NO_CROSSINGS if self._kicks is None else self._of_live_pixels(self._kicks.rest())
-        return rest_of_delays(self._jitter, late)
+        if self._jitter is None:
+            return late
+        begun = self._jitter.step(late, int(late.t_ns[-1]) + 1) if len(late) else late
+        return joined([begun, self._jitter.step(NO_CROSSINGS, self._jitter.last_ns() + 1)])
 
     def _next_cut_ns(self) -> int:
         """Return the next time at which a step must end."""

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.hazard import Distance, Hazard, Noise, hazard, hazard_tables, noise_of, transition
-from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
+from emulator.sensor.noise.hazard import Distance, Noise, hazard, hazard_tables, noise_of, transition
+from emulator.sensor.numerics.compiled import cached_entry, kernel_that_allocates
 from emulator.sensor.presets import SensorParameters
 
 _Floats = npt.NDArray[np.float64]
@@ -66,13 +66,6 @@ def rms(p: SensorParameters, f_hz: npt.ArrayLike) -> _Floats:
     return np.asarray(p.noise.rms * np.sqrt(passed))
 
 
-@kernel
-def still_hazard(on: float, off: float, noise: Noise, tables: _Float32s) -> Hazard:
-    """Return the hazard of a pixel in still light, which has forgotten its reset, at distances from its thresholds."""
-    h: Hazard = hazard(_LONG_S, Distance(on, off, 0.0, 0.0), 0.0, 0.0, noise, tables)
-    return h
-
-
 class _Chain(NamedTuple):
     """Chain of a pixel's references, less the signal, on a grid: rates of its events and of its changes, Hz."""
 
@@ -108,7 +101,7 @@ def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tabl
     rates, on_hz = np.zeros((_LEVELS, _LEVELS)), np.empty(_LEVELS)
     off_hz = on_hz.copy()
     for i, level in enumerate(grid):
-        h = still_hazard(on + level, off - level, noise, tables)
+        h = hazard(_LONG_S, Distance(on + level, off - level, 0.0, 0.0), 0.0, 0.0, noise, tables)
         # The noise is at the reference at first, and comes near a threshold when it has decayed.
         decays = math.log(1 + max(min(h.c_on, h.c_off), 0.0) * abs(level) / noise.sigma)
         staying = 1 / (1 + (h.on + h.off) * (dead_s + decays / min(noise.a1, noise.a2)))

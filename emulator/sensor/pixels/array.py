@@ -31,7 +31,7 @@ from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
 from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import Field
-from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_parts, replace_light
+from emulator.sensor.pixels.step import Share, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
 
@@ -145,16 +145,16 @@ class PixelArray(PixelMethod):
         if name == "source_follower_hz" and before.noise.corner_hz:  # a pole of the same transistors
             corner_hz = min(before.noise.corner_hz * value / before.source_follower_hz, 1e6)
             after = dataclasses.replace(after, noise=dataclasses.replace(before.noise, corner_hz=corner_hz))
+        leak_hz = self.leak_hz()
         if name == "threshold_on":
             self._scale_threshold(Field.ON, after.threshold_on / before.threshold_on)
-            self._scale_leak(after.threshold_on / before.threshold_on)  # events a second stay as they were
+            self.set_leak(leak_hz)  # events a second stay as they were
         elif name == "threshold_off":
             self._scale_threshold(Field.OFF, after.threshold_off / before.threshold_off)
         elif name == "leak_hz" and before.leak_hz:
-            self._scale_leak(after.leak_hz / before.leak_hz)
+            self.set_leak(leak_hz * (after.leak_hz / before.leak_hz))
         elif name == "leak_hz":
-            pixels = layout.draw(after, self.seed)
-            self.set_leak(pixels.leak / pixels.on)
+            self.set_leak(layout.draw(after, self.seed).leak_hz)
         if bool(before.highpass_hz) != bool(after.highpass_hz):
             self._switch_high_pass(before, after)
         if name == "corner_max_hz":
@@ -185,14 +185,6 @@ class PixelArray(PixelMethod):
             unlimited = np.where(rate >= highest, c.rate_at_reference * np.exp(fields[:, Field.LOG_LIGHT]), rate)
         fields[:, Field.RATE] = np.clip(unlimited, c.rate_min, c.rate_max)
         slope *= rate / fields[:, Field.RATE]
-
-    def _scale_leak(self, ratio: float) -> None:
-        """Multiply the leak of all pixels; the reference moves, so that the comparators' levels stay."""
-        state = self.state
-        leak, since_epoch_s = state.fields[:, Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
-        change = leak * np.float32(ratio) - leak
-        state.fields[:, Field.REFERENCE] += change * since_epoch_s
-        leak += change
 
     def thresholds_of(self, pixel: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
@@ -351,17 +343,13 @@ class PixelArray(PixelMethod):
         state, n = self.state, 0
         self._replace_light()
         before, t0_ns = layout.take_field(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
-        while t_ns - state.t_ns > _EPOCH_NS:
-            share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
-            light = layout.FlatLight(self._between(before, flat, share), _NO_RATE)
-            n = self._advance(light, state.t_ns + _EPOCH_NS, n)
-        return n
-
-    def _between(self, log_before: _Float32s, light: _Float32s, share: float) -> _Float32s:
-        """Return the light at a share of the step, on a straight line in the logarithm of the photocurrent."""
         dark = np.float32(self.parameters.dark_current_relative)
-        log_after = np.log(np.maximum(light, 0) + dark)
-        return np.asarray(np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark, np.float32)
+        change = np.log(np.maximum(flat, 0) + dark) - before
+        while t_ns - state.t_ns > _EPOCH_NS:
+            share = np.float32((state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns))
+            light = np.exp(before + share * change) - dark
+            n = self._advance(layout.FlatLight(light, _NO_RATE), state.t_ns + _EPOCH_NS, n)
+        return n
 
     def _advance(
         self, frame: layout.FlatLight, t_ns: int, n: int, at: PixelLight | None = None, changed: Region | None = None
@@ -378,35 +366,38 @@ class PixelArray(PixelMethod):
             state.fields[:, Field.SLOPE] = np.nan
             self.wake()
         state.slopes_known = with_slopes
-        t0_ns = state.t_ns
-        pixels = self._flat_state()
+        t0_ns, pixels = state.t_ns, self._flat_state()
         c = self._constants(t0_ns, t_ns, not with_slopes)
         touched = self._touched(changed)
         if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
             share = Share(0, 1, self._workers.idle, touched)
             refinement = self._refinement or self._make_refinement()
             buffers.keys, n_keys, tally = refinement.step(frame, pixels, share, buffers.keys, c, at)
-            lists = [buffers.keys[:n_keys]]
-            lists[0].sort()
+            keys = buffers.keys[:n_keys]
+            keys.sort()
         else:
-            lists, tally = self._workers.step(frame, pixels, touched, c)
-        self._count(tally)
+            keys, tally = self._workers.step(frame, pixels, touched, c)
+        self.lost_in_pixel += tally.lost
+        self.undersampled += tally.undersampled
+        self.candidates += tally.candidates
+        self.quiet_nan += tally.unreadable
+        self.refined += tally.refined
         state.t_ns = t_ns
         if self._delays:
-            lists = self._switched(lists, t0_ns)
-        return buffers.add(lists, t0_ns, self._pixel_bits, n)
+            keys = self._switched(keys, t0_ns)
+        return buffers.add(keys, t0_ns, self._pixel_bits, n)
 
-    def _switched(self, lists: list[Keys], t0_ns: int) -> list[Keys]:
-        """Return the events whose comparator has switched by now, in one list; the others wait for a later step.
+    def _switched(self, keys: Keys, t0_ns: int) -> Keys:
+        """Return the events whose comparator has switched by now; the others wait for a later step.
 
-        Events of `lists` count from `t0_ns`. One that still waits when the stream ends has not happened.
+        Events of `keys` count from `t0_ns`. One that still waits when the stream ends has not happened.
         """
         state, shift = self.state, np.uint64(self._pixel_bits + 1)
-        keys = np.concatenate([*lists, state.late - (np.uint64(t0_ns - state.late_from_ns) << shift)])
+        keys = np.concatenate([keys, state.late - (np.uint64(t0_ns - state.late_from_ns) << shift)])
         keys.sort()
         n = int(np.searchsorted(keys, np.uint64(state.t_ns - t0_ns + 1) << shift))
         state.late, state.late_from_ns = keys[n:].copy(), t0_ns
-        return [keys[:n]]
+        return keys[:n]
 
     def _replace_light(self) -> None:
         """Change the light at once to that of a pending frame at the time of the last one."""
@@ -456,13 +447,6 @@ class PixelArray(PixelMethod):
         table = self._workers.buffers().table
         self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement
-
-    def _count(self, tally: Tally) -> None:
-        self.lost_in_pixel += tally.lost
-        self.undersampled += tally.undersampled
-        self.candidates += tally.candidates
-        self.quiet_nan += tally.unreadable
-        self.refined += tally.refined
 
     def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> layout.StepConstants:
         p = self.parameters

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, kernel_that_allocates
+from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 
 Keys = npt.NDArray[np.uint64]
 """Packed events."""
@@ -37,30 +37,14 @@ def reserve(keys: Keys, needed: int) -> Keys:
     return longer
 
 
-@inlined
-def _split(key: np.uint64, t0_ns: int, pixel_bits: int, out: Fields, k: int) -> None:
-    """Write entry k of the fields of an event, the inverse of `pack`."""
-    out[0][k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
-    out[1][k] = np.uint32((key >> np.uint64(1)) & np.uint64((1 << pixel_bits) - 1))
-    out[2][k] = (key & np.uint64(1)) != 0
-
-
 @cached_entry
 def unpack(keys: Keys, t0_ns: int, pixel_bits: int, out: Fields) -> None:
     """Split sorted keys [dt_ns | pixel | on] into arrays of one field each, at least as long."""
     for k in range(keys.size):
-        _split(keys[k], t0_ns, pixel_bits, out, k)
-
-
-@cached_entry
-def unpack_both(a: Keys, b: Keys, t0_ns: int, pixel_bits: int, out: Fields) -> None:
-    """Split two lists of sorted keys as `unpack` does, into arrays of one sorted list."""
-    i = j = NONE
-    for k in range(a.size + b.size):
-        takes_a = j == b.size or (i < a.size and a[i] <= b[j])
-        _split(a[i] if takes_a else b[j], t0_ns, pixel_bits, out, k)
-        i += takes_a
-        j += not takes_a
+        key = keys[k]
+        out[0][k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
+        out[1][k] = np.uint32((key >> np.uint64(1)) & np.uint64((1 << pixel_bits) - 1))
+        out[2][k] = (key & np.uint64(1)) != 0
 
 
 @dataclass(slots=True)
@@ -72,18 +56,11 @@ class EventBuffers:
     pixel: npt.NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
     on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
 
-    def add(self, lists: list[Keys], t0_ns: int, pixel_bits: int, n: int) -> int:
-        """Add one or two sorted lists, packed with times from `t0_ns`, to the first n events; return the new number."""
-        total = n + sum(keys.size for keys in lists)
-        if total == n:
-            return n
-        self._reserve(total)
-        out = self.t_ns[n:], self.pixel[n:], self.on[n:]
-        if len(lists) == 1:
-            unpack(lists[0], t0_ns, pixel_bits, out)
-        else:
-            unpack_both(lists[0], lists[1], t0_ns, pixel_bits, out)
-        return total
+    def add(self, keys: Keys, t0_ns: int, pixel_bits: int, n: int) -> int:
+        """Add a sorted list, packed with times from `t0_ns`, to the first n events; return the new number."""
+        self._reserve(n + keys.size)
+        unpack(keys, t0_ns, pixel_bits, (self.t_ns[n:], self.pixel[n:], self.on[n:]))
+        return n + keys.size
 
     def _reserve(self, n: int) -> None:
         """Provide space for n events; the present ones stay."""
@@ -138,25 +115,18 @@ def joined(parts: Sequence[Crossings]) -> Crossings:
     return Crossings(t_ns, pixel, on, sum(part.lost_in_pixel for part in parts))
 
 
-@kernel
-def _copy_event(source: Fields, i: int, out: Fields, k: int) -> None:
-    """Copy event i of one list to place k of another."""
-    out[0][k] = source[0][i]
-    out[1][k] = source[1][i]
-    out[2][k] = source[2][i]
-
-
 @cached_entry
 def _merge(a: Fields, b: Fields, out: Fields) -> None:
     i = j = 0
     n_a, n_b = a[0].size, b[0].size
     for k in range(n_a + n_b):
-        if j == n_b or (i < n_a and (a[0][i] < b[0][j] or (a[0][i] == b[0][j] and a[1][i] <= b[1][j]))):
-            _copy_event(a, i, out, k)
-            i += 1
-        else:
-            _copy_event(b, j, out, k)
-            j += 1
+        takes_a = j == n_b or (i < n_a and (a[0][i] < b[0][j] or (a[0][i] == b[0][j] and a[1][i] <= b[1][j])))
+        source, place = (a, i) if takes_a else (b, j)
+        out[0][k] = source[0][place]
+        out[1][k] = source[1][place]
+        out[2][k] = source[2][place]
+        i += takes_a
+        j += not takes_a
 
 
 def merged(a: Crossings, b: Crossings) -> Crossings:

@@ -70,7 +70,6 @@ WORTH_BENDING = np.float32(0.05)
 _SLOPES = np.float32(3)  # largest slopes of a monotone cubic, together, in changes ...
 _IMMATERIAL = np.float32(0.02)  # ... and a harmless excess: it swings the cubic by less than 0.003
 _ONE_SLOPE, _ONE_IMMATERIAL = _SLOPES * np.float32(0.7071), _IMMATERIAL * np.float32(0.7071)
-_FLAT = np.float32(0.3)
 _ABSURD = np.float32(1e9)  # a step
 _STEEPEST = np.float32(64)  # bounds the work where slopes and light contradict each other
 _ONE_SIDED = np.float32(0.1)  # slopes of different signs bend if one is below this share of the other: no true peak
@@ -114,12 +113,6 @@ def is_undersampled(d: Real, a0: Real, a1: Real, unseen: Real) -> Real:
     # A parabola with slopes of two signs rises above its ends by |a0 - a1| / 8 at most.
     turns = (a0 * a1 < _ZERO) & (_EIGHTH * abs(a0 - a1) > unseen)
     return turns | (abs(d - _HALF * (a0 + a1)) > unseen)
-
-
-@lane
-def is_jump(d: Real, a0: Real, a1: Real) -> Real:
-    """Return whether an undersampled step is a jump."""
-    return max(abs(a0), abs(a1)) < _FLAT * abs(d)
 
 
 @lane

@@ -8,7 +8,7 @@ of its pixels comes near a threshold. Three numbers decide when the part must be
     longest     a longer step may move a filter that rests because its distance to the light is lost in rounding
     shortest    the same for shorter steps, where there is a second pole: then only steps of one length are skipped
 
-A block is idle if all its parts are, and has the strictest of their limits.
+A block is idle if all its parts are, and has the strictest of their limits. Candidates with noise may rest at once.
 
 The last light is one number where all pixels have the same light, as in a black sky: such a frame is compared with it
 at the speed of the memory. Otherwise it is a copy.
@@ -98,7 +98,7 @@ _Float32s = npt.NDArray[np.float32]
 _Words = npt.NDArray[np.uint64]
 _Int64s = npt.NDArray[np.int64]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _ON_LIMIT, _, _, _UNTIL, _Y = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _ON_LIMIT, _, _SPEED, _UNTIL, _Y = (int(f) * BLOCK for f in Field)
 _U0, _V0, _L0, _G0, _, _, _, _Q, _W0, _P0, _WAIT, _, _Y0 = BEFORE_ROWS  # the bounds are not needed any more
 _WORDS, _PART_WORDS = np.int64(BLOCK // 2), PART // 2
 _SIGNLESS, _SIGNLESS_HALF = np.uint64(0x7FFFFFFF7FFFFFFF), np.uint32(0x7FFFFFFF)
@@ -235,7 +235,8 @@ def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         room = (limit - _MARGIN - by_light * c.h) - (compared - s[_REF + i])
         # The leak fires when it has filled the room between the comparator and its threshold.
         wait = room / leak if leak > _ZERO else (_LARGE if leak == _ZERO else -_LARGE)
-        wait = min(wait, s[_UNTIL + i]) if c.noisy else wait
+        until = s[_UNTIL + i] if c.noisy else wait
+        wait = min(wait, until) if until != _LARGE else _LARGE  # of a candidate, see `leave_out`
         before[_WAIT + i] = wait if rests else -_LARGE
 
 
@@ -272,12 +273,18 @@ def _stands_still(s: _Float32s, before: _Float32s, flags: _Words, j: int, c: Ste
 
 
 @kernel
+def _until_ns(wait_s: np.float32, c: StepConstants) -> int:
+    """Return the time `wait_s` seconds after the epoch's start, at most its end; _NOT_IDLE if it is past."""
+    longest_ns = 1 << state.EPOCH_BITS
+    wait_ns = longest_ns if wait_s * 1e9 >= longest_ns else int(wait_s * 1e9) - _EARLY_NS
+    return (c.t0_ns >> state.EPOCH_BITS << state.EPOCH_BITS) + wait_ns if wait_ns > 0 else _NOT_IDLE
+
+
+@kernel
 def _mark_part(light: _Float32s, wait: _Float32s, idle: Idle, first: int, c: StepConstants) -> None:
     """Note until when a part that stands still, from pixel `first` on, is idle; `light` and `wait` are its own."""
-    part, least = part_at(idle, first), _least(wait)
-    epoch_ns, longest_ns = (c.t0_ns >> state.EPOCH_BITS) << state.EPOCH_BITS, 1 << state.EPOCH_BITS
-    wait_ns = longest_ns if least * 1e9 >= longest_ns else int(least * 1e9) - _EARLY_NS
-    idle.until_ns[part] = epoch_ns + wait_ns if wait_ns > 0 else _NOT_IDLE
+    part = part_at(idle, first)
+    idle.until_ns[part] = _until_ns(_least(wait), c)
     idle.longest[part] = c.h
     idle.shortest[part] = c.h if c.second > _ZERO else _ZERO
     idle.level[part] = light[0] if _all_same(light) else _NAN
@@ -328,6 +335,26 @@ def mark(  # noqa: PLR0913, PLR0917
             _sum_up(idle, firsts[j] // BLOCK * BLOCK)
     elif n == PARTS and firsts[n - 1] - firsts[0] == BLOCK - PART:
         idle.until_ns[firsts[0] // BLOCK] = NO_PART
+
+
+@kernel
+def leave_out(chosen: _Int64s, s: _Float32s, may_fire: _Bytes) -> None:
+    """Let candidates of a block that will be solved with noise not keep their parts from rest; `hold_back` follows."""
+    for place in chosen:
+        i = np.uint64(place)
+        may_fire[i] = np.uint8(0)
+        s[np.uint64(_UNTIL) + i] = _LARGE
+
+
+@cached_entry
+def hold_back(pixels: state.Pixels, solved: _Int64s, idle: Idle, c: StepConstants) -> None:
+    """Let the parts of the pixels that were `solved` rest no longer than these are certified for still light."""
+    for pixel in solved:
+        speed, until_s = pixels.fields[state.slot(pixel) + _SPEED], pixels.fields[state.slot(pixel) + _UNTIL]
+        is_certified = speed == _ZERO and until_s > c.since_epoch_1
+        until_ns = _until_ns(until_s, c) if is_certified else _NOT_IDLE
+        for unit in (pixel // BLOCK, part_at(idle, pixel)):
+            idle.until_ns[unit] = min(idle.until_ns[unit], until_ns)
 
 
 MOST_PACKED = PARTS // 2

@@ -5,7 +5,8 @@ The junction's leak is left out, and added in float64 by time: still light gives
 
 A certificate states that no event comes before a time while the value stays between two limits and moves no faster
 than a speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in
-place of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
+place of the thresholds, so a pixel that noise does not fire costs as little as one without noise. In still light the
+next event is known in advance, and the certificate holds until then, but for still light alone.
 
 Fast because filters are solved for all columns at once, and a pixel's events one by one with its state in registers.
 """
@@ -44,6 +45,7 @@ _REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; tha
 _SLOW, _FASTER = 0.3, 2.0  # least speed of a certificate, in units of the noise's own; its speed over the present one
 _AMPLE, _FARTHEST = FARTHEST + 3, 30.0  # deviations: well beyond FARTHEST; at which the hazard is still a number
 _LONGEST_S, _LONGEST_STEPS = 2.0**33 * 1e-9, 256
+_ROUNDED = 1e-6  # share of a number, more than float32 rounds
 _STILL = 0.05  # deviations that the value of a pixel at rest may move in the longest time
 _SLOWEST = 0.1  # 1/s: forgets in more than the longest time
 _LATER = 4.0  # over the time in which a pixel leaves its limits at its present speed
@@ -78,18 +80,53 @@ def _loudest(noise: Noise, on: float, off: float, rms: float, rate: float, c: St
 
 
 @kernel
-def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float, c: StepConstants) -> None:
-    """Write the certificate of a pixel at the end of the step.
+def _certify_still(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, pixel: int, value: float, lit: float, a: passage.State, noise: Noise, c: StepConstants
+) -> None:
+    """Write the certificate of a pixel in still light, until the first point that may be below its hazard.
+
+    A filter that settles may still move the value by `_STILL` deviations, and the hazard by less than `_CERTIFIED`.
+    """
+    at, fields = slot(pixel), pixels.fields
+    leak, span_ns = np.float64(fields[at + _LEAK]), _LONGEST_S * 1e9
+    rate, rms = np.float64(fields[at + _L]), c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + passage.SCALE])
+    base = value - leak * (c.since_s + c.h_ns * 1e-9)
+    piece = passage.Piece(np.float64(c.h_ns), span_ns, base, lit * _LONGEST_S, 0.0, 0.0, rate, rate)
+    curve = passage.Curve(piece, 1 / span_ns, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
+    next_s = passage.find_next(curve, a, _CERTIFIED, pixels.tables) * 1e-9
+    offset = value - a.reference
+    reach = _TWO * _STILL * noise.sigma + abs(leak + lit) * next_s + _ROUNDED * abs(offset)
+    fields[at + _ON_LIMIT], fields[at + _OFF_LIMIT] = np.float32(reach + offset), np.float32(reach - offset)
+    fields[at + _SPEED] = _ZERO
+    fields[at + _UNTIL] = _until(next_s - c.h_ns * 1e-9, c)
+
+
+@kernel
+def _until(ahead_s: float, c: StepConstants) -> np.float32:
+    """Return a time ahead of the step's end in seconds since the epoch, earlier than that by more than rounding."""
+    until_s = np.float64(c.since_epoch_1) + ahead_s
+    return np.float32(until_s - 1e-6 - _ROUNDED * abs(until_s))
+
+
+@kernel
+def certify(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, pixel: int, value: float, rate: float, moving: float, lit: float, still: bool, c: StepConstants
+) -> None:
+    """Write the certificate of a pixel at the end of the step, in which its light was `still` or not.
 
     `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s;
-    `moving` the speed of the value without leak, a second. A pixel that rests gets narrow limits for long, so
-    that its block can rest; one that moves, limits that it reaches in some steps, where few points are below the bound.
+    `moving` the speed of the value without the junction's leak, a second, `lit` that of parasitic leak alone. In light
+    that moves slowly a pixel gets narrow limits for long, so that its block can rest; one that moves, limits that it
+    reaches in some steps, where few points are below the bound.
     """
     at, a, fields = slot(pixel), passage.state_of(pixels, pixel, c), pixels.fields
     rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + passage.SCALE])
     fields[at + _UNTIL] = -np.float32(np.inf)
     noise = noise_of(rate, c.noise_pole, rms, c.high_rate)
     if a.reference != a.reference:
+        return
+    if still and abs(moving - lit) * _LONGEST_S <= _STILL * noise.sigma:
+        _certify_still(pixels, pixel, value, lit, a, noise, c)
         return
     since_s = (c.h_ns - a.reset) * 1e-9
     on, off = passage.room_of(since_s, value, noise, a)
@@ -128,15 +165,14 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moving: float
     # Slow light could go any way behind a high-pass: there a pixel that rests is certified for still light only.
     fastest = nu * unit if least < FARTHEST else math.inf
     fields[at + _SPEED] = np.float32(fastest if moves or c.high_rate == 0 else 0.0)
-    # Seconds since the epoch, earlier than the point by more than float32 may round.
-    until_s = np.float64(c.since_epoch_1) + (until_ns - end_ns) * 1e-9
-    fields[at + _UNTIL] = np.float32(until_s - 1e-6 - 1e-6 * abs(until_s))
+    fields[at + _UNTIL] = _until((until_ns - end_ns) * 1e-9, c)
 
 
 @kernel
 def _finish(  # noqa: PLR0913, PLR0917
-    pixels: Pixels, pixel: int, piece: passage.Piece, leaked: float, lit: float, fired: int, c: StepConstants
-) -> None:
+    pixels: Pixels, pixel: int, piece: passage.Piece, leaked: float, lit: float, still: bool, fired: int,
+    c: StepConstants,
+) -> None:  # fmt: skip
     """Certify a pixel at the end of its last piece. Its parasitic leak moves into the reference of one that fired.
 
     `leaked` is that leak since the last time, `lit` what its present light leaks a second.
@@ -150,7 +186,7 @@ def _finish(  # noqa: PLR0913, PLR0917
     leaked = np.float64(pixels.fields[at + _LEAK]) * (c.since_s + c.h_ns * 1e-9)
     value = base + piece.c1 + piece.c2 + piece.c3 + leaked
     moving = (piece.c1 + 2 * piece.c2 + 3 * piece.c3) / piece.span_ns * 1e9
-    certify(pixels, pixel, value, piece.rate1, moving, c)
+    certify(pixels, pixel, value, piece.rate1, moving, lit, still, c)
 
 
 @kernel
@@ -168,7 +204,9 @@ def _solve_whole(pixels: Pixels, table: Table, j: int, keys: Keys, n_keys: int, 
         np.float64(rows[row.C_L1 + j]),
     )
     n_keys, fired, lost = passage.pass_piece(pixels, pixel, piece, keys, n_keys, NONE, c)
-    _finish(pixels, pixel, piece, np.float64(rows[row.C_P1 + j]), np.float64(rows[row.C_LIT + j]), fired, c)
+    still = rows[row.C_U0 + j] == rows[row.C_U1 + j] and rows[row.C_A0 + j] == rows[row.C_A1 + j] == _ZERO
+    leaked, lit = np.float64(rows[row.C_P1 + j]), np.float64(rows[row.C_LIT + j])
+    _finish(pixels, pixel, piece, leaked, lit, still, fired, c)
     return n_keys, lost
 
 
@@ -207,7 +245,7 @@ def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) 
                 leaked = np.float64(rows[sub.P1 + j])
                 lit = np.float64(c.parasitic * rows[sub.ON + j] * photocurrent(pixels.fields[at + _U]))
                 pixels.fields[at + _P] = np.float32(leaked - lit * c.since_epoch_1)
-            _finish(pixels, pixel, _piece_of(rows, j, c), leaked, lit, int(rows[sub.COUNT + j]), c)
+            _finish(pixels, pixel, _piece_of(rows, j, c), leaked, lit, False, int(rows[sub.COUNT + j]), c)
             continue
         go_on(table, j, remaining)
         remaining += 1
@@ -284,4 +322,4 @@ def settle(  # noqa: PLR0913, PLR0917
                     level += weight * (laws[at] + (laws[at + 1] - laws[at]) * fraction)
             fields[field + _REF] = np.float32(value + level * c.noise_rms * pixels.memory[pixel * MEMORY + 2])
         rate = np.float64(fields[field + _L])
-        certify(pixels, pixel, value, rate, rate - rate, c)  # no literal, which would be a type of its own
+        certify(pixels, pixel, value, rate, rate - rate, rate - rate, False, c)  # a literal 0 would be another type

@@ -77,7 +77,7 @@ class Piece(NamedTuple):
     rate1: float
 
 
-class _State(NamedTuple):
+class State(NamedTuple):
     """A pixel between two events."""
 
     on: float  # thresholds, ln units
@@ -89,7 +89,7 @@ class _State(NamedTuple):
     reset: float  # ns since the start of the step
 
 
-class _Curve(NamedTuple):
+class Curve(NamedTuple):
     """A piece, and what the light and the noise along it need of a pixel and of `StepConstants`.
 
     Few numbers: they are copied for each of many calls.
@@ -115,7 +115,7 @@ class _Signal(NamedTuple):
 
 
 @lane
-def _value(t_ns: float, curve: _Curve) -> float:
+def _value(t_ns: float, curve: Curve) -> float:
     """Return the value of the comparator without noise at a time of a piece."""
     p = curve.piece
     x = (t_ns - p.begin_ns) * curve.per_ns
@@ -123,7 +123,7 @@ def _value(t_ns: float, curve: _Curve) -> float:
 
 
 @lane
-def _signal(t_ns: float, curve: _Curve) -> _Signal:
+def _signal(t_ns: float, curve: Curve) -> _Signal:
     """Return the signal at a time of a piece."""
     p, high = curve.piece, curve.high_rate
     x = (t_ns - p.begin_ns) * curve.per_ns
@@ -143,7 +143,7 @@ def _signal(t_ns: float, curve: _Curve) -> _Signal:
 
 
 @kernel
-def _time_at(t: float, limit: float, travel: float, now: _Signal, curve: _Curve) -> float:
+def _time_at(t: float, limit: float, travel: float, now: _Signal, curve: Curve) -> float:
     """Return a time until which the signal goes almost `travel` from that at t, or less; `limit` where it never does.
 
     It must not turn before `limit`. The time is the lower end of an interval that false positions narrow.
@@ -190,7 +190,7 @@ def _nearer(c_ahead: float, nu: float) -> float:
 
 
 @kernel
-def _hazard_at(t_ns: float, curve: _Curve, a: _State, tables: _Float32s) -> tuple[_Signal, Hazard]:
+def _hazard_at(t_ns: float, curve: Curve, a: State, tables: _Float32s) -> tuple[_Signal, Hazard]:
     """Return signal and hazard at a time of a piece that is after the reset."""
     now = _signal(t_ns, curve)
     distance = Distance(a.reference + a.on - now.value, now.value - a.reference + a.off, now.speed, now.narrowing)
@@ -212,7 +212,7 @@ class _Room(NamedTuple):
 
 
 @lane
-def room_of(since_s: float, value: float, noise: Noise, a: _State) -> _Room:
+def room_of(since_s: float, value: float, noise: Noise, a: State) -> _Room:
     """Return the room of a pixel at a time after its reset: that part of its noise's value is left, and its slope's."""
     age = since_s * min(noise.a1, noise.a2)
     left = kick = 0.0
@@ -247,7 +247,7 @@ class _Window(NamedTuple):
 
 
 @lane
-def _calm_window(t: float, limit: float, now: _Signal, curve: _Curve, a: _State) -> _Window:
+def _calm_window(t: float, limit: float, now: _Signal, curve: Curve, a: State) -> _Window:
     """Return a window in which few points are below a bound of the hazard by signals alone, of no length if none is.
 
     The signal does not turn, so it is nearest to a threshold at one end. The window ends at `limit`; after a reset, if
@@ -276,7 +276,7 @@ def _calm_window(t: float, limit: float, now: _Signal, curve: _Curve, a: _State)
 
 
 @kernel
-def _window_end(t: float, limit: float, now: _Signal, h: Hazard, curve: _Curve, a: _State) -> float:
+def _window_end(t: float, limit: float, now: _Signal, h: Hazard, curve: Curve, a: State) -> float:
     """Return the end of the window that begins at t, a time of the piece after the reset, with hazard h."""
     since_s, noise = (t - a.reset) * 1e-9, now.noise
     window_s: float = (limit - t) * 1e-9
@@ -305,7 +305,7 @@ class _Event(NamedTuple):
 
 
 @kernel
-def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _Float32s) -> _Event:
+def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: State, tables: _Float32s) -> _Event:
     """Return an event with the slope of its noise: its mean by the value, and what the passage adds to it."""
     if now.noise.ratio == 0.0:
         return _Event(t_ns, on, now, h, _STEEPEST if on else -_STEEPEST)
@@ -319,16 +319,16 @@ def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _
 
 
 @lane
-def _first_event(t: float, w: _Window, curve: _Curve, a: _State, tables: _Float32s) -> _Event:
-    """Return the event of the first point below the hazard in the window from t, at NEVER_NS if there is none."""
+def _first_event(t: float, w: _Window, share: float, curve: Curve, a: State, tables: _Float32s) -> _Event:
+    """Return the event of the first point below `share` of the hazard in the window from t, at NEVER_NS if none is."""
     # Windows share no point: each has those from its start, included, to its end, not included.
     from_ns, to_ns = curve.t0_ns + math.ceil(t) - 1, curve.t0_ns + math.ceil(w.end) - 1
-    while w.bound_hz * (w.end - t) > _NO_POINT:
-        point = keyed.next_point(a.stream, from_ns, to_ns, w.bound_hz)
+    while share * w.bound_hz * (w.end - t) > _NO_POINT:
+        point = keyed.next_point(a.stream, from_ns, to_ns, share * w.bound_hz)
         if point.t_ns == keyed.NEVER_NS:
             break
         now, h = _hazard_at(np.float64(point.t_ns - curve.t0_ns), curve, a, tables)
-        if point.hz < h.on + h.off:
+        if point.hz < share * (h.on + h.off):
             event: _Event = _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
             return event
         from_ns = point.t_ns
@@ -336,7 +336,7 @@ def _first_event(t: float, w: _Window, curve: _Curve, a: _State, tables: _Float3
 
 
 @kernel
-def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
+def _after_event(e: _Event, dead_s: float, a: State) -> tuple[float, float]:
     """Return value and slope of the noise at the end of the dead time that follows an event."""
     noise = e.signal.noise
     first = keyed.mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
@@ -359,20 +359,20 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
 
 
 @kernel
-def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConstants) -> _State:
+def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: State, c: StepConstants) -> State:
     """Return a pixel whose dead time ends: its reference is signal plus noise; without dead time, the level passed."""
     offset = reset_offset_at(a.stream, pixels.refractory_until_ns[pixel], a.on, a.off, c.reset)
     reference = np.float32((a.reference if a.reference == a.reference else now.value + a.n_r) + offset)
     pixels.fields[state.slot(pixel) + _REF] = reference
-    return _State(a.on, a.off, a.stream, np.float64(reference), a.n_r, a.v_r, a.reset)
+    return State(a.on, a.off, a.stream, np.float64(reference), a.n_r, a.v_r, a.reset)
 
 
 @kernel
-def state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
+def state_of(pixels: Pixels, pixel: int, c: StepConstants) -> State:
     """Return a pixel's state."""
     at, memory = state.slot(pixel), pixel * MEMORY
     fields = pixels.fields
-    return _State(
+    return State(
         np.float64(fields[at + _ON]),
         np.float64(fields[at + _OFF]),
         noise_stream(pixels, pixel, c),
@@ -402,7 +402,7 @@ def _bound_hz(before: float, length_ns: float, now: _Signal, after: _Signal, at_
 
 
 @lane
-def _window(t: float, limit: float, now: _Signal, h: Hazard, curve: _Curve, a: _State, tables: _Float32s) -> _Window:  # noqa: PLR0913, PLR0917
+def _window(t: float, limit: float, now: _Signal, h: Hazard, curve: Curve, a: State, tables: _Float32s) -> _Window:  # noqa: PLR0913, PLR0917
     """Return the window that begins at t. `h` is the hazard there, or _UNKNOWN where the window may be a calm one."""
     unknown, before = h.on != h.on, 0.0
     if unknown:
@@ -427,7 +427,7 @@ def _window(t: float, limit: float, now: _Signal, h: Hazard, curve: _Curve, a: _
 
 
 @kernel
-def _turns(curve: _Curve) -> tuple[float, float]:
+def _turns(curve: Curve) -> tuple[float, float]:
     """Return the times at which a piece's curve turns, the end where it does not."""
     p = curve.piece
     end = p.begin_ns + p.span_ns
@@ -447,6 +447,22 @@ def _turns(curve: _Curve) -> tuple[float, float]:
 
 
 @kernel
+def find_next(curve: Curve, a: State, share: float, tables: _Float32s) -> float:
+    """Return the time of the first point below `share` of the hazard in a piece that does not turn; else its end."""
+    end = curve.piece.begin_ns + curve.piece.span_ns
+    t = max(curve.piece.begin_ns, a.reset)
+    now, h = _signal(t, curve), _UNKNOWN
+    while t < end:
+        w = _window(t, end, now, h, curve, a, tables)
+        event = _first_event(t, w, share, curve, a, tables)
+        if event.t_ns != keyed.NEVER_NS:
+            return np.float64(event.t_ns - curve.t0_ns)
+        t = w.end
+        now, h = w.after, w.at_end
+    return end
+
+
+@kernel
 def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     pixels: Pixels, pixel: int, p: Piece, keys: Keys, n_keys: int, fired: int, c: StepConstants
 ) -> tuple[int, int, int]:
@@ -461,7 +477,7 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         return n_keys, fired, 0
     rms = c.noise_rms * np.float64(pixels.memory[pixel * MEMORY + SCALE])
     leak = np.float64(pixels.fields[state.slot(pixel) + _LEAK])
-    curve = _Curve(p, 1 / p.span_ns, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
+    curve = Curve(p, 1 / p.span_ns, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
     t = max(p.begin_ns, a.reset)
     if a.reference != a.reference:
         a = _re_armed(pixels, pixel, _signal(t, curve), a, c)
@@ -473,7 +489,7 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     while t < end:
         limit = turn if t < turn else turn2 if t < turn2 else end
         w = _window(t, limit, now, h, curve, a, tables)
-        event = _first_event(t, w, curve, a, tables)
+        event = _first_event(t, w, 1.0, curve, a, tables)
         if event.t_ns == keyed.NEVER_NS:
             t, now = w.end, w.after
             h = w.at_end if t < limit else _UNKNOWN

@@ -204,7 +204,6 @@ def _list_and_mark(  # noqa: PLR0913, PLR0917
     for k in range(n * (PART // 8), state.PARTS * (PART // 8)):
         flags[k] = _NO_FLAGS  # of the empty places of a pack
     listed = list_flags(flags, scratch.indices)
-    rest.mark(light, s, scratch.before, flags, firsts, idle, c)
     selected = unreadable = NONE
     refined = at.refined
     if listed > 0 and c.refine:
@@ -217,6 +216,9 @@ def _list_and_mark(  # noqa: PLR0913, PLR0917
         gather(chosen, s, scratch.before, firsts, buffers.table, at.n)
         if (c.second > _ZERO) | (c.parasitic > _ZERO) | (c.high > _ZERO):
             gather_rare(chosen, s, scratch.before, at.n, buffers.table, c)
+        if c.noisy:
+            rest.leave_out(chosen, s, scratch.may_fire)  # their new certificates decide, see `rest.hold_back`
+    rest.mark(light, s, scratch.before, flags, firsts, idle, c)
     candidates, bad = at.candidates + selected, at.unreadable + unreadable
     return _Progress(at.block, at.packed, at.n + selected, candidates, bad, refined, at.moved + n)
 
@@ -347,6 +349,7 @@ def advance(
         at = _fill(frame, pixels, buffers, share, at, c)
         if c.noisy:
             keys, n_keys, lost_now, undersampled_now = solve_noisy(pixels, buffers.table, at.n, keys, n_keys, c)
+            rest.hold_back(pixels, buffers.table.pixels[: at.n], share.idle, c)
         else:
             keys, n_keys, lost_now, undersampled_now = solve(pixels, buffers.table, at.n, keys, n_keys, c)
         lost += lost_now
@@ -407,8 +410,8 @@ class Workers:
         """Return those of the first thread."""
         return self._buffers[0]
 
-    def step(self, frame: FlatLight, pixels: Pixels, touched: Touched, c: StepConstants) -> tuple[list[Keys], Tally]:
-        """Move the array as `advance` does; return the keys in one or two sorted lists, and the counts."""
+    def step(self, frame: FlatLight, pixels: Pixels, touched: Touched, c: StepConstants) -> tuple[Keys, Tally]:
+        """Move the array as `advance` does; return the keys, sorted, and the counts."""
         n = self._wanted(frame.light.size)
         self._reserve(n)
         shares: list[tuple[Keys, Tally]] = [(self._keys[0], Tally(0, 0, 0, 0, 0, 0))] * n
@@ -421,9 +424,12 @@ class Workers:
             shares[number] = keys[:n_keys], tally
 
         self._pool.each(move, n)
-        lists, tally = _merged(shares)
+        lists, tallies = zip(*shares, strict=True)
+        tally = Tally(*(sum(column) for column in zip(*tallies, strict=True)))
         self._last = tally.moved + (_NOISY_CANDIDATE if c.noisy else _CANDIDATE) * tally.candidates
-        return lists, tally
+        together = np.concatenate(lists)
+        together.sort(kind="stable")  # merges the sorted parts
+        return together, tally
 
     def _wanted(self, pixels: int) -> int:
         runs = -(-pixels // RUN)
@@ -435,14 +441,3 @@ class Workers:
         while len(self._buffers) < threads:
             self._buffers.append(Buffers(new_table(), new_subset(0), new_scratch()))
             self._keys.append(np.empty(4096, np.uint64))
-
-
-def _merged(shares: list[tuple[Keys, Tally]]) -> tuple[list[Keys], Tally]:
-    """Return the events of all shares in at most two sorted lists, and their counts."""
-    lists = [keys for keys, _ in shares]
-    if len(lists) > 2:
-        half = len(lists) // 2
-        lists = [np.concatenate(part) for part in (lists[:half], lists[half:])]
-        for part in lists:
-            part.sort(kind="stable")  # merges the sorted parts
-    return lists, Tally(*(sum(column) for column in zip(*(tally for _, tally in shares), strict=True)))

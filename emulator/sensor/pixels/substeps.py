@@ -72,6 +72,7 @@ _SHARE = np.float32(0.004)  # of a threshold: what a cubic may miss
 _LEAST_MISS = np.float32(2e-5)  # ln units: float32 has nothing to offer below
 _LEAST_WEIGHT = np.float32(1e-20)
 _TURN, _SMALL_PART = np.float32(0.2), np.float32(0.05)
+_FLAT = np.float32(0.3)  # slope, over the change of the light, below which an undersampled step is a jump
 _E4, _E1, _E0 = np.float32(384), np.float32(1 / 0.16), np.float32(0.2)
 _NEARLY = np.float32(1.001)
 _CUBIC, _JUMP, _LATE, _EARLY = (np.float32(form) for form in range(4))
@@ -89,7 +90,7 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
         a0, a1 = curve.completed(d, rows[A0 + j], rows[A1 + j])
         # One of three forms: a jump at mid-step, a line with a bend, or the cubic, its slopes limited where need be.
         undersampled = curve.is_undersampled(d, a0, a1, c.unseen_share * threshold)
-        jump = undersampled & curve.is_jump(d, a0, a1)
+        jump = undersampled & (max(abs(a0), abs(a1)) < _FLAT * abs(d))
         cap = curve.capped(a0, a1)
         width = curve.bend_width(d, cap * a0, cap * a1, threshold)
         bent = width < _ONE

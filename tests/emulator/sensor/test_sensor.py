@@ -25,7 +25,6 @@ from emulator.sensor.parameters import (
     ResetParameters,
     TemperatureParameters,
 )
-from emulator.sensor.pixels import crossings as crossings_module
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
@@ -379,14 +378,6 @@ def test_time_does_not_go_back_and_the_picture_must_fit():
     with pytest.raises(ValueError, match="must be"):
         sensor.expose(LightFrame(6 * MS, np.ones((3, 3), np.float32)))
     assert len(sensor.expose(LightFrame(5 * MS, still()))) == 0
-
-
-def test_the_kernels_of_a_later_step_are_loaded_before_the_first(monkeypatch):
-    """Those that merge the events of two threads: a flash of few pixels needs none."""
-    loaded = []
-    monkeypatch.setattr(crossings_module, "unpack_both", lambda *_: loaded.append("unpack_both"))
-    Sensor(PRESETS["davis346"], 0).warm_up()
-    assert loaded == ["unpack_both"]
 
 
 def test_the_derivative_at_the_start_spares_the_first_step():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from emulator.sensor.imu import Converter, no_motion
+from emulator.sensor.imu import IMU_MOTION, Converter
 from firmware_protocol.davis346.registers import imu_settings
 from firmware_protocol.fx3.registers import Access, Module, Register, RegisterFile
 from firmware_protocol.imu_samples import ImuScale, physical
@@ -27,7 +27,7 @@ def settings(unit=2, words=True, **values):
 
 
 def motion(n, force=0.0, rate=0.0, first=1):
-    m = no_motion(n)
+    m = np.zeros(n, IMU_MOTION)
     m["index"] = np.arange(first, first + n)
     m["t"], m["force"], m["rate"], m["temperature"] = 1000 * m["index"], force, rate, 28.5
     return m

@@ -262,6 +262,14 @@ def test_few_pixels_in_still_light_have_no_certificate(name, level):
     assert array.candidates < 0.1 * 50 * 512 + 3 * len(found.t_ns)
 
 
+def test_few_pixels_in_still_light_are_solved_for_each_event():
+    """In the dark noise forgets a reset within 50 ms; its next event is looked up, not waited for."""
+    array = begun(dataclasses.replace(PRESETS["imx636"], width=160, height=100), still(0.0))
+    found = run(array, still(0.0), ends(1, 500))
+    assert len(found.t_ns) > 300
+    assert array.candidates < 4 * len(found.t_ns)
+
+
 def test_parasitic_leak_does_not_move_a_pixel_at_rest():
     """In the dark it is too slow to matter: certificates are as long as without it."""
     cold = dataclasses.replace(PRESETS["davis346"], width=64, height=64, dark_current_relative=2e-5)

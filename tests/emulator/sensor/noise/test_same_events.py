@@ -109,10 +109,19 @@ def passing(t_s):
     return level, level * -2 * x / 0.02
 
 
+def stands_and_moves(t_s):
+    """Light stands still for 50 ms, grows for 50 ms, and again."""
+    beats, phase = divmod(t_s, 0.1)
+    grown = beats * 0.05 + max(phase - 0.05, 0.0)
+    return math.exp(2 * grown), 2 * math.exp(2 * grown) * (phase > 0.05)
+
+
 @pytest.mark.parametrize(
     ("p", "light", "step_ms", "steps", "times"),
     [
         (LOUD, still(), 2, 200, 1.1),
+        (LOUD, stands_and_moves, 2, 200, 1.1),
+        (dataclasses.replace(PRESETS["davis346"], width=64, height=64), stands_and_moves, 5, 200, 1.1),
         (LOUD, sine(0.05, 0.5), 5, 80, 1.1),
         (LOUD, sine(0.5, 2.0, 1.0), 1, 400, 1.1),
         (COLD, still(0.0), 50, 120, 200.0),  # many thresholds within 1.5 deviations, and noise of seconds
@@ -139,10 +148,11 @@ def test_a_pixel_far_from_its_thresholds_is_certified_at_any_speed():
 
 
 def test_blocks_at_rest_do_not_matter():
-    usual = events_of(IMX, still(0.3), ends(1, 1000))
+    p = dataclasses.replace(IMX, width=240, height=160)
+    usual = events_of(p, still(0.1), ends(1, 100))
     rests = usual.array._workers.idle.until_ns > 0
     assert rests.mean() > 0.2
-    assert same(usual, run(begun(IMX, still(0.3)), still(0.3), ends(1, 1000), PixelArray.wake))
+    assert same(usual, run(begun(p, still(0.1)), still(0.1), ends(1, 100), PixelArray.wake))
 
 
 @pytest.mark.parametrize("sensor", ["two poles", "one pole", "errors of resets", "long dead time"])

@@ -26,11 +26,11 @@ def curve(rng, pole):
         bends = np.array([3, -3, 1]) * rng.uniform(-1, 1) * THRESHOLD
     rate = 10 ** rng.uniform(3, 4.3)
     piece = Piece(0.0, span_ns, 0.0, *bends, rate, rate * np.exp(bends.sum()))
-    return passage._Curve(piece, 1 / span_ns, 0, 0.0, rng.uniform(0, 1e-3), rng.uniform(0.01, 0.06), pole, 0.0)
+    return passage.Curve(piece, 1 / span_ns, 0, 0.0, rng.uniform(0, 1e-3), rng.uniform(0.01, 0.06), pole, 0.0)
 
 
 def state(reference, reset_ns, n_r=0.0, v_r=0.0):
-    return passage._State(THRESHOLD, THRESHOLD, np.uint64(7), reference, n_r, v_r, reset_ns)
+    return passage.State(THRESHOLD, THRESHOLD, np.uint64(7), reference, n_r, v_r, reset_ns)
 
 
 def stretches(along):
@@ -112,7 +112,7 @@ def test_noise_that_slows_down_remembers_the_reset():
     for _ in range(300):
         rate, span_ns = 10 ** rng.uniform(3.6, 4.3), 2e5
         piece = Piece(0.0, span_ns, 0.0, 0.1, 0.0, 0.0, rate, rate / 200)
-        along = passage._Curve(piece, 1 / span_ns, 0, 0.0, 0.0, 0.033, 0.0, 0.0)
+        along = passage.Curve(piece, 1 / span_ns, 0, 0.0, 0.0, 0.033, 0.0, 0.0)
         pixel = state(rng.uniform(-0.08, 0.0), -1e9 * rng.uniform(2, 10) / rate, 0.075)
         ratios.append(highest_over_bound(along, pixel, tables))
     assert np.count_nonzero(ratios) > 50
