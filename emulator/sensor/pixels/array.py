@@ -37,6 +37,7 @@ from emulator.threads import ThreadPool, available_threads
 
 _EPOCH_NS = 1 << layout.EPOCH_BITS
 _LONG_AGO_NS = 1 << 40
+_LITTLE = 0.02  # of the noise's rms
 _CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made
 _PART = 1 << 14  # pixels that a thread settles at once
 _NODES_APART = np.array([0.1, 0.1, 0.7, 1.0], np.float32)  # of laws: logs of ON, OFF, receptor's rate, leak
@@ -218,12 +219,16 @@ class PixelArray(PixelMethod):
         change = leak - flat[layout.field_index(pixel, Field.LEAK)]
         flat[layout.field_index(pixel, Field.REFERENCE)] += change * since_epoch_s
         flat[layout.field_index(pixel, Field.LEAK)] = leak
+        certified = layout.field_index(pixel, Field.UNTIL)  # until the new leak has moved the value by a little
+        with np.errstate(divide="ignore", invalid="ignore"):
+            until_s = since_epoch_s + _LITTLE * self.parameters.noise.rms / np.abs(change)
+        flat[certified] = np.fmin(flat[certified], until_s)
         self.wake()
 
     def compile_part(self, part: str) -> None:
         """Compile "blocks", "candidates" or "noise", large parts of the step that `step` then finds on disk."""
         share = Share(0, 1, self._workers.idle, self._touched(None))
-        compile_parts(part, self._flat_state(), self._workers.buffers(), share, self._constants(0, 1_000_000))
+        compile_parts(part, self._flat_state(), self._workers.buffers[0], share, self._constants(0, 1_000_000))
 
     def _flat_state(self) -> layout.Pixels:
         state = self.state
@@ -406,7 +411,7 @@ class PixelArray(PixelMethod):
         frame, self._replacing = self._replacing, None
         state = self.state
         c = self._constants(state.t_ns, state.t_ns + 1, chord=not frame.rate.size)
-        self.quiet_nan += replace_light(frame, self._flat_state(), self._workers.buffers().scratch, c)
+        self.quiet_nan += replace_light(frame, self._flat_state(), self._workers.buffers[0].scratch, c)
         state.slopes_known = bool(frame.rate.size)
         self.wake()
 
@@ -444,7 +449,7 @@ class PixelArray(PixelMethod):
         resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(light.dark)
         resting[Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
         resting[[Field.ON, Field.OFF]] = np.inf
-        table = self._workers.buffers().table
+        table = self._workers.buffers[0].table
         self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement
 

@@ -281,18 +281,6 @@ def _until_ns(wait_s: np.float32, c: StepConstants) -> int:
 
 
 @kernel
-def _mark_part(light: _Float32s, wait: _Float32s, idle: Idle, first: int, c: StepConstants) -> None:
-    """Note until when a part that stands still, from pixel `first` on, is idle; `light` and `wait` are its own."""
-    part = part_at(idle, first)
-    idle.until_ns[part] = _until_ns(_least(wait), c)
-    idle.longest[part] = c.h
-    idle.shortest[part] = c.h if c.second > _ZERO else _ZERO
-    idle.level[part] = light[0] if _all_same(light) else _NAN
-    for i in range(PART):
-        idle.seen[first + i] = light[i]
-
-
-@kernel
 def _sum_up(idle: Idle, first: int) -> None:
     """Write the limits of the block that begins at pixel `first` from those of its parts."""
     block, begin = first // BLOCK, part_at(idle, first)
@@ -328,8 +316,14 @@ def mark(  # noqa: PLR0913, PLR0917
             if not has_idle_part:
                 _find_rest(s, before, c)  # of all parts at once, when the first is found
             has_idle_part = True
-            wait = before[_WAIT + begin : _WAIT + begin + PART]
-            _mark_part(light[begin : begin + PART], wait, idle, first, c)
+            part = part_at(idle, first)
+            seen, wait = light[begin : begin + PART], before[_WAIT + begin : _WAIT + begin + PART]
+            idle.until_ns[part] = _until_ns(_least(wait), c)
+            idle.longest[part] = c.h
+            idle.shortest[part] = c.h if c.second > _ZERO else _ZERO
+            idle.level[part] = seen[0] if _all_same(seen) else _NAN
+            for i in range(PART):
+                idle.seen[first + i] = seen[i]
     if has_idle_part:
         for j in range(n):
             _sum_up(idle, firsts[j] // BLOCK * BLOCK)
@@ -351,7 +345,7 @@ def hold_back(pixels: state.Pixels, solved: _Int64s, idle: Idle, c: StepConstant
     """Let the parts of the pixels that were `solved` rest no longer than these are certified for still light."""
     for pixel in solved:
         speed, until_s = pixels.fields[state.slot(pixel) + _SPEED], pixels.fields[state.slot(pixel) + _UNTIL]
-        is_certified = speed == _ZERO and until_s > c.since_epoch_1
+        is_certified = speed < _ZERO and until_s > c.since_epoch_1
         until_ns = _until_ns(until_s, c) if is_certified else _NOT_IDLE
         for unit in (pixel // BLOCK, part_at(idle, pixel)):
             idle.until_ns[unit] = min(idle.until_ns[unit], until_ns)

@@ -95,9 +95,11 @@ def _certify_still(  # noqa: PLR0913, PLR0917
     curve = passage.Curve(piece, 1 / span_ns, c.t0_ns, c.since_s, leak, rms, c.noise_pole, c.high_rate)
     next_s = passage.find_next(curve, a, _CERTIFIED, pixels.tables) * 1e-9
     offset = value - a.reference
-    reach = _TWO * _STILL * noise.sigma + abs(leak + lit) * next_s + _ROUNDED * abs(offset)
-    fields[at + _ON_LIMIT], fields[at + _OFF_LIMIT] = np.float32(reach + offset), np.float32(reach - offset)
-    fields[at + _SPEED] = _ZERO
+    reach = _TWO * _STILL * noise.sigma + _ROUNDED * abs(offset)
+    # A reference that an event of something else moves leaves these limits. The quiet test allows 1.5 times the leak.
+    fields[at + _ON_LIMIT] = np.float32(reach + offset + 1.5 * (leak + lit) * next_s)
+    fields[at + _OFF_LIMIT] = np.float32(reach - offset)
+    fields[at + _SPEED] = np.float32(-_TWO * _STILL * noise.sigma / _LONGEST_S)
     fields[at + _UNTIL] = _until(next_s - c.h_ns * 1e-9, c)
 
 
@@ -125,7 +127,7 @@ def certify(  # noqa: PLR0913, PLR0917
     noise = noise_of(rate, c.noise_pole, rms, c.high_rate)
     if a.reference != a.reference:
         return
-    if still and abs(moving - lit) * _LONGEST_S <= _STILL * noise.sigma:
+    if still and c.high_rate == 0 and abs(moving - lit) * _LONGEST_S <= _STILL * noise.sigma:
         _certify_still(pixels, pixel, value, lit, a, noise, c)
         return
     since_s = (c.h_ns - a.reset) * 1e-9

@@ -305,8 +305,10 @@ def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: Ste
         steepest = max(max(max(abs(a0), abs(a1)), abs(_THREE * d - a0 - a1)), c.h * before[_L0 + i] * lag)
         if_second = c.second * abs(before[_V0 + i] - before[_W0 + i]) if c.second > _ZERO else _ZERO
         if_high = c.high * max(abs(before[_HIGH + i]), abs(before[_LOW + i])) if c.high > _ZERO else _ZERO
-        still = (s[_SPEED + i] == _ZERO) & (max(abs(d), max(abs(a0), abs(a1))) == _ZERO)
-        slow = still | (_FASTER * max(steepest, if_second) + if_high <= s[_SPEED + i] * c.h)
+        # A speed below 0 holds in still light alone; so does 0, behind a high-pass.
+        speed, still = s[_SPEED + i], max(abs(d), max(abs(a0), abs(a1))) == _ZERO
+        slow = (_FASTER * max(steepest, if_second) + if_high <= abs(speed) * c.h) & (still | (speed > _ZERO))
+        slow |= (c.high > _ZERO) & (speed == _ZERO) & still
         smooth = curve.is_smooth(d, a0, a1, min(s[_ON + i], s[_OFF + i]), c.unseen_share)
         holds = inside & slow & (c.since_epoch_1 < s[_UNTIL + i])
         may_fire[i] = 0 if holds & smooth else 1

@@ -66,7 +66,7 @@ class Field(IntEnum):
     SECOND = 8  # w, behind the second pole; unused without one
     LEAKED = 9  # parasitic leak since the pixel's last event, less that of the present light since the epoch, ln units
     # The certificate of a pixel with noise, see `noisy`: limits of the compared value from the reference, ln units,
-    # its largest speed, ln units a second, and the time since the epoch, s, until which it holds.
+    # its largest speed, ln units a second, below 0 for still light, and the time since the epoch until which it holds.
     ON_LIMIT = 10
     OFF_LIMIT = 11
     SPEED_LIMIT = 12

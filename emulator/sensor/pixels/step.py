@@ -395,20 +395,17 @@ class Workers:
     Attributes
     ----------
     idle : the blocks that a step can skip.
+    buffers : those of each thread.
     """
 
     def __init__(self, blocks: int, threads: int = 0) -> None:
         self.idle = rest.new_idle(blocks)
         self._fixed, self._most = threads, threads or available_threads()
-        self._buffers: list[Buffers] = []
+        self.buffers: list[Buffers] = []
         self._keys: list[Keys] = []
         self._pool = ThreadPool(self._most)
         self._last = 0
         self._reserve(1)
-
-    def buffers(self) -> Buffers:
-        """Return those of the first thread."""
-        return self._buffers[0]
 
     def step(self, frame: FlatLight, pixels: Pixels, touched: Touched, c: StepConstants) -> tuple[Keys, Tally]:
         """Move the array as `advance` does; return the keys, sorted, and the counts."""
@@ -418,7 +415,7 @@ class Workers:
 
         def move(number: int, _: int) -> None:
             share = Share(number, n, self.idle, touched)
-            keys, n_keys, tally = advance(frame, pixels, self._buffers[number], self._keys[number], share, c)
+            keys, n_keys, tally = advance(frame, pixels, self.buffers[number], self._keys[number], share, c)
             self._keys[number] = keys
             keys[:n_keys].sort()
             shares[number] = keys[:n_keys], tally
@@ -438,6 +435,6 @@ class Workers:
         return max(1, min(self._most, runs, self._last // _WORTH_A_THREAD))
 
     def _reserve(self, threads: int) -> None:
-        while len(self._buffers) < threads:
-            self._buffers.append(Buffers(new_table(), new_subset(0), new_scratch()))
+        while len(self.buffers) < threads:
+            self.buffers.append(Buffers(new_table(), new_subset(0), new_scratch()))
             self._keys.append(np.empty(4096, np.uint64))

@@ -138,6 +138,35 @@ def test_certificates_do_not_matter(p, light, step_ms, steps, times):
     assert each.array.candidates > times * usual.array.candidates
 
 
+def jumping(t_s):
+    """Light that stands still, and jumps by 2 % after each tenth of a second."""
+    return 0.1 * 1.02 ** math.ceil(t_s / 0.1 - 1e-6), 0.0
+
+
+@pytest.mark.parametrize("change", ["leak", "references", "light"])
+def test_certificates_for_still_light_end_where_something_else_moves_a_pixel(change):
+    """Leak that changes, events of another source, as of the read-out's kicks, or light that jumps between steps."""
+    p = dataclasses.replace(IMX, width=64, height=64, leak_hz=1.0)
+    light = jumping if change == "light" else still(0.1)
+
+    def disturb(array):
+        k = array.state.t_ns // 10**7
+        if change == "leak":
+            array.set_leak(np.full(4096, 20.0 if k % 10 < 5 else 0.1))
+        elif change == "light" and k % 10 == 0:
+            array.step(frame(p, lambda t_s: jumping(t_s + 0.05), array.state.t_ns))
+        elif change == "references" and k % 10 == 0:
+            array.levels().fire(np.arange(k % 3, 4096, 3))
+
+    def disturb_and_forget(array):
+        disturb(array)
+        forget_certificates(array)
+
+    usual = run(begun(p, light), light, ends(10, 2000), disturb)
+    assert len(usual.t_ns) > 4096
+    assert same(usual, run(begun(p, light), light, ends(10, 2000), disturb_and_forget))
+
+
 def test_a_pixel_far_from_its_thresholds_is_certified_at_any_speed():
     quiet = dataclasses.replace(IMX, noise=dataclasses.replace(IMX.noise, rms=0.01))
     light = sine(0.1, 100.0)  # less than half of a threshold, three times faster than slow certificates allow
