@@ -110,25 +110,25 @@ def pose(k: int) -> bytes:
 def drain(link: socket.socket, quiet_s: float) -> None:
     """Return when nothing has come for a while."""
     link.settimeout(quiet_s)
-    try:
+    with suppress(TimeoutError):
         while True:
             link.recv(65536)
-    except TimeoutError:
-        link.settimeout(PATIENCE_S)
+    link.settimeout(PATIENCE_S)
 
 
 def delays_ms(moves: int, address: tuple[str, int], link: socket.socket) -> np.ndarray:
     """Move the camera, and return the time to the first datagram of each move, (moves,) ms."""
     delays, rng = [], np.random.default_rng(1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as poses:
-        for k in range(1, FIRST_MOVES + moves + 1):
+        for k in range(FIRST_MOVES + moves + 1):
             time.sleep(PAUSE_S + rng.uniform(0, 0.02))
             drain(link, QUIET_S)
             begun = time.monotonic()
             poses.sendto(pose(k), address)
-            link.recv(65536)
+            if k:  # before that the camera may look this way already
+                link.recv(65536)
             delays.append(1000 * (time.monotonic() - begun))
-    return np.array(delays[FIRST_MOVES:])
+    return np.array(delays[FIRST_MOVES + 1 :])
 
 
 @contextmanager
