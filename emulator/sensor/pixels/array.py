@@ -37,7 +37,7 @@ from emulator.threads import ThreadPool, available_threads
 
 _EPOCH_NS = 1 << layout.EPOCH_BITS
 _LONG_AGO_NS = 1 << 40
-_LITTLE = 0.02  # of the noise's rms
+_LITTLE = 0.02  # of the noise's rms: leak that changes moves the value by no more before pixels are computed again
 _CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made
 _PART = 1 << 14  # pixels that a thread settles at once
 _NODES_APART = np.array([0.1, 0.1, 0.7, 1.0], np.float32)  # of laws: logs of ON, OFF, receptor's rate, leak
@@ -219,7 +219,7 @@ class PixelArray(PixelMethod):
         change = leak - flat[layout.field_index(pixel, Field.LEAK)]
         flat[layout.field_index(pixel, Field.REFERENCE)] += change * since_epoch_s
         flat[layout.field_index(pixel, Field.LEAK)] = leak
-        certified = layout.field_index(pixel, Field.UNTIL)  # until the new leak has moved the value by a little
+        certified = layout.field_index(pixel, Field.UNTIL)  # for the leak of before
         with np.errstate(divide="ignore", invalid="ignore"):
             until_s = since_epoch_s + _LITTLE * self.parameters.noise.rms / np.abs(change)
         flat[certified] = np.fmin(flat[certified], until_s)

@@ -6,7 +6,7 @@ The junction's leak is left out, and added in float64 by time: still light gives
 A certificate states that no event comes before a time while the value stays between two limits and moves no faster
 than a speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in
 place of the thresholds, so a pixel that noise does not fire costs as little as one without noise. In still light the
-next event is known in advance, and the certificate holds until then, but for still light alone.
+next event is known in advance, but behind a high-pass; the certificate holds until then, for still light alone.
 
 Fast because filters are solved for all columns at once, and a pixel's events one by one with its state in registers.
 """
