@@ -23,9 +23,10 @@ from emulator.cli.output import (
     status,
 )
 from emulator.cli.rigs import Needed, examined_needs
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
-from emulator.run.assembly import build_scene
-from emulator.run.expected_speed import RealTimeSpeed, keeping_up
+from emulator.run.assembly import build_scene, plan_of
+from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.kernels import CODER, DECODER, EVT, parts_of, uncompiled
 from emulator.run.machine import examine
 from transports.needs import Finding
@@ -71,14 +72,16 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
     if not as_json:
         for need in needed:
             console.print(f"{rig.name}: {need.line}", markup=False)
+    speed, sentence = None, f"{rig.name} does NOT run on this machine: add the missing parts first"
     if not lacks:
         prepared(parts_of(rig))
-    speed = None if lacks else keeping_up(rig)
-    lines = [_sentence(rig, speed)]
-    if speed is not None and speed.expected is not None:
-        lines.append(f"over the whole run: {speed.expected.line}")
-    print_result(as_json, {"findings": [need.finding for need in needed], **_as_json(rig, needed, speed)}, lines)
-    return LACKING if speed is None else GOOD if speed.good else BAD_VERDICT
+        with build_scene(rig) as scene:
+            speed = expected_speed(rig, scene, None if SCENES[rig.scene.kind].events else plan_of(rig, scene))
+        verdict = "runs" if speed.cost.factor > 1 else "does NOT run"
+        sentence = f"{rig.name} {verdict} in real time on this machine: {speed.line}"
+    findings = [need.finding for need in needed]
+    print_result(as_json, {"findings": findings, **_as_json(rig, needed, speed)}, [sentence])
+    return LACKING if speed is None else GOOD if speed.cost.factor > 1 else BAD_VERDICT
 
 
 def _prepare(names: Sequence[str]) -> None:
@@ -91,26 +94,14 @@ def _prepare(names: Sequence[str]) -> None:
             status.print(f"{rigs[0].name} is prepared", markup=False)
 
 
-def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) -> dict[str, object]:
+def _as_json(rig: Rig, needed: Sequence[Needed], speed: ExpectedSpeed | None) -> dict[str, object]:
     return {
         "rig": rig.name,
         "needs": [need.as_json() for need in needed],
-        "real_time": None if speed is None else speed.good,
-        "times_real_time": None if speed is None else speed.times_real_time,
-        "expected": None if speed is None or speed.expected is None else speed.expected.as_json(),
+        "real_time": None if speed is None else speed.cost.factor > 1,
+        "times_real_time": None if speed is None else speed.cost.factor,
+        "expected": None if speed is None else speed.as_json(),
     }
-
-
-def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
-    if speed is None:
-        return f"{rig.name} does NOT run on this machine: add the missing parts first"
-    verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"
-    advised = speed.good or (speed.expected is not None and speed.expected.remedies)
-    advice = "" if advised else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"
-    return (
-        f"{rig.name} {verdict}: {speed.stream_s:.2g} s of stream at {speed.times_real_time:.2f} times real time, "
-        f"without links{advice}"
-    )
 
 
 def _print(findings: Sequence[Finding], *, every: bool) -> None:

@@ -35,7 +35,7 @@ def plan(rig: RigName, /, *, json: Json = False) -> int:
         prepared(parts_of(loaded))
         with build_scene(loaded) as scene:
             planned = plan_of(loaded, scene)
-            speed = expected_speed(planned, scene)
+            speed = expected_speed(loaded, scene, planned)
     print_result(json, {**_as_json(planned), "speed": speed.as_json()}, _lines(planned, speed))
     return GOOD
 

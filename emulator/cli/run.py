@@ -40,7 +40,7 @@ from emulator.run.control import ReadySignal, fault_injection
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
 from emulator.run.pacing import SimulationDrive
-from emulator.run.session import Operator, Session
+from emulator.run.session import Session
 from firmware_protocol.events import Events
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
@@ -210,7 +210,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
         session = _session(rig, scene, setups, truth_file)
         stop_on_signals(partial(_stop, session, parts.repeats), session.interrupt)
         with (
-            fault_injection(rig, Operator(session, "evstim")) as faults,
+            fault_injection(rig, session) as faults,
             serving.page(session) as page,
             LiveTable(rig, status) if show else nullcontext() as live,
         ):

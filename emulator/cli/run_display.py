@@ -15,9 +15,10 @@ from emulator.cli.output import LACKING, WRONG_USE, console, failing, status
 from emulator.cli.run_summary import quantile_text
 from emulator.light import MachineLacks
 from emulator.rig.loading import Rig
+from emulator.run.changes import Change
 from emulator.run.control import FaultInjection
 from emulator.run.outcome import Rates, RunResult, RunStatus
-from emulator.run.session import Operator, Session
+from emulator.run.session import Session
 from transports.link.edges import EdgeSink
 from transports.link.process import LinkSetup
 
@@ -121,31 +122,31 @@ class OptionalPage:
         if self._address is None:
             yield None
             return
-        from emulator.live_page.messages import ViewerCommands
+        from emulator.live_page.messages import LIVE_PAGE, ViewerCommands
         from emulator.live_page.page import LivePage
 
         run = self._rig.run
         can_pause = run.pace == "free" and not run.lockstep_us
-        viewer = Operator(session, "live page")
-        inject = FaultInjection(self._rig, viewer, None).answer
-        commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause, repeats=self._repeats)
+        inject = FaultInjection(self._rig, session, None, by=LIVE_PAGE).answer
+        commands = ViewerCommands(session, inject, self._button(session), can_pause=can_pause, repeats=self._repeats)
         with failing(LACKING, OSError, at=f"--serve: {self._address.host}:{self._address.port}"):
             page = LivePage(self._rig, self._address, commands, self._repeats)
         with page:
             status.print(f"live page: {page.url}", markup=False, soft_wrap=True)
             yield page
 
-    def _button(self, viewer: Operator) -> Callable[[int, int], None] | None:
+    def _button(self, session: Session) -> Callable[[int, int], None] | None:
         """Return the trigger, which records its edges; None where there is none."""
         trigger = self._trigger
         if trigger is None:
             return None
+        from emulator.live_page.messages import LIVE_PAGE
 
         def press(bus_t_ns: int, number: int) -> None:
             early = trigger.early_triggers
             trigger(bus_t_ns, number)
             if trigger.early_triggers == early:
-                viewer.record(trigger.last_us, "trigger pulse")
+                session.record(Change(trigger.last_us * 1000, LIVE_PAGE, "trigger pulse"))
 
         return press
 

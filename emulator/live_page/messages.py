@@ -45,6 +45,7 @@ import secrets
 import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -57,9 +58,10 @@ from emulator.run.outcome import RunStatus
 from transports.network import is_loopback
 
 if TYPE_CHECKING:
-    from emulator.run.session import Operator
+    from emulator.run.session import Session
 
 MOST_COMMAND_BYTES = 4096
+LIVE_PAGE = "live page"  # name of its viewers in the record of a run
 
 _HEADER = struct.Struct("<4sIHHQQIHHI")
 _MAGIC = b"EVP2"
@@ -186,19 +188,19 @@ class ViewerCommands:
 
     def __init__(
         self,
-        operator: Operator,
+        session: Session,
         inject: Inject,
         trigger: Callable[[int, int], None] | None = None,
         *,
         can_pause: bool = False,
         repeats: Repeats | None = None,
     ) -> None:
-        self._operator = operator
+        self._session = session
         self._inject = inject
         self._trigger = trigger
         self._triggers = 0
         self._can_pause = can_pause
-        self._changes = ChangeList(operator.session)
+        self._changes = ChangeList(session)
         self._repeats = repeats or Repeats("it was not started by `evstim run`")
         self.status: RunStatus | None = None
         self.paused = False
@@ -207,7 +209,7 @@ class ViewerCommands:
     def state(self) -> dict[str, Any]:
         """Return the possible commands, and the state of the run."""
         return {
-            "adjustable": {name: min(value, _LARGEST) for name, value in self._operator.session.adjustable.items()},
+            "adjustable": {name: min(value, _LARGEST) for name, value in self._session.adjustable.items()},
             "can_trigger": self._trigger is not None,
             "triggers": self._triggers,
             "can_pause": self._can_pause,
@@ -226,7 +228,7 @@ class ViewerCommands:
 
     def steps_allowed(self) -> bool:
         """Return whether the next step may begin; this uses up a requested single step."""
-        if not self.paused or self._operator.session.stopping:
+        if not self.paused or self._session.stopping:
             return True
         self._steps, allowed = max(self._steps - 1, 0), self._steps > 0
         return allowed
@@ -234,20 +236,23 @@ class ViewerCommands:
     def _carried_out(self, command: dict[str, Any]) -> dict[str, Any]:
         match command:
             case {"do": "adjust", "name": name, "value": value}:
-                self._operator.adjust(name, value)
+                self._session.adjust(name, value, LIVE_PAGE)
                 return {"did": f"{name} = {value:g}"}
             case {"do": "pixel", "x": x, "y": y}:
-                return {"pixel": [x, y], "thresholds": self._thresholds(x, y)}
+                thresholds = None  # where they cannot be read; [] for a dead pixel
+                with suppress(ValueError):
+                    thresholds = [level for level in self._session.thresholds_of(x, y) if math.isfinite(level)]
+                return {"pixel": [x, y], "thresholds": thresholds}
             case {"do": "inject", "fault": fault}:
                 return self._injected(fault)
             case {"do": "undo", "change": number}:
                 return self._undone(number)
             case {"do": "again", "seed": seed}:
                 self._repeats.request(seed)
-                self._operator.session.stop()
+                self._session.stop()
                 return {"did": f"the run starts again with seed {seed}"}
             case {"do": "stop"}:
-                self._operator.session.stop()
+                self._session.stop()
                 return {"did": "the run ends"}
             case {"do": "trigger"}:
                 if self._trigger is None:
@@ -258,14 +263,6 @@ class ViewerCommands:
             case {"do": "pause" | "step" | "resume" as order}:
                 return self._ordered(order)
         raise ValueError("a run cannot execute this command")
-
-    def _thresholds(self, x: int, y: int) -> list[float] | None:
-        """Return the thresholds of a pixel, ON and OFF, [] for a dead pixel; None where they cannot be read."""
-        try:
-            thresholds = self._operator.session.thresholds_of(x, y)
-        except ValueError:
-            return None
-        return [threshold for threshold in thresholds if math.isfinite(threshold)]
 
     def _injected(self, fault: dict[str, Any]) -> dict[str, Any]:
         if self.status is None:
@@ -279,7 +276,7 @@ class ViewerCommands:
         change = self._changes.reversible(number, self.status.links)
         if not change.fault:
             assert change.before is not None
-            self._operator.adjust(change.what, change.before, undo=True)
+            self._session.adjust(change.what, change.before, f"{LIVE_PAGE}, undo")
             return {"did": f"{change.what} = {change.before:.4g} again"}
         answer = self._inject({"request": "end", "link": change.link, "number": change.fault}, self.status)
         return answer if "error" in answer else {"did": f"end of {answer['kind']} on {answer['link']}"}

@@ -43,7 +43,7 @@ from emulator.tables.typed_table import TableError
 from firmware_protocol.events import EdgeKind
 
 if TYPE_CHECKING:
-    from emulator.run.session import Operator
+    from emulator.run.session import Session
 
 _MOST_LINE_BYTES = 1 << 16
 _MOST_ANSWER_BYTES = 1 << 20
@@ -237,16 +237,19 @@ _EDGES = {"pulse": EdgeKind.PULSE, "rising": EdgeKind.RISING, "falling": EdgeKin
 
 
 class FaultInjection:
-    """Answers to the requests for one run; without a socket it does nothing.
+    """Answers to the requests for one run, which its record names `by`; without a socket it does nothing.
 
     `trouble` is the reason why there is no socket; "" where there is one, or none is needed.
     """
 
-    def __init__(self, rig: Rig, session: Operator, socket: ControlSocket | None, trouble: str = "") -> None:
+    def __init__(
+        self, rig: Rig, session: Session, socket: ControlSocket | None, trouble: str = "", by: str = "evstim"
+    ) -> None:
         self._rig = rig
         self._session = session
         self._socket = socket
         self.trouble = trouble
+        self._by = by
 
     def serve(self, status: RunStatus) -> None:
         """Answer the requests that have come since the last call."""
@@ -284,7 +287,7 @@ class FaultInjection:
             at = ".".join(str(part) for part in error.path)
             return {"error": f"{at}: {error}" if at else str(error)}
         report = status.links.get(fault.link)
-        self._session.inject(fault)
+        self._session.inject(fault, self._by)
         return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
 
     def _end(self, link: str, number: int, status: RunStatus) -> Message:
@@ -295,7 +298,7 @@ class FaultInjection:
             return {"error": f"there is no fault {number} on link {link!r}"}
         if record.ended_us is not None:
             return {"error": f"{record.kind} on {link} is over since {record.ended_us / 1e6:.3f} s"}
-        self._session.end_fault(link, number)
+        self._session.end_fault(link, number, self._by)
         return {"link": link, "kind": record.kind}
 
     def _trigger(self, kind: str, link: object) -> Message:
@@ -306,12 +309,12 @@ class FaultInjection:
         if not names:
             return {"error": f"link {link!r}: there is {', '.join(present)}"}
         for name in names:
-            self._session.happen(name, _EDGES[kind])
+            self._session.happen(name, _EDGES[kind], self._by)
         return {"links": names}
 
 
 @contextmanager
-def fault_injection(rig: Rig, session: Operator) -> Iterator[FaultInjection]:
+def fault_injection(rig: Rig, session: Session) -> Iterator[FaultInjection]:
     """Open the socket of a run that has links; if that fails, `trouble` contains the reason and the run goes on."""
     if not rig.links:
         yield FaultInjection(rig, session, None)

@@ -1,56 +1,65 @@
 """Expected speed of a rig on this machine, from a probe of about a second, and settings that would reach real time.
 
-Scene and sensor make some steps at instants spread over the run; links have processes of their own and are not probed.
-The cost of a step is that of its light frame and that of its pixels. Where the rig is too slow it is probed again:
+Scene, sensor and links make some steps at instants spread over the run, as a run that is not paced does. A loopback
+stands for each link; its host starts the camera and decodes everything in the link's process. The cost of a step is
+that of its light frame, that of its pixels, and the wait until the links have taken the last one. Frames and inertial
+samples are left out. Where the rig is too slow it is probed again:
 
     longer steps       at steps four times as long: a + b step of a step, and the least step with a + b step < 0.9 step
     fewer pixels       with half as many on each side: a + b pixels, in the same way
     threads            with the number that the machine allows, where the rig sets one
 
 A setting is named only where such a probe supports it.
-
-`keeping_up` measures the speed instead: it computes some seconds of the stream, with the whole session but links.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
 
 from emulator.light import Scene, SceneFrames
 from emulator.plan.plan import Plan
-from emulator.rig.kinds import SCENES
-from emulator.rig.loading import Rig
-from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, plan_of, schedule
-from emulator.run.outcome import RunStatus
+from emulator.rig.kinds import LINKS
+from emulator.rig.loading import Rig, carries_second, second_rig
+from emulator.run.assembly import build_frames, build_scene, build_sensor, link_setups
+from emulator.run.link_process import LinkProcess
+from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource
 from emulator.threads import available_threads
 from transports.link.pacing import MonotonicClock
+from transports.link.rings import FREE_RUNNING
 
 _INSTANTS = 4
 _PROBE_S = 1.0
 _LEAST_STEPS = 2  # at an instant
+_BETWEEN_S = 2.0  # longest time for all steps from one instant to the next
 _SPARE = 0.9  # of the wall time of a step that is real time, with some spare time
 _LONGER = 4
 _LONGEST_STEP_US = 1_000_000
 
+Floats = npt.NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class StepCost:
-    """Wall time of the light frame and of the pixels of a step of `step_s`, s."""
+    """Wall time of the light frame and of the pixels of a step of `step_s`, and of the wait for the links, s."""
 
     step_s: float
     drawing_s: float
     pixels_s: float
+    links_s: float = 0.0
 
     @property
     def total_s(self) -> float:
         """Wall time of a step."""
-        return self.drawing_s + self.pixels_s
+        return self.drawing_s + self.pixels_s + self.links_s
 
     @property
     def factor(self) -> float:
@@ -60,7 +69,7 @@ class StepCost:
 
 @dataclass(frozen=True)
 class ExpectedSpeed:
-    """Expected speed of a rig, without links, and the settings any one of which would make it real time."""
+    """Expected speed of a rig with its links, and the settings any one of which would make it real time."""
 
     cost: StepCost
     remedies: tuple[str, ...] = ()
@@ -69,10 +78,10 @@ class ExpectedSpeed:
     def line(self) -> str:
         """The speed as one sentence."""
         cost = self.cost
-        share = cost.drawing_s / cost.total_s
-        shares = f"drawing {share:.0%}, pixels {1 - share:.0%}"
+        parts = {"drawing": cost.drawing_s, "pixels": cost.pixels_s, "links": cost.links_s}
+        shares = ", ".join(f"{name} {part_s / cost.total_s:.0%}" for name, part_s in parts.items())
         text = (
-            f"{cost.factor:.2g} times real time expected on this machine, without links: a step of "
+            f"{cost.factor:.2g} times real time expected: a step of "
             f"{cost.step_s * 1e6:.0f} us takes {cost.total_s * 1e3:.3g} ms, {shares}"
         )
         if cost.factor > 1:
@@ -83,33 +92,39 @@ class ExpectedSpeed:
 
     def as_json(self) -> dict[str, object]:
         """Return the object `speed` of `evstim plan --json` and `evstim doctor --json`."""
-        costs = dataclasses.asdict(self.cost)
-        return {"times_real_time": self.cost.factor, **costs, "remedies": list(self.remedies)}
+        return {"times_real_time": self.cost.factor, **dataclasses.asdict(self.cost), "remedies": list(self.remedies)}
 
 
-def expected_speed(plan: Plan, scene: Scene) -> ExpectedSpeed:
-    """Probe a planned rig for about a second, and its remedies for another one where it is too slow."""
-    step_ns, duration_s = round(plan.steps.step_us * 1000), plan.rig.run.seconds or 10.0
-    cost = _cost(plan, scene, step_ns, duration_s)
-    remedies = () if cost.factor > 1 else tuple(_remedies(plan, scene, cost, duration_s))
+def expected_speed(rig: Rig, scene: Scene, plan: Plan | None) -> ExpectedSpeed:
+    """Probe a rig for about a second, and its remedies for another one each where it is too slow.
+
+    `plan` is that of its run; None for a recording, which has no remedies. Raises LinkFailed.
+    """
+    sensor = rig.camera.sensor if plan is None else plan.sensor
+    step_us = rig.run.step_us if plan is None else plan.steps.step_us
+    with hosted_links(rig) as links:
+        cost = links.cost(rig, sensor, scene, round(step_us * 1000))
+        remedies = () if plan is None or cost.factor > 1 else tuple(_remedies(plan, scene, links, cost))
     return ExpectedSpeed(cost, remedies)
 
 
-def _remedies(plan: Plan, scene: Scene, cost: StepCost, duration_s: float) -> Iterator[str]:
-    step_ns = round(cost.step_s * 1e9)
-    if 0 < plan.rig.run.threads < available_threads():
-        rig = dataclasses.replace(plan.rig, run=dataclasses.replace(plan.rig.run, threads=0))
-        with build_scene(rig) as other:
-            if _cost(dataclasses.replace(plan, rig=rig), other, step_ns, duration_s).factor > 1:
+def _remedies(plan: Plan, scene: Scene, links: HostedLinks, cost: StepCost) -> Iterator[str]:
+    rig, step_ns = plan.rig, round(cost.step_s * 1e9)
+    if 0 < rig.run.threads < available_threads():
+        threaded = dataclasses.replace(rig, run=dataclasses.replace(rig.run, threads=0))
+        with build_scene(threaded) as other:
+            if links.cost(threaded, plan.sensor, other, step_ns).factor > 1:
                 yield "run.threads = 0"
-    if step_us := longer_step_us(cost, _cost(plan, scene, step_ns * _LONGER, duration_s)):
-        yield _step_text(plan, step_us)
-    camera = plan.rig.camera
-    width, height = (max(2, side // 2) for side in camera.size)
-    half_camera = dataclasses.replace(camera, sensor=dataclasses.replace(camera.sensor, width=width, height=height))
-    half = dataclasses.replace(plan, rig=dataclasses.replace(plan.rig, camera=half_camera))
-    with build_scene(half.rig) as other:
-        size_in_time = smaller_size(cost, _cost(half, other, step_ns, duration_s), camera.size)
+    if step_us := longer_step_us(cost, links.cost(rig, plan.sensor, scene, step_ns * _LONGER)):
+        change = f"run.step_us = {step_us}" if plan.pinned else f"a run.tolerance_us that permits steps of {step_us} us"
+        motion_px = plan.probe.motion_px_s * step_us * 1e-6  # long steps cost accuracy
+        yield change + (f" ({motion_px:.2g} px of motion a step)" if math.isfinite(motion_px) else "")
+    width, height = (max(2, side // 2) for side in rig.camera.size)
+    sensor = dataclasses.replace(rig.camera.sensor, width=width, height=height)
+    half = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
+    with build_scene(half) as other:
+        planned = dataclasses.replace(plan.sensor, width=width, height=height)
+        size_in_time = smaller_size(cost, links.cost(half, planned, other, step_ns), rig.camera.size)
     if size_in_time:
         yield f"a camera of {size_in_time[0]}x{size_in_time[1]} pixels"
 
@@ -117,10 +132,11 @@ def _remedies(plan: Plan, scene: Scene, cost: StepCost, duration_s: float) -> It
 def longer_step_us(cost: StepCost, longer: StepCost) -> int | None:
     """Return the least step in real time, from the costs of two; None where there is none up to a second."""
     slope = (longer.total_s - cost.total_s) / (longer.step_s - cost.step_s)
-    least_s = _least(cost.total_s - slope * cost.step_s, slope)
-    if least_s is None or least_s * 1e6 > _LONGEST_STEP_US:
+    if slope >= _SPARE:
         return None
-    least_us = least_s * 1e6
+    least_us = max(cost.total_s - slope * cost.step_s, 0.0) / (_SPARE - slope) * 1e6
+    if least_us > _LONGEST_STEP_US:
+        return None
     unit_us = math.pow(10, max(0, math.floor(math.log10(max(least_us, 1.0))) - 1))  # rounded up to two digits
     return round(math.ceil(least_us / unit_us) * unit_us)
 
@@ -137,85 +153,93 @@ def smaller_size(cost: StepCost, half: StepCost, size: tuple[int, int]) -> tuple
     return (width, height) if min(width, height) >= 2 else None
 
 
-def _least(fixed_s: float, slope: float) -> float | None:
-    """Return the least step, s, of a cost `fixed_s` + `slope` step that is in real time; None for none."""
-    return max(fixed_s, 0.0) / (_SPARE - slope) if slope < _SPARE else None
+@dataclass(eq=False)
+class _Camera:
+    """A camera of a rig, and its links."""
+
+    frames: SceneFrames
+    sensor: EventSource
+    links: Sequence[LinkProcess]
 
 
-def _step_text(plan: Plan, step_us: int) -> str:
-    """Return the change that gives such steps, with the motion of the image in one: long steps cost accuracy."""
-    motion_px = plan.probe.motion_px_s * step_us * 1e-6
-    motion = f" ({motion_px:.2g} px of motion a step)" if math.isfinite(motion_px) else ""
-    change = f"run.step_us = {step_us}" if plan.pinned else f"a run.tolerance_us that permits steps of {step_us} us"
-    return change + motion
+@contextmanager
+def hosted_links(rig: Rig) -> Iterator[HostedLinks]:
+    """Start a link for each of the rig's, with a host in its process that reads everything; raises LinkFailed."""
+    loopbacks = tuple(LINKS["loopback"].parameters(name=link.name) for link in rig.links)
+    camera = dataclasses.replace(rig.camera, frames=None, imu=None)
+    hosted = dataclasses.replace(rig, camera=camera, links=loopbacks, trigger=None, faults=())
+    links = [LinkProcess(setup, MonotonicClock()) for setup in link_setups(hosted)]
+    try:
+        for link in links:
+            link.wait_ready()
+            link.start(FREE_RUNNING)
+        yield HostedLinks(links)
+    finally:
+        for link in links:
+            link.stop(0.0)
 
 
-def _cost(plan: Plan, scene: Scene, step_ns: int, duration_s: float) -> StepCost:
-    """Return the mean cost of a step at instants spread over the run."""
-    frames, sensor = build_frames(plan.rig, scene), build_sensor(plan.rig, plan.sensor)
-    sensor.warm_up()
-    instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
-    costs = [_cost_at(frames, sensor, t_ns, step_ns) for t_ns in instants_ns]
-    drawing_s, pixels_s = (sum(column) / _INSTANTS for column in zip(*costs, strict=True))
-    return StepCost(step_ns * 1e-9, drawing_s, pixels_s)
+class HostedLinks:
+    """Links in a run that is not paced; their time goes on where the stream jumps to another instant."""
 
+    def __init__(self, links: Sequence[LinkProcess]) -> None:
+        self._links = links
+        self._t_us = 0
 
-def _cost_at(frames: SceneFrames, sensor: EventSource, t_ns: int, step_ns: int) -> tuple[float, float]:
-    """Return seconds of drawing and of pixels of a step from an instant on.
+    def cost(self, rig: Rig, sensor: SensorParameters, scene: Scene, step_ns: int) -> StepCost:
+        """Return the mean cost of a step at instants spread over the run."""
+        with ExitStack() as stack:
+            cameras = [self._camera(rig, sensor, scene)]
+            if rig.second_camera is not None:
+                second = second_rig(rig)
+                cameras.append(self._camera(second, second.camera.sensor, stack.enter_context(build_scene(second))))
+            return StepCost(step_ns * 1e-9, *self._costs_s(cameras, step_ns, rig.run.seconds or 10.0))
 
-    These are means, because a few steps draw the noise of many pixels; the first step settles and is left out.
-    """
-    sensor.reset(frames.draw(t_ns))
-    drawing_s, pixels_s = list[float](), list[float]()
-    end_s = time.perf_counter() + _PROBE_S / _INSTANTS
-    while len(drawing_s) <= _LEAST_STEPS or time.perf_counter() < end_s:
-        t_ns += step_ns
-        begun_s = time.perf_counter()
-        frame = frames.draw(t_ns)
-        drawn_s = time.perf_counter()
-        sensor.expose(frame)
-        drawing_s.append(drawn_s - begun_s)
-        pixels_s.append(time.perf_counter() - drawn_s)
-    return statistics.fmean(drawing_s[1:]), statistics.fmean(pixels_s[1:])
+    def _camera(self, rig: Rig, sensor: SensorParameters, scene: Scene) -> _Camera:
+        names = {link.name for link in rig.links if not carries_second(rig, link.name)}
+        source = build_sensor(rig, sensor)
+        source.warm_up()
+        return _Camera(build_frames(rig, scene), source, [link for link in self._links if link.name in names])
 
+    def _costs_s(self, cameras: Sequence[_Camera], step_ns: int, duration_s: float) -> list[float]:
+        """Return the seconds of drawing, of pixels, and of links of a step.
 
-_STREAM_S, _WALL_S = 2.0, 10.0
+        These are means, because a few steps draw the noise of many pixels; the first step after a start settles and is
+        left out. All steps up to the next instant are made if this is soon done: behind stars, pixels settle for
+        seconds.
+        """
+        t_ns, stretches_s = 0, list[Floats]()
+        for k in range(_INSTANTS):
+            instant_ns = round(k / _INSTANTS * duration_s * 1e9)
+            between = max(instant_ns - t_ns, 0) // step_ns
+            if not stretches_s or between * stretches_s[-1].sum() > _BETWEEN_S:
+                t_ns, between = instant_ns, 1
+                for camera in cameras:
+                    camera.sensor.reset(camera.frames.draw(t_ns))
+            for _ in range(between):
+                self._advance(cameras, t_ns, t_ns := t_ns + step_ns)
+            costs_s, end_s = list[Floats](), time.perf_counter() + _PROBE_S / _INSTANTS
+            while len(costs_s) < _LEAST_STEPS or time.perf_counter() < end_s:
+                costs_s.append(self._advance(cameras, t_ns, t_ns := t_ns + step_ns))
+            stretches_s.append(np.mean(costs_s, axis=0))
+        return [float(part_s) for part_s in np.mean(stretches_s, axis=0)]
 
-
-@dataclass(frozen=True)
-class RealTimeSpeed:
-    """Speed of a rig on this machine.
-
-    Attributes
-    ----------
-    times_real_time : stream seconds for a second of this machine, scene and sensor without links.
-    stream_s : stream time that was computed for this.
-    expected : speed expected from a probe over the whole run; None for a recording, which has no plan.
-    """
-
-    times_real_time: float
-    stream_s: float
-    expected: ExpectedSpeed | None = None
-
-    @property
-    def good(self) -> bool:
-        """Return whether the rig runs in real time here."""
-        return self.times_real_time > 1
-
-
-def keeping_up(rig: Rig) -> RealTimeSpeed:
-    """Compute up to two seconds of a rig's stream without pacing, for at most ten seconds."""
-    with build_scene(rig) as scene:
-        expected = None
-        if not SCENES[rig.scene.kind].events:
-            expected = expected_speed(plan_of(rig, scene), scene)
-        session = build_session(rig, scene, [], MonotonicClock())
-
-        def follow(now: RunStatus) -> None:
-            if now.wall_seconds > _WALL_S:
-                session.stop()
-
-        stream_s = min(_STREAM_S, rig.run.seconds or _STREAM_S)
-        free = dataclasses.replace(schedule(rig), duration_ns=round(stream_s * 1e9), paced=False, lockstep_ns=0)
-        result = session.run(free, follow)
-    return RealTimeSpeed(result.sim_seconds / result.wall_seconds, result.sim_seconds, expected)
+    def _advance(self, cameras: Sequence[_Camera], t0_ns: int, t1_ns: int) -> Floats:
+        """Make a step of all cameras and return its seconds, (3,), as `_costs_s`."""
+        costs_s, earlier_us = np.zeros(3), t0_ns // 1000 - self._t_us  # times of links against those of the stream
+        for camera in cameras:
+            begun_s = time.perf_counter()
+            frame = camera.frames.draw(t1_ns)
+            drawn_s = time.perf_counter()
+            for link in camera.links:
+                link.wait_settled(self._t_us, lambda: True)
+            settled_s = time.perf_counter()
+            events = camera.sensor.expose(frame)
+            exposed_s = time.perf_counter()
+            events["t"] -= np.int64(earlier_us).view(np.uint64)
+            for link in camera.links:
+                link.push_all(events, t1_ns // 1000 - earlier_us)
+            links_s = settled_s - drawn_s + time.perf_counter() - exposed_s
+            costs_s += np.array([drawn_s - begun_s, exposed_s - settled_s, links_s])
+        self._t_us = t1_ns // 1000 - earlier_us
+        return costs_s

@@ -503,34 +503,3 @@ class Session:
         if self._cut_off is None:
             return ledger
         return dataclasses.replace(self._cut_off, links=ledger.links, second=second)
-
-
-class Operator:
-    """Access to a running session for a user; the record of changes contains the user's name, `by`."""
-
-    def __init__(self, session: Session, by: str) -> None:
-        self.session = session
-        self._by = by
-
-    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
-        """Change a parameter from the next step on; raises ValueError.
-
-        With `undo` the record shows that the value was set back.
-        """
-        self.session.adjust(name, value, f"{self._by}, undo" if undo else self._by)
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault on the link that it names."""
-        self.session.inject(fault, self._by)
-
-    def end_fault(self, link: str, number: int) -> None:
-        """End the fault with this number on a link."""
-        self.session.end_fault(link, number, self._by)
-
-    def happen(self, link: str, kind: EdgeKind | None) -> None:
-        """Give the input of a link's camera an edge, or reset its clock."""
-        self.session.happen(link, kind, self._by)
-
-    def record(self, t_us: int, what: str) -> None:
-        """Record a change of all cameras that acts at a stream time."""
-        self.session.record(Change(t_us * 1000, self._by, what))

@@ -16,13 +16,12 @@ from PIL import Image
 
 from emulator.cli import demo, doctor
 from emulator.cli.app import _main
-from emulator.cli.doctor import _sentence
 from emulator.cli.output import Failure
 from emulator.cli.verbs import VERBS
-from emulator.rig.loading import load_rig
-from emulator.run.expected_speed import ExpectedSpeed, RealTimeSpeed, StepCost
+from emulator.run.expected_speed import ExpectedSpeed, StepCost
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
+from tests.npz_records import save_record
 from transports.link.deliveries import digest_of
 from transports.needs import Finding
 
@@ -178,26 +177,38 @@ def test_doctor_tells_whether_a_rig_runs_in_real_time(step_us, rig, capsys):
     assert told["real_time"] is in_real_time
     assert code == (0 if in_real_time else 1)
     assert step_us > 1 or not in_real_time  # no machine makes a million steps a second
-    assert told["expected"]["times_real_time"] > 0
+    assert told["expected"]["links_s"] > 0
 
 
 def test_a_plan_has_the_speed_to_expect_on_this_machine(rig, capsys):
     assert _main(["plan", str(rig), "--json"]) == 0
     speed = last_json(capsys.readouterr().out)["speed"]
-    assert speed["times_real_time"] == pytest.approx(speed["step_s"] / (speed["drawing_s"] + speed["pixels_s"]))
+    parts_s = (speed[name] for name in ("drawing_s", "pixels_s", "links_s"))
+    assert speed["times_real_time"] == pytest.approx(speed["step_s"] / sum(parts_s))
     assert speed["step_s"] == pytest.approx(2e-3)
     assert _main(["plan", str(rig)]) == 0
-    assert "times real time expected on this machine" in capsys.readouterr().out
+    assert "times real time expected" in capsys.readouterr().out
 
 
-def test_advice_for_a_slow_rig_is_that_of_the_probe():
-    slow = StepCost(1e-3, 2e-3, 1e-3)
-    with_remedy, without = (
-        _sentence(load_rig("checkerboard"), RealTimeSpeed(0.3, 2.0, ExpectedSpeed(slow, remedies)))
-        for remedies in (("run.step_us = 9000",), ())
-    )
-    assert "Take a longer" not in with_remedy
-    assert "Take a longer" in without
+def test_a_verdict_has_the_speed_and_what_would_mend_it(rig, monkeypatch, capsys):
+    slow = ExpectedSpeed(StepCost(1e-3, 2e-3, 1e-3, 1e-3), ("run.step_us = 9000",))
+    monkeypatch.setattr(doctor, "expected_speed", lambda *_: slow)
+    assert _main(["doctor", str(rig)]) == 1
+    sentence = capsys.readouterr().out.splitlines()[-1]
+    assert sentence.startswith(f"{rig.stem} does NOT run in real time on this machine: 0.25 times real time expected")
+    assert sentence.endswith("run.step_us = 9000 would make it real time")
+
+
+def test_the_speed_of_a_recording_is_that_of_its_link(tmp_path, capsys):
+    events = np.zeros(20_000, EVENT)
+    events["t"] = np.arange(20_000) * 100
+    save_record(tmp_path / "a.npz", events, [0])
+    path = tmp_path / "recording.toml"
+    path.write_text('[scene]\nkind = "recording"\npath = "a.npz"\n[[links]]\nkind = "usbip"\n')
+    assert _main(["doctor", str(path), "--json"]) == 0
+    told = last_json(capsys.readouterr().out)
+    assert told["expected"]["remedies"] == []
+    assert 0 < told["expected"]["drawing_s"] < told["expected"]["links_s"]
 
 
 @pytest.mark.parametrize(

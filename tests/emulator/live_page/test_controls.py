@@ -12,7 +12,6 @@ from emulator.live_page.messages import ViewerCommands
 from emulator.run.changes import Change, Changes
 from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Lateness
-from emulator.run.session import Operator
 from transports.faults.kinds import FAULTS
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
@@ -54,7 +53,7 @@ def _commands(session, *links):
         ended.append((message["link"], message["number"]))
         return {"link": message["link"], "kind": "stall"}
 
-    commands = ViewerCommands(Operator(session, "live page"), inject)
+    commands = ViewerCommands(session, inject)
     commands.status = RunStatus(1.0, 1.0, 1, 1, Lateness(), {name: LinkReport("open", faults=f) for name, f in links})
     return commands, ended
 
@@ -160,7 +159,7 @@ def _again(commands, seed):
 
 def test_a_run_starts_again_with_one_seed_whoever_else_sends_one():
     session, repeats = Session(), Repeats()
-    commands = ViewerCommands(Operator(session, "live page"), lambda *_: {}, repeats=repeats)
+    commands = ViewerCommands(session, lambda *_: {}, repeats=repeats)
     for seed in (-1, 2**63, 10**400):
         assert "seed must be" in _again(commands, seed)["error"]
     assert not session.stopping
@@ -172,7 +171,7 @@ def test_a_run_starts_again_with_one_seed_whoever_else_sends_one():
 
 def test_a_run_whose_files_would_be_written_over_is_not_started_again():
     session, repeats = Session(), Repeats("--record")
-    commands = ViewerCommands(Operator(session, "live page"), lambda *_: {}, repeats=repeats)
+    commands = ViewerCommands(session, lambda *_: {}, repeats=repeats)
     assert "--record" in _again(commands, 7)["error"]
     assert not session.stopping
     assert repeats.take(None, None) is None

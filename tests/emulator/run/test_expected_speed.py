@@ -9,7 +9,9 @@ from emulator.rig.loading import load_rig
 from emulator.run import expected_speed as module
 from emulator.run.assembly import build_scene
 from emulator.run.expected_speed import ExpectedSpeed, StepCost, expected_speed, longer_step_us, smaller_size
+from emulator.run.link_process import LinkProcess
 from tests.emulator.plan.test_decide import SCENE
+from transports.link.pacing import MonotonicClock
 
 PIXELS = 346 * 260
 
@@ -53,29 +55,30 @@ def test_no_size_helps_where_pixels_cost_nothing():
     assert smaller_size(cost(1e-3, 5e-3, a_pixel_s=1e-9), cost(1e-3, 5e-3, pixels=PIXELS // 4), (346, 260)) is None
 
 
-def linear(fixed_s, a_pixel_s):
-    """A stand-in for probes: a fixed cost a step, and one a pixel, halved without a bound on the threads."""
-
-    def measure(made, scene, step_ns, duration_s):
-        threads = 1 if made.rig.run.threads == 1 else 2
-        width, height = made.rig.camera.size
-        return StepCost(step_ns * 1e-9, fixed_s / threads, a_pixel_s * width * height / threads)
-
-    return measure
+def probed(monkeypatch, made, cost_of):
+    """Return the expected speed where a step costs what a function of the rig and the step, ns, returns."""
+    monkeypatch.setattr(module.HostedLinks, "cost", lambda links, rig, sensor, scene, step_ns: cost_of(rig, step_ns))
+    monkeypatch.setattr(module, "available_threads", lambda: 2)
+    with build_scene(made.rig) as scene:
+        return expected_speed(dataclasses.replace(made.rig, links=()), scene, made)
 
 
 def expected(monkeypatch, made, fixed_s, a_pixel_s):
-    monkeypatch.setattr(module, "_cost", linear(fixed_s, a_pixel_s))
-    monkeypatch.setattr(module, "available_threads", lambda: 2)
-    with build_scene(made.rig) as scene:
-        return expected_speed(made, scene)
+    """Return the speed for a fixed cost a step, and one a pixel, halved without a bound on the threads."""
+
+    def cost_of(rig, step_ns):
+        threads = 1 if rig.run.threads == 1 else 2
+        width, height = rig.camera.size
+        return StepCost(step_ns * 1e-9, fixed_s / threads, a_pixel_s * width * height / threads)
+
+    return probed(monkeypatch, made, cost_of)
 
 
 def test_a_fast_rig_needs_no_remedy(monkeypatch):
     speed = expected(monkeypatch, plan_of(), 1e-4, 1e-9)
     assert speed.remedies == ()
     assert "would" not in speed.line
-    assert "times real time expected on this machine" in speed.line
+    assert "times real time expected" in speed.line
 
 
 def test_a_slow_rig_has_the_remedies_that_its_costs_support(monkeypatch):
@@ -90,12 +93,7 @@ def test_a_slow_rig_has_the_remedies_that_its_costs_support(monkeypatch):
 
 
 def test_costs_that_nothing_lowers_have_no_remedy(monkeypatch):
-    monkeypatch.setattr(
-        module, "_cost", lambda made, scene, step_ns, duration_s: StepCost(step_ns * 1e-9, 0.0, 3e-9 * step_ns)
-    )
-    made = plan_of()
-    with build_scene(made.rig) as scene:
-        speed = expected_speed(made, scene)
+    speed = probed(monkeypatch, plan_of(), lambda rig, step_ns: StepCost(step_ns * 1e-9, 0.0, 3e-9 * step_ns))
     assert speed.remedies == ()
     assert "neither longer steps nor fewer pixels" in speed.line
 
@@ -110,15 +108,49 @@ def test_a_probe_makes_steps_of_the_rig(monkeypatch):
     monkeypatch.setattr(module, "_PROBE_S", 0.05)
     made = plan_of()
     with build_scene(made.rig) as scene:
-        speed = expected_speed(made, scene)
+        speed = expected_speed(made.rig, scene, made)
     assert speed.cost.step_s == pytest.approx(1e-3)
     assert speed.cost.drawing_s > 0
     assert speed.cost.pixels_s > 0
+    assert speed.cost.links_s > 0
     assert speed.as_json()["times_real_time"] == speed.cost.factor
 
 
 def test_the_line_has_the_shares():
-    line = ExpectedSpeed(StepCost(0.04, 0.06, 0.02), ("run.step_us = 90000",)).line
+    line = ExpectedSpeed(StepCost(0.04, 0.06, 0.015, 0.005), ("run.step_us = 90000",)).line
     assert "0.5 times real time" in line
-    assert "drawing 75%, pixels 25%" in line
+    assert "drawing 75%, pixels 19%, links 6%" in line
     assert line.endswith("; run.step_us = 90000 would make it real time")
+
+
+def test_a_link_that_takes_long_is_part_of_a_step(monkeypatch):
+    """A link that settles 5 ms after each step: a run that is not paced waits for it."""
+    monkeypatch.setattr(module, "_PROBE_S", 0.05)
+
+    def late(link, until_us, goes_on):
+        clock.sleep_until(clock.now_ns() + 5_000_000)
+
+    clock = MonotonicClock()
+    monkeypatch.setattr(module.LinkProcess, "wait_settled", late)
+    made = plan_of()
+    with build_scene(made.rig) as scene:
+        assert expected_speed(made.rig, scene, made).cost.links_s > 5e-3
+
+
+def test_steps_of_both_cameras_are_made_and_all_their_events_are_delivered(monkeypatch):
+    """The links are those of the rig, and take all events at times that go on where the stream jumps."""
+    monkeypatch.setattr(module, "_PROBE_S", 0.02)
+    monkeypatch.setattr(module, "_BETWEEN_S", 0.0)
+    rig, reports = load_rig("stars-stereo"), {}
+
+    def stop(link, drain_s, stopped=LinkProcess.stop):
+        reports[link.name] = stopped(link, 10.0)
+
+    monkeypatch.setattr(LinkProcess, "stop", stop)
+    with build_scene(rig) as scene, module.hosted_links(rig) as links:
+        cost = links.cost(rig, rig.camera.sensor, scene, 1_000_000)
+    assert cost.total_s > 0
+    assert set(reports) == {link.name for link in rig.links}
+    for report in reports.values():
+        assert report.delivered > 0
+        assert report.dropped == report.dropped_in_device == 0
