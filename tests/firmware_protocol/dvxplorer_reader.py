@@ -70,6 +70,7 @@ class Reader:
     def pixels(self, group: int | None, value: int) -> None:
         if self.x is None or group is None or value & 0xE00 or not value & 0xFF:
             self.wrong.append(f"pixels {value:#x} at column {self.x}, group {group}")
+        if self.x is None or group is None:  # the three bits without a meaning are ignored
             return
         for bit in range(8):
             if value >> bit & 1:

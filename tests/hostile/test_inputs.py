@@ -115,7 +115,7 @@ def test_socketcand():
 
 
 class Session:
-    def inject(self, fault):
+    def inject(self, fault, by):
         assert fault.kind in FAULTS
 
 

@@ -132,10 +132,10 @@ class Injector:
         self.injected = []
         self.ended = []
 
-    def end_fault(self, link, number):
+    def end_fault(self, link, number, by):
         self.ended.append((link, number))
 
-    def inject(self, fault):
+    def inject(self, fault, by):
         self.injected.append(fault)
 
 

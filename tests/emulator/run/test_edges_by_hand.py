@@ -31,10 +31,10 @@ class Session:
     def __init__(self):
         self.happened = []
 
-    def inject(self, fault):
+    def inject(self, fault, by):
         raise AssertionError("nobody asked for a fault")
 
-    def happen(self, link, kind):
+    def happen(self, link, kind, by):
         self.happened.append((link, kind))
 
 

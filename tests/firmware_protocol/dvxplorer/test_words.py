@@ -155,6 +155,7 @@ def test_words_up_to_an_end_hold_whole_events(events, room):
 
 
 @given(data=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=3))
+@example(data=np.array([0x4000, 0x1000, 0x2201], "<u2").tobytes(), cuts=[])
 def test_any_bytes_decode_as_the_slow_reader_does(data, cuts):
     """Events agree for any words, valid or not; only states that the description leaves open are left out."""
     data = data[: len(data) & ~1]
