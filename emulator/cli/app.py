@@ -119,7 +119,9 @@ def _main(tokens: list[str]) -> int:
         return _fail(str(error), WRONG_USE, as_json, printed=boxed)
     except Failure as failure:
         return _fail(str(failure), failure.exit_code, as_json)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:  # numba raises the second one within the call of a kernel
+        if not isinstance(error, KeyboardInterrupt) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
         ignore_stop_signals()
         return _fail("interrupted", BAD_VERDICT, as_json)
 

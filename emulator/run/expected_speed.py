@@ -43,7 +43,6 @@ _BETWEEN_S = 2.0  # longest time for all steps from one instant to the next
 _SPARE = 0.9  # of the wall time of a step that is real time, with some spare time
 _LONGER = 4
 _LONGEST_STEP_US = 1_000_000
-
 Floats = npt.NDArray[np.float64]
 
 
@@ -202,9 +201,8 @@ class HostedLinks:
     def _costs_s(self, cameras: Sequence[_Camera], step_ns: int, duration_s: float) -> list[float]:
         """Return the seconds of drawing, of pixels, and of links of a step.
 
-        These are means, because a few steps draw the noise of many pixels; the first step after a start settles and is
-        left out. All steps up to the next instant are made if this is soon done: behind stars, pixels settle for
-        seconds.
+        They are means without the first step after a start, as a few steps draw the noise of many pixels. All steps
+        to the next instant are made if that is soon done: behind stars, pixels settle for seconds.
         """
         t_ns, stretches_s = 0, list[Floats]()
         for k in range(_INSTANTS):
@@ -242,7 +240,6 @@ class HostedLinks:
             events["t"] -= np.int64(earlier_us).view(np.uint64)
             for link in camera.links:
                 link.push_all(events, t1_ns // 1000 - earlier_us)
-            links_s = settled_s - drawn_s + time.perf_counter() - exposed_s
-            costs_s += np.array([drawn_s - begun_s, exposed_s - settled_s, links_s])
+            costs_s += drawn_s - begun_s, exposed_s - settled_s, settled_s - drawn_s + time.perf_counter() - exposed_s
         self._t_us = t1_ns // 1000 - earlier_us
         return costs_s

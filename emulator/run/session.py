@@ -412,6 +412,10 @@ class Session:
         self._may_interrupt = True
         try:
             yield
+        except SystemError as error:  # numba raises it where a signal does while the result of a kernel is made
+            if isinstance(error.__cause__, _StepInterrupted):
+                raise error.__cause__ from None
+            raise
         finally:
             self._may_interrupt = False
 

@@ -342,14 +342,14 @@ def _advance_pixel(
 @entry_of(*SOURCES, __name__)
 def _advance(
     u: tuple[_Floats, _Floats], slopes: tuple[_Floats, _Floats], h_s: float, m: _Model, s: _Array, pending: Pending
-) -> tuple[Pending, int, int]:
+) -> tuple[tuple[Any, ...], int, int]:
     """Move all pixels over a step; `u` is log light of both frames, `slopes` its derivatives, 1/s; NaN: unknown."""
     n = lost = 0
     for pixel in range(m.on.size):
         light = log_light_between((u[0][pixel], u[1][pixel]), (slopes[0][pixel], slopes[1][pixel]), h_s)
         pending, n, gone = _advance_pixel(pixel, light, m, s, pending, n)
         lost += gone
-    return pending, n, lost
+    return pending[0:], n, lost
 
 
 class LogLightPixels(PixelMethod):
@@ -479,4 +479,4 @@ class CircuitPixels(LogLightPixels):
         light_of = (self._u, u), (self._slope, slope)
         pending, n, lost = _advance(*light_of, h_ns * 1e-9, self._model, self._state, new_pending())
         np.minimum(pending[0], h_ns - 1, out=pending[0])
-        return pending, n, lost
+        return Pending(*pending), n, lost

@@ -26,7 +26,7 @@ moving light only through the light between frames.
 from __future__ import annotations
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -267,7 +267,7 @@ def _advance(
     m: _Model,
     s: _State,
     pending: Pending,
-) -> tuple[Pending, int, int]:
+) -> tuple[tuple[Any, ...], int, int]:
     """Move all pixels over the grid times after the first of `grid_times` up to the last.
 
     `light_of` are log light of two frames and its derivatives, 1/s; NaN: unknown.
@@ -311,7 +311,7 @@ def _advance(
                 pending, n, more = _fire(piece, m, s, pending, n)
                 lost += more
         s.u[pixel], s.v[pixel], s.w[pixel], s.n1[pixel], s.n2[pixel] = u0, v0, w0, n1, n2
-    return pending, n, lost
+    return pending[0:], n, lost
 
 
 class NoisyPixels(LogLightPixels):
@@ -369,4 +369,4 @@ class NoisyPixels(LogLightPixels):
         pending, n, lost = _advance(light_of, times, (self._t_ns, t_ns), self._model, self._state, new_pending())
         pending[0][:n] -= settled_ns
         self._settled_ns = max(times[1] * delta_ns, settled_ns)
-        return pending, n, lost
+        return Pending(*pending), n, lost

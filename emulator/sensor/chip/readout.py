@@ -274,10 +274,10 @@ def _run(
 @cached_entry
 def _serve(
     arrivals: Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
-) -> tuple[int, _Queue, _Arbiter]:
+) -> tuple[int, tuple[int, ...], tuple[int, ...]]:
     """Run the arbiter as `_run` does; this entry is cached on disk."""
     n, queue, a = _run(arrivals, until_ns, maps, queue, a, timing, out)
-    return n, queue, a
+    return n, queue[0:], a[0:]
 
 
 class ReadOut(ABC):
@@ -417,7 +417,7 @@ _Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bo
 @cached_entry
 def _delay(
     crossings: _Arrays, window: Window, d: _Delays, pending: Pending, n: int
-) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+) -> tuple[tuple[Any, ...], int, npt.NDArray[np.uint64]]:
     """Add crossings to the pending events; return those that stay pending, and the packed events of the window."""
     t_ns, pixels, on = crossings
     pending = reserve(pending, n, t_ns.size)
@@ -438,7 +438,7 @@ def _delay(
         n += 1
     keys = np.empty(n + 1, np.uint64)
     released, remaining = release(window, pending, n, keys)
-    return pending, remaining, keys[:released]
+    return pending[0:], remaining, keys[:released]
 
 
 class Jitter:

@@ -113,7 +113,7 @@ def _admit(arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, scan: _Scan) 
 @cached_entry
 def _run(
     arrivals: Arrivals, until_ns: int, maps: _Maps, scan: _Scan, timing: _Timing, out: Events
-) -> tuple[int, _Scan]:
+) -> tuple[int, tuple[int, ...]]:
     """Scan until `until_ns`; with no end, until nothing waits. Return the number of events sent, and the scan."""
     n = k = NONE
     size = arrivals.t_ns.size
@@ -129,7 +129,7 @@ def _run(
         ps = scan.ps + taken_ps
         scan = _Scan(column, scan.t_ns + ps // 1000, ps % 1000, scan.waiting - (n - before), scan.lost, scan.busy)
     _, scan = _admit(arrivals, k, np.int64(_FOREVER_NS), maps, scan)
-    return n, scan
+    return n, scan[0:]
 
 
 class ScanReadOut(ReadOut):

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -213,13 +213,13 @@ def _add(pending: Pending, n: int, from_ns: int, t_ns: int, key: np.uint64) -> t
 @cached_entry
 def _advance(
     window: Window, c: _Constants, rates: _Rates, pending: Pending, n: int
-) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+) -> tuple[tuple[Any, ...], int, npt.NDArray[np.uint64]]:
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
         pending, n = _draw_background(slot, window.t0_ns, c, rates, pending, n)
     keys = np.empty(n + 1, np.uint64)
     released, remaining = release(window, pending, n, keys)
-    return pending, remaining, keys[:released]
+    return pending[0:], remaining, keys[:released]
 
 
 class BackgroundEvents(SlottedEvents):
@@ -371,14 +371,14 @@ def _draw_particles(
 @cached_entry
 def _advance_particles(
     window: Window, chip: _Chip, dead: npt.NDArray[np.bool_], pending: Pending, n: int
-) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+) -> tuple[tuple[Any, ...], int, npt.NDArray[np.uint64]]:
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     pixel = np.empty(chip.width + chip.height + 2, np.int64)
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
         pending, n = _draw_particles(slot, chip, pixel, dead, pending, n)
     keys = np.empty(n + 1, np.uint64)
     released, remaining = release(window, pending, n, keys)
-    return pending, remaining, keys[:released]
+    return pending[0:], remaining, keys[:released]
 
 
 class Particles(SlottedEvents):

@@ -336,12 +336,12 @@ def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: 
 @cached_entry
 def advance(
     frame: FlatLight, pixels: Pixels, buffers: Buffers, keys: Keys, share: Share, c: StepConstants
-) -> tuple[Keys, int, Tally]:
+) -> tuple[Keys, int, tuple[int, ...]]:
     """Move a share of the pixels to the time of `frame`. Of pixels collected for refinement only the light moves.
 
     `pixels` and the share's table of idle blocks change; `buffers` are for candidates, and undersampled pixels. Returns
     the keys of the events, packed as in `unpack`, unsorted (a longer array where it was too short), their number, and
-    the counts of the step.
+    the counts of a `Tally`: numba crashes where a signal raises while Python makes a named tuple within a tuple.
     """
     n_keys = lost = undersampled = NONE
     at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)
@@ -355,7 +355,7 @@ def advance(
         lost += lost_now
         undersampled += undersampled_now
         at = _Progress(at.block, at.packed, NONE, at.candidates, at.unreadable, at.refined, at.moved)
-    return keys, n_keys, Tally(lost, undersampled, at.candidates, at.unreadable, at.refined, at.moved * PART)
+    return keys, n_keys, (lost, undersampled, at.candidates, at.unreadable, at.refined, at.moved * PART)
 
 
 @kernel
@@ -411,7 +411,7 @@ class Workers:
         """Move the array as `advance` does; return the keys, sorted, and the counts."""
         n = self._wanted(frame.light.size)
         self._reserve(n)
-        shares: list[tuple[Keys, Tally]] = [(self._keys[0], Tally(0, 0, 0, 0, 0, 0))] * n
+        shares: list[tuple[Keys, tuple[int, ...]]] = [(self._keys[0], (0,) * 6)] * n
 
         def move(number: int, _: int) -> None:
             share = Share(number, n, self.idle, touched)

@@ -199,6 +199,18 @@ def test_a_verdict_has_the_speed_and_what_would_mend_it(rig, monkeypatch, capsys
     assert sentence.endswith("run.step_us = 9000 would make it real time")
 
 
+def test_an_interrupt_within_a_kernel_is_one(rig, monkeypatch, capsys):
+    """Numba raises SystemError in its place."""
+
+    def interrupted(*_):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(doctor, "expected_speed", interrupted)
+    monkeypatch.setattr("emulator.cli.app.ignore_stop_signals", lambda: None)
+    assert _main(["doctor", str(rig)]) == 1
+    assert "interrupted" in capsys.readouterr().err
+
+
 def test_the_speed_of_a_recording_is_that_of_its_link(tmp_path, capsys):
     events = np.zeros(20_000, EVENT)
     events["t"] = np.arange(20_000) * 100

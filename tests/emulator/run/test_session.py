@@ -10,7 +10,7 @@ import pytest
 from emulator.cli.signals import stop_on_signals
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
-from emulator.run.session import Schedule, Session
+from emulator.run.session import Schedule, Session, _StepInterrupted
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.parameters import NoiseParameters
@@ -281,3 +281,12 @@ def test_a_scene_of_another_size_is_refused():
     clock = FakeClock()
     with pytest.raises(ValueError, match="the scene is"):
         session(Flashing(clock, size=(24, 24)), clock)
+
+
+def test_an_interrupt_within_a_kernel_ends_the_step():
+    """Numba raises SystemError in its place; others stay."""
+    session = Session.__new__(Session)
+    with pytest.raises(_StepInterrupted), session._interruptible():
+        raise SystemError("returned a result with an exception set") from _StepInterrupted()
+    with pytest.raises(SystemError), session._interruptible():
+        raise SystemError("another one")
