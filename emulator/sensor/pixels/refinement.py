@@ -125,13 +125,13 @@ class Refinement:
         `share` is the whole.
         """
         c = c._replace(refine=True, unseen_share=REFINED_UNSEEN_SHARE)
-        keys, n_keys, tally = advance(frame, pixels, self._buffers[0], keys, share, c)
-        if not tally.refined:
-            return keys, n_keys, tally
-        self._lists, self._tallies = [keys[:n_keys]], [tally]
+        keys, n_keys, counts = advance(frame, pixels, self._buffers[0], keys, share, c)
+        self._lists, self._tallies = [keys[:n_keys]], [Tally(*counts)]
+        if not (refined := self._tallies[0].refined):
+            return keys, n_keys, self._tallies[0]
         self._step, self._at = c, at
         interval = _Interval(c.t0_ns, c.t0_ns + c.h_ns, frame, np.arange(frame.light.size))
-        self._refine(pixels, tally.refined, interval, 0)
+        self._refine(pixels, refined, interval, 0)
         together = np.concatenate(self._lists)
         return together, together.size, Tally(*(sum(column) for column in zip(*self._tallies, strict=True)))
 
@@ -152,14 +152,14 @@ class Refinement:
         c = self._constants(half.t0_ns, half.t1_ns)._replace(refine=again, unseen_share=REFINED_UNSEEN_SHARE)
         wake(self._share.idle)  # these are other pixels each time
         buffers = self._buffers[level + 1]
-        self._keys, n_keys, tally = advance(half.end, pixels, buffers, self._keys, self._share, c)
+        self._keys, n_keys, counts = advance(half.end, pixels, buffers, self._keys, self._share, c)
         later_ns = half.t0_ns - self._step.t0_ns
         self._lists.append(
             _renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits, int(self._step.noisy))
         )
-        self._tallies.append(tally)
-        if tally.refined:
-            self._refine(pixels, tally.refined, half, level + 1)
+        self._tallies.append(Tally(*counts))
+        if refined := self._tallies[-1].refined:
+            self._refine(pixels, refined, half, level + 1)
 
     def _array(self, subset: Subset, above: Pixels, n: int) -> Pixels:
         """Return the n pixels of a subset as an array; the other pixels of its last block are at rest."""
