@@ -24,7 +24,7 @@ def interrupted_after(seconds):
         raise Interrupted
 
     before = signal.signal(signal.SIGALRM, handle)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # again, where the first exception was lost in a destructor
     try:
         yield
     finally:
