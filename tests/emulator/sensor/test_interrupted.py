@@ -1,4 +1,4 @@
-"""Signals that raise an exception while a kernel runs: a program gets that exception, and numba does not crash."""
+"""Signals that raise an exception while a kernel runs: a program gets it, or numba's SystemError with it as the cause."""
 
 import dataclasses
 import signal
