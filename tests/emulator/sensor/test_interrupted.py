@@ -1,4 +1,4 @@
-"""Signals that raise an exception while a kernel runs: a program gets it, or numba's SystemError with it as the cause."""
+"""Signals that raise while a kernel runs: a program gets the exception, or numba's SystemError with it as the cause."""
 
 import dataclasses
 import signal
