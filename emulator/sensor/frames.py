@@ -93,8 +93,7 @@ class Converter:
         e = np.float32(self._parameters.electrons_per_dn)
         mean = brightness * e
         electrons = mean + np.sqrt(mean) * z + np.where(mean > 0, (z * z - 1) / 6, 0)
-        noisy: Floats = np.maximum(electrons, 0) / e
-        return noisy
+        return np.asarray(np.maximum(electrons, 0) / e)
 
     def _read_noise(self, purpose: Purpose, lines: slice, samples: slice, frame: int) -> Floats:
         rms = self._parameters.read_noise_dn / math.sqrt(2)
@@ -104,8 +103,7 @@ class Converter:
 
     def _normals(self, purpose: Purpose, lines: slice, samples: slice, frame: int) -> Floats:
         part = np.ascontiguousarray(self._streams[purpose][lines, samples])
-        numbers: Floats = normals(part.reshape(-1), frame).reshape(part.shape)
-        return numbers
+        return np.asarray(normals(part.reshape(-1), frame).reshape(part.shape))
 
     def _common_noise(self, lines: slice, samples: slice, frame: int) -> Floats:
         """Return the noise of columns and rows, which broadcasts to (lines, samples)."""
@@ -118,8 +116,7 @@ class Converter:
 
 
 def _converted(level: Floats) -> Samples:
-    samples: Samples = np.clip(np.floor(level + np.float32(0.5)), 0, _MOST).astype(np.uint16)
-    return samples
+    return np.asarray(np.clip(np.floor(level + np.float32(0.5)), 0, _MOST).astype(np.uint16))
 
 
 Times = npt.NDArray[np.int64]
@@ -159,8 +156,7 @@ class Exposure:
 
 def _weighed(weights: npt.NDArray[np.float64], light: Light) -> Light:
     """Return (lines, samples) of light, negative as 0, times (lines,) of weights."""
-    product: Light = np.maximum(light, 0) * weights.astype(np.float32)[:, None]
-    return product
+    return np.asarray(np.maximum(light, 0) * weights.astype(np.float32)[:, None])
 
 
 _SAMPLES = 346  # that `line_us` is for

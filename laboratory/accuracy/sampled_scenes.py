@@ -19,9 +19,9 @@ The surface of each scene, by which it is judged:
 
 Rays to bodies are those of embree, an independent library (embreex), in float32; the point on the facet is computed in
 float64. Rays over ground follow its heights cell by cell, and skip what lies below the ray by the maxima of larger
-cells. A ray to the Sun starts _LIFT of a small facet's side above it: nearer it would hit the flat parts beside, and
+cells. A ray to the Sun starts _LIFT of a small facet's side above it: nearer float32 would round it into the facet, and
 farther up it would miss low shadows. Over ground, which is met in float64, it starts _GROUND_LIFT of the distance of
-posts above it: a shadow's edge moves by that over the tangent of the Sun's elevation.
+posts above it. A shadow's edge moves by that height over the tangent of the Sun's elevation.
 
 A board (`SampledBoard`) along the rows of pixels is the product of two square waves, each sampled along its axis.
 """
@@ -55,7 +55,7 @@ _Float32s = npt.NDArray[np.float32]
 _Ints = npt.NDArray[np.int64]
 _compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__)
 
-_LIFT, _GROUND_LIFT = 0.02, 1e-3
+_LIFT, _GROUND_LIFT = 2e-3, 1e-3
 _FLAT_LIFT = 2e-6  # of a flat body's radius
 _LEAST_CUTS, _MOST_FACETS, _SIDES_A_PIXEL = 4, 3_000_000, 3.0
 _UNEVEN = 0.25  # of the mean light of a pixel

@@ -33,7 +33,7 @@ Bools = npt.NDArray[np.bool_]
 Bytes = npt.NDArray[np.uint8]
 Numbers = npt.NDArray[np.int32]
 
-BEND_PX = 0.08
+BEND_PX = 0.05
 """Bend of a side that is not seen, pixels."""
 
 _DARKEST = -0.1  # cosine of incidence: where no corner of a facet is above, its outline is black

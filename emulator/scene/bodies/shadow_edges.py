@@ -52,7 +52,7 @@ Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
 Longs = npt.NDArray[np.int64]
 
-_LIFT = 0.005  # of the mean length of sides: rays begin as high above the surface; .02 loses low shadows, .001 is rough
+_LIFT = 0.002  # of the mean length of sides: rays begin as high above the surface; .005 loses low shadows
 _MOST_TRIANGLES = 32  # left one after the other on a side
 _PAST = 2e-3  # of a side: the place behind a triangle's shadow at which the next ray begins
 _STEEPEST = 1e5  # sides a radian of the Sun's motion: shadows that graze the surface are no faster

@@ -272,28 +272,33 @@ class PixelArray(PixelMethod):
         layout.put_field(state.fields, Field.SLOPE, lit_slope)
         settled = log_light - log_light if p.highpass_hz else log_light  # 0, NaN in light that is none
         layout.put_field(state.fields, Field.REFERENCE, settled + leak * since_epoch - on * phase)
+        del current, log_light, filter_rate, lit_slope, phase, on, leak, settled  # together as large as the state
         if p.noise.rms:
-            self._settle(pixels)
+            self._settle()
         self._clear_counters()
         self._replacing = None
         self.wake()
 
-    def _settle(self, pixels: int) -> None:
+    def _settle(self) -> None:
         """Draw the references of the start from laws at nodes around the pixels' parameters, and certify the pixels."""
         state, p = self.state, self.parameters
         layout.put_field(state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))
         memory = state.memory.reshape(-1, layout.MEMORY)
         memory[:, :2] = 0
-        state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
+        state.refractory_until_ns[: len(memory)] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
         fields = Field.ON, Field.OFF, Field.RATE, Field.LEAK, Field.LOG_LIGHT
         on, off, rate, leak, log_light = (layout.take_field(state.fields, field, self._pixels) for field in fields)
         rms = memory[: self._pixels, 2] * np.float32(p.noise.rms)
         lit = np.exp(log_light) * np.float32(p.parasitic_hz_at_reference)
         turns = np.float32(p.noise.history_s) * (leak / on + lit) + _LEAST_TURNS
-        places = np.log(np.stack([on / rms, off / rms, rate, turns])) / _NODES_APART[:, None]
+        places = np.stack([on / rms, off / rms, rate, turns])
+        np.log(places, out=places)
+        places /= _NODES_APART[:, None]
         settled = np.isfinite(places.sum(axis=0)) & (on < _NO_NOISE * rms) & (p.noise.history_s > 0)
+        del on, off, rate, leak, log_light, rms, lit, turns  # as large as the state, and not needed while it settles
         lowest = np.floor(places.min(axis=1, where=settled, initial=_NO_NOISE))
-        places = np.where(settled, places - lowest[:, None], np.float32(np.nan))
+        places -= lowest[:, None]
+        places[:, ~settled] = np.nan
         used = np.zeros(places.max(axis=1, where=settled, initial=0).astype(int) + 2, np.bool_)
         used[tuple(places[:, settled].astype(int))] = True
         for axis in range(used.ndim):

@@ -140,8 +140,7 @@ def delay_s(slope: float, on: bool, c: StepConstants) -> float:
     if slope <= 0:
         return LONGEST_S
     unit_s = c.contrast_per_e / slope
-    late_s: float = min(_units(tau_s / unit_s, on) * unit_s, LONGEST_S)
-    return late_s
+    return float(min(_units(tau_s / unit_s, on) * unit_s, LONGEST_S))
 
 
 MOST_EVENTS = 64
