@@ -272,7 +272,7 @@ class PixelArray(PixelMethod):
         layout.put_field(state.fields, Field.SLOPE, lit_slope)
         settled = log_light - log_light if p.highpass_hz else log_light  # 0, NaN in light that is none
         layout.put_field(state.fields, Field.REFERENCE, settled + leak * since_epoch - on * phase)
-        del current, log_light, filter_rate, lit_slope, phase, on, leak, settled  # together half as large as the state
+        del current, log_light, filter_rate, lit_slope, phase, on, leak, settled  # half as large as the state
         if p.noise.rms:
             self._settle()
         self._clear_counters()
@@ -295,7 +295,7 @@ class PixelArray(PixelMethod):
         np.log(places, out=places)
         places /= _NODES_APART[:, None]
         settled = np.isfinite(places.sum(axis=0)) & (on < _NO_NOISE * rms) & (p.noise.history_s > 0)
-        del on, off, rate, leak, log_light, rms, lit, turns  # half as large as the state, and not needed while it settles
+        del on, off, rate, leak, log_light, rms, lit, turns  # half as large as the state
         lowest = np.floor(places.min(axis=1, where=settled, initial=_NO_NOISE))
         places -= lowest[:, None]
         places[:, ~settled] = np.nan
