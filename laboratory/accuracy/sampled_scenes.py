@@ -19,8 +19,8 @@ The surface of each scene, by which it is judged:
 
 Rays to bodies are those of embree, an independent library (embreex), in float32; the point on the facet is computed in
 float64. Rays over ground follow its heights cell by cell, and skip what lies below the ray by the maxima of larger
-cells. A ray to the Sun starts _LIFT of a small facet's side above it: nearer float32 would round it into the facet, and
-farther up it would miss low shadows. Over ground, which is met in float64, it starts _GROUND_LIFT of the distance of
+cells. A ray to the Sun starts _LIFT of a small facet's side above it: more than float32 rounds, and so near that it
+does not miss low shadows. Over ground, which is met in float64, it starts _GROUND_LIFT of the distance of
 posts above it. A shadow's edge moves by that height over the tangent of the Sun's elevation.
 
 A board (`SampledBoard`) along the rows of pixels is the product of two square waves, each sampled along its axis.
