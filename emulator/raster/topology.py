@@ -1,24 +1,28 @@
 r"""Facets of surfaces and their neighbours, prepared once; those of a light frame, with sides cut and with patches.
 
-A facet has three corners 0, 1, 2, and points 3, 4, 5 in the middle of its sides. The sides that are cut, one bit each,
-decide its parts; the first one has the facet's own row, the others follow behind all surfaces:
+A facet has three corners 0, 1, 2, two points on each side that cut it in thirds, 3 to 8, and one within, 9. The sides
+that are cut, one bit each, decide its parts; the first one has the facet's own row, the others follow behind all
+surfaces:
 
-    none (0)            0-1 (1)              0-1 and 1-2 (3)        all (7)
+    none (0)          0-1 (1)             0-1 and 1-2 (3)         all (7)
 
-         2                   2                    2                      2
-        / \                 /|\                  /|\                    / \
-       /   \               / | \                / | 4                  5---4
-      /     \             /  |  \              /  |/ \                / \ / \
-     0-------1           0---3---1            0---3---1              0---3---1
+        2                 2                      2                      2
+       / \               //\\                    / \                    / \
+      /   \             / | \ \                 / . 6                  7---6
+     /     \           / |   | \               / .  /|\                / \ / \
+    /       \         / |     | \             / .  / | 5              8---9---5
+   /         \       / |       | \           /.  /  |/ \             / \ / \ / \
+  0-----------1     0--3-------4--1         0---3---4---1            0---3---4---1
 
-Both facets of a side have the same point in its middle, so surfaces stay closed whatever is cut. Neighbours are found
-by the halves of sides: half h of side k is part of one side of one part.
+Both facets of a side have the same points on it, so surfaces stay closed whatever is cut. Neighbours are found by the
+thirds of sides: third h of side k is part of one side of one part.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,14 +77,8 @@ def join(topologies: Sequence[Topology]) -> Topology:
     """Return one topology of several surfaces, whose vertices and radiances follow each other in a view."""
     if not topologies:
         return prepare(np.zeros((0, 3), np.int32))
-    vertices, entries, facets = (
-        np.cumsum([0, *sizes])
-        for sizes in (
-            [t.vertices for t in topologies],
-            [t.entries for t in topologies],
-            [len(t.faces) for t in topologies],
-        )
-    )
+    sizes = np.array([(0, 0, 0), *((t.vertices, t.entries, len(t.faces)) for t in topologies)])
+    vertices, entries, facets = sizes.cumsum(axis=0).T
     across = [np.where(t.across < 0, -1, t.across + first) for t, first in zip(topologies, facets, strict=False)]
     return Topology(
         _stack([t.faces + first for t, first in zip(topologies, vertices, strict=False)]),
@@ -131,22 +129,30 @@ def _neighbours(corners: Ints, shades: Ints) -> tuple[Ints, Bytes]:
     return across.reshape(-1, 3), smooth.reshape(-1, 3)
 
 
-PARTS: dict[int, tuple[tuple[int, int, int], ...]] = {
-    0: ((0, 1, 2),),
-    1: ((0, 3, 2), (3, 1, 2)),
-    2: ((1, 4, 0), (4, 2, 0)),
-    3: ((3, 1, 4), (2, 0, 3), (2, 3, 4)),
-    4: ((2, 5, 1), (5, 0, 1)),
-    5: ((5, 0, 3), (1, 2, 5), (1, 5, 3)),
-    6: ((4, 2, 5), (0, 1, 4), (0, 4, 5)),
-    7: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+Part = tuple[int, int, int]
+
+
+def _turned(parts: Sequence[Part], times: int) -> tuple[Part, ...]:
+    """Return parts of a facet whose corner 0 is now called `times`."""
+    names = np.concatenate([np.roll([0, 1, 2], -times), np.roll(np.arange(3, 9), -2 * times), [9]])
+    return tuple((int(names[a]), int(names[b]), int(names[c])) for a, b, c in parts)
+
+
+_ONE = (0, 3, 2), (3, 4, 2), (4, 1, 2)
+_TWO = (4, 1, 5), (3, 4, 5), (3, 5, 6), (0, 3, 6), (0, 6, 2)
+_ALL = (0, 3, 8), (3, 9, 8), (3, 4, 9), (4, 5, 9), (4, 1, 5), (8, 9, 7), (9, 6, 7), (9, 5, 6), (7, 6, 2)
+
+PARTS: dict[int, tuple[Part, ...]] = {0: ((0, 1, 2),), 7: _ALL} | {
+    sum(1 << (k + times) % 3 for k in range(sides)): _turned(parts, times)
+    for sides, parts in ((1, _ONE), (2, _TWO))
+    for times in range(3)
 }
 """Points of the parts of a facet, counter-clockwise, by its sides that are cut: 1, 2 and 4 added."""
 
 
 _COUNTS = np.array([len(PARTS[cut]) for cut in range(8)])
-_POINTS, _BEHIND = np.zeros((8, 4, 3), np.int64), np.full((8, 4, 3), -1)  # of the parts; the part behind each side
-_HALVES = np.zeros((8, 3, 2, 2), np.int64)  # of each half of each side: the part, and which of its sides
+_POINTS, _BEHIND = np.zeros((8, 9, 3), np.int64), np.full((8, 9, 3), -1)  # of the parts; the part behind each side
+_THIRDS = np.zeros((8, 3, 3, 2), np.int64)  # of each third of each side: the part, and which of its sides
 
 
 def _fill_tables() -> None:
@@ -156,31 +162,29 @@ def _fill_tables() -> None:
         for (p, q), (number, s) in sides.items():
             _BEHIND[cut, number, s] = sides.get((q, p), (-1, 0))[0]
         for k in range(3):
-            first, last = k, (k + 1) % 3
-            middle = 3 + k if cut >> k & 1 else None
-            ends = [(first, last)] * 2 if middle is None else [(first, middle), (middle, last)]
-            _HALVES[cut, k] = [sides[end] for end in ends]
+            ends = [k, *([3 + 2 * k, 4 + 2 * k] if cut >> k & 1 else []), (k + 1) % 3]
+            _THIRDS[cut, k] = [sides[end] for end in pairwise(ends)]  # the same one for all thirds of a whole side
 
 
 _fill_tables()
 
 
 @entry
-def list_cut(middles: Ints, marked: Bytes, cuts: Bytes, firsts: Ints, end: int) -> int:
+def list_cut(between: Ints, marked: Bytes, cuts: Bytes, firsts: Ints, end: int) -> int:
     """Write which sides of each facet are cut, and the row of its second part; return the row behind the last one.
 
     Parameters
     ----------
-    middles : (m, 3), the point in the middle of each side; -1 for none.
-    marked : (points,), 1 where the side of that point is to be cut.
+    between : (m, 7), the points 3 to 9 of each facet; -1 for none.
+    marked : (points,), 1 for those of the sides that are to be cut, and within facets with all three cut.
     cuts, firsts : (m,).
     end : the first row.
     """
-    for f in range(len(middles)):
+    for f in range(len(between)):
         cut = 0
         for k in range(3):
-            middle = middles[f, k]
-            if middle >= 0 and marked[middle]:
+            point = between[f, 2 * k]
+            if point >= 0 and marked[point]:
                 cut |= 1 << k
         cuts[f], firsts[f] = cut, end
         end += _COUNTS[cut] - 1
@@ -203,16 +207,16 @@ def _row(f: int, part: int, firsts: Ints) -> int:
 
 
 @entry
-def write_parts(surfaces: Rows, middles: Ints, numbers: Ints, cuts: Bytes, firsts: Ints, out: Rows) -> None:
+def write_parts(surfaces: Rows, between: Ints, numbers: Ints, cuts: Bytes, firsts: Ints, out: Rows) -> None:
     """Replace the rows of facets with sides to cut by those of their parts.
 
     Parameters
     ----------
-    middles, cuts, firsts : of `list_cut`; the points are numbered as radiances are.
+    between, cuts, firsts : of `list_cut`; the points are numbered as radiances are.
     numbers : (points,), vertices of the points.
     out : begins as `surfaces` does.
     """
-    for f in range(len(middles)):
+    for f in range(len(between)):
         cut = cuts[f]
         if cut == 0:
             continue
@@ -224,8 +228,8 @@ def write_parts(surfaces: Rows, middles: Ints, numbers: Ints, cuts: Bytes, first
                     out.faces[row, s] = surfaces.faces[f, point]
                     out.shades[row, s] = surfaces.shades[f, point]
                 else:
-                    out.faces[row, s] = numbers[middles[f, point - 3]]
-                    out.shades[row, s] = middles[f, point - 3]
+                    out.faces[row, s] = numbers[between[f, point - 3]]
+                    out.shades[row, s] = between[f, point - 3]
                 if _BEHIND[cut, part, s] >= 0:
                     out.across[row, s] = _row(f, _BEHIND[cut, part, s], firsts)
                     out.smooth[row, s] = 1
@@ -237,16 +241,16 @@ def write_parts(surfaces: Rows, middles: Ints, numbers: Ints, cuts: Bytes, first
                 surfaces.across[g, j] == f and surfaces.faces[g, j] == surfaces.faces[f, (k + 1) % 3]
             ):
                 j += 1
-            for h in range(2):
-                part, s = _HALVES[cut, k, h, 0], _HALVES[cut, k, h, 1]
+            for h in range(3):
+                part, s = _THIRDS[cut, k, h, 0], _THIRDS[cut, k, h, 1]
                 row = _row(f, part, firsts)
                 out.smooth[row, s] = surfaces.smooth[f, k]
                 if g < 0:
                     out.across[row, s] = -1
                 else:
-                    behind = _row(g, _HALVES[cuts[g], j, 1 - h, 0], firsts)
+                    behind = _row(g, _THIRDS[cuts[g], j, 2 - h, 0], firsts)
                     out.across[row, s] = behind
-                    out.across[behind, _HALVES[cuts[g], j, 1 - h, 1]] = row
+                    out.across[behind, _THIRDS[cuts[g], j, 2 - h, 1]] = row
 
 
 class Facets:
@@ -255,19 +259,19 @@ class Facets:
     Parameters
     ----------
     surfaces : of all light frames.
-    middles : (m, 3) int32, the radiance of the point in the middle of each side that may be cut; -1 for others. Their
-        vertices follow those of `surfaces`, in ascending order, those alone that are marked.
+    between : (m, 7) int32, the radiances of points 3 to 9 of each facet; -1 where a side may not be cut. Their vertices
+        follow those of `surfaces`, in ascending order, those alone that are marked.
     """
 
-    def __init__(self, surfaces: Topology, middles: Ints | None = None) -> None:
+    def __init__(self, surfaces: Topology, between: Ints | None = None) -> None:
         self._surfaces = self._room = surfaces
-        self._middles = middles
+        self._between = between
         m = len(surfaces.faces)
         self._cuts, self._firsts = np.zeros(m, np.uint8), np.full(m, m, np.int32)
         self._end, self._points = m, 0
-        self._is_middle = np.zeros(surfaces.entries, np.uint8)
-        if middles is not None:
-            self._is_middle[middles[middles >= 0]] = 1
+        self._is_between = np.zeros(surfaces.entries, np.uint8)
+        if between is not None:
+            self._is_between[between[between >= 0]] = 1
 
     @property
     def shades(self) -> Ints:
@@ -281,20 +285,20 @@ class Facets:
         return ends[0], ends[1]
 
     def cut(self, marked: Bytes) -> None:
-        """Cut the sides whose middle is marked, (radiances,) uint8; patches are forgotten."""
-        t, middles = self._surfaces, self._middles
-        if middles is None:
+        """Cut the sides whose points are marked, (radiances,) uint8; patches are forgotten."""
+        t, between = self._surfaces, self._between
+        if between is None:
             return
-        self._end = int(list_cut(middles, marked, self._cuts, self._firsts, len(t.faces)))
+        self._end = int(list_cut(between, marked, self._cuts, self._firsts, len(t.faces)))
         self._make_room(self._end)
         room, m = self._room, len(t.faces)
         room.faces[:m] = t.faces
         room.shades[:m] = t.shades
         room.across[:m] = t.across
         room.smooth[:m] = t.smooth
-        numbers = t.vertices - np.int32(1) + np.cumsum(marked & self._is_middle, dtype=np.int32)
+        numbers = t.vertices - np.int32(1) + np.cumsum(marked & self._is_between, dtype=np.int32)
         self._points = int(numbers[-1]) + 1 - t.vertices
-        write_parts(_rows(t), middles, numbers, self._cuts, self._firsts, _rows(room))
+        write_parts(_rows(t), between, numbers, self._cuts, self._firsts, _rows(room))
         room.over[m : self._end] = -1
 
     def on(self, faces: Ints, over: Ints) -> Topology:
@@ -313,15 +317,9 @@ class Facets:
         room.over[m:end] = over
         count = int(faces.max()) + 1 if len(faces) else 0
         return Topology(
-            room.faces[:end],
-            room.shades[:end],
-            room.across[:end],
-            room.smooth[:end],
-            room.two_sided[:end],
-            vertices + count,
-            t.entries + count,
-            room.over[:end],
-        )
+            room.faces[:end], room.shades[:end], room.across[:end], room.smooth[:end], room.two_sided[:end],
+            vertices + count, t.entries + count, room.over[:end],
+        )  # fmt: skip
 
     def _make_room(self, rows: int) -> None:
         """Make room for so many facets; those behind the surfaces are seen from one side."""

@@ -396,15 +396,9 @@ def _dim_point(
 
 @entry
 def dim(
-    tree: TriangleTree,
-    points: Floats,
-    chosen: npt.NDArray[np.int32],
-    count: int,
-    moved: Floats,
-    tangent: float,
-    near_m: float,
-    shares: Floats,
-) -> None:
+    tree: TriangleTree, points: Floats, chosen: npt.NDArray[np.int32], count: int, moved: Floats, tangent: float,
+    near_m: float, shares: Floats
+) -> None:  # fmt: skip
     """Multiply the sunlit shares of chosen points by the share of the disc that the tree's triangles do not cover.
 
     Parameters

@@ -1,28 +1,31 @@
-"""Sides of smooth bodies that are cut in the middle where flat facets would be seen to be flat.
+"""Sides of smooth bodies that are cut in thirds where flat facets would be seen to be flat.
 
 A smooth surface is curved between its vertices, and a side between two of them bends by up to an eighth of its length
-times the difference of the normals. That shows in two places alone:
+times the difference of the normals. That shows in three places alone:
 
     where the Sun rises or sets    a chord casts another shadow than the curve, and the light is not linear
+    at a shadow's edge             under a low Sun it moves by many times the height of the curve over the chord
     on the outline                 the chord lies inside it
 
-There, in each light frame anew, sides that bend by more than BEND_PX are cut, and the new vertex lies on the curve. All
-other facets stay whole: that is a tenth of the facets for most of the accuracy. Shadows are those of the surface with
-all sides cut.
+There, in each light frame anew, sides that bend by more than BEND_PX are cut, and the new vertices lie on the surface,
+so that a ninth of the bend is left. All other facets stay whole: that is a third of the facets for most of the
+accuracy. Shadows are those of the surface with all sides cut.
 
-The curve is a cubic through both vertices, along their tangent planes. Source: Vlachos et al. 2001, Curved PN
-triangles.
+The surface over a facet is a cubic through its vertices, along their tangent planes. Its points are computed from the
+whole facet: halves of halves, each along its own normals, lie on another surface, and a low Sun shows that. Source:
+Vlachos et al. 2001, Curved PN triangles.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.raster.topology import PARTS
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
 from emulator.scene.bodies.mesh import Mesh
@@ -32,6 +35,7 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Bytes = npt.NDArray[np.uint8]
 Numbers = npt.NDArray[np.int32]
+Hidden = npt.NDArray[np.int8]
 
 BEND_PX = 0.05
 """Bend of a side that is not seen, pixels."""
@@ -45,12 +49,12 @@ class Sides(NamedTuple):
     Attributes
     ----------
     faces : (m, 3), the vertices of each facet.
-    middles : (m, 3), the point in the middle of each side that may be cut; -1 for others.
-    bends_m : (n,), of each point, from the middle of the chord.
+    between : (m, 7), points 3 to 9 of each facet, see `raster.topology`; -1 where a side may not be cut.
+    bends_m : (n,), of the side of each point, from the middle of the chord; 0 for those within facets.
     """
 
     faces: Numbers
-    middles: Numbers
+    between: Numbers
     bends_m: Floats
 
 
@@ -71,38 +75,85 @@ def _bends(mesh: Mesh, sides: Numbers) -> Floats:
     return np.asarray((turned[:, 1] - turned[:, 0]) / 8)
 
 
-def with_middles(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
-    """Return a smooth surface with points in the middle of sides that bend by more than `least_m`.
+def with_thirds(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
+    """Return a smooth surface with points that cut the sides that bend by more than `least_m` in thirds.
 
     The last vertices of the surface are these points. Its sides come in the same order, then the mesh with all of them
     cut.
     """
-    everywhere = np.ones(mesh.faces.shape, np.bool_)
-    sides, number = middles_of(mesh, everywhere)
-    split = (np.linalg.norm(_bends(mesh, sides), axis=1) > least_m)[number].reshape(mesh.faces.shape)
-    cut = split_round(mesh, split)
-    sides, number = middles_of(mesh, split)
-    middles = np.full(mesh.faces.shape, -1, np.int32)
-    middles[split] = len(mesh.vertices) + number
+    sides, number = middles_of(mesh, np.ones(mesh.faces.shape, np.bool_))
+    bends_m = np.linalg.norm(_bends(mesh, sides), axis=1)
+    split = (bends_m > least_m)[number].reshape(mesh.faces.shape)
+    _, number = middles_of(mesh, split)
+    bends_m = bends_m[bends_m > least_m]
+    # Two points a side, from its end with the lower number; then one within each facet whose sides are all cut.
+    falls = (mesh.faces > np.roll(mesh.faces, -1, axis=1))[split]
+    first = len(mesh.vertices)
+    on_sides = np.full((*split.shape, 2), -1, np.int32)
+    on_sides[split] = first + 2 * number[:, None] + (falls[:, None] != [False, True])
+    inside = np.flatnonzero(split.all(axis=1))
+    within = np.full(len(split), -1, np.int32)
+    within[inside] = first + 2 * len(bends_m) + np.arange(len(inside))
+    between = np.column_stack([on_sides.reshape(-1, 6), within])
+    cut = _with_points(mesh, between, split)
     uncut, fine = lit_surface(mesh, smooth=True), lit_surface(cut, smooth=True)
-    fine.lean[: len(uncut.lean)] = np.maximum(fine.lean[: len(uncut.lean)], uncut.lean)
-    surface = dataclasses.replace(fine, faces=mesh.faces, shades=mesh.faces, middles=middles)
-    return surface, Sides(mesh.faces, middles, np.linalg.norm(_bends(mesh, sides), axis=1)), cut
+    fine.lean[:first] = np.maximum(fine.lean[:first], uncut.lean)
+    surface = dataclasses.replace(fine, faces=mesh.faces, shades=mesh.faces, between=between)
+    return surface, Sides(mesh.faces, between, np.append(np.repeat(bends_m, 2), np.zeros(len(inside)))), cut
+
+
+_SHARES = np.array([(2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0, 1), (1, 1, 1)]) / 3
+"""Shares of a facet's corners in points 3 to 9."""
+
+
+def _with_points(mesh: Mesh, between: Numbers, split: Bools) -> Mesh:
+    """Return the mesh cut at the points of `between`, (m, 7), on the sides of `split`, (m, 3), and within facets."""
+    corners, normals = mesh.vertices[mesh.faces], mesh.normals[mesh.faces]
+    a, b, c = _SHARES.T[:, :, None]
+    middle = -corners.sum(axis=1) / 6
+    places = a**3 * corners[:, None, 0] + b**3 * corners[:, None, 1] + c**3 * corners[:, None, 2]
+    for i in range(3):
+        for j in (i - 2, i - 1):
+            along = corners[:, j] - corners[:, i]
+            # The control point on the way from corner i to j, in the tangent plane at i.
+            control = corners[:, i] + (along - (along * normals[:, i]).sum(axis=1, keepdims=True) * normals[:, i]) / 3
+            middle += control / 4
+            places += 3 * (_SHARES[:, i] ** 2 * _SHARES[:, j])[:, None] * control[:, None]
+    places += 6 * a * b * c * middle[:, None]
+    points = np.column_stack([mesh.faces, between])
+    is_cut = between >= 0
+    cuts = split @ np.array([1, 2, 4])
+    vertices, upright = (
+        np.concatenate([old, np.zeros((points.max() + 1 - len(old), 3))]) for old in (mesh.vertices, mesh.normals)
+    )
+    vertices[between[is_cut]], upright[between[is_cut]] = places[is_cut], (_SHARES @ normals)[is_cut]
+    upright /= np.maximum(np.linalg.norm(upright, axis=1, keepdims=True), 1e-300)
+
+    def of_parts(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return values at the corners of parts, (n, 3), from those at the points of facets, (m, 10)."""
+        return np.concatenate([values[cuts == cut][:, parts].reshape(-1, 3) for cut, parts in PARTS.items()])
+
+    albedo, water = mesh.tints(lambda values: of_parts(np.column_stack([values, values @ _SHARES.T])))
+    return dataclasses.replace(
+        mesh, vertices=vertices, faces=of_parts(points), normals=upright, albedo=albedo, water=water
+    )
 
 
 @entry
 def mark(  # noqa: PLR0913, PLR0917
-    points: Floats, normals: Floats, sides: Sides, sun: Floats, window: Window, at: Floats, marked: Bytes
+    points: Floats, normals: Floats, sides: Sides, sun: Floats, window: Window, is_hidden: Hidden, at: Floats,
+    marked: Bytes,
 ) -> None:  # fmt: skip
-    """Mark the sides that are to be cut: those of facets that the terminator or the outline may pass through.
+    """Mark the sides that are to be cut: those of facets that a shadow's edge, terminator or outline may pass through.
 
-    The cosines of incidence, or of emission, at a facet's corners then include 0, or are as near to it as they differ;
-    where none of incidence is above 0, the facet is dark.
+    The cosines of incidence at a facet's corners then include 0, or are as near to it as they differ; where none is
+    above 0, the facet is dark. Those of emission include 0. Corners with and without the Sun have an edge between them.
 
     Parameters
     ----------
-    points, normals : (vertices and sides, 3) m and unit.
+    points, normals : (vertices, then the points of sides, 3) m and unit.
     sun : (3,), its direction.
+    is_hidden : (vertices and sides,), of `ShadowEdges`.
     at : (3, vertices), overwritten: cosines of incidence and of emission, depths.
     marked : (vertices and sides,), of which those of sides are written.
     """
@@ -127,9 +178,15 @@ def mark(  # noqa: PLR0913, PLR0917
         if depth == 0.0 or towards < away - towards:
             continue
         at_terminator = lowest < highest - lowest and highest > 0.0
-        on_outline = away < towards - away and highest > _DARKEST
-        if at_terminator or on_outline:
+        on_outline = away < 0.0 and highest > _DARKEST
+        lit, dark = min(is_hidden[a], is_hidden[b], is_hidden[c]), max(is_hidden[a], is_hidden[b], is_hidden[c])
+        crossed = lit == 0 and dark == 1
+        if at_terminator or on_outline or crossed:
             for k in range(3):
-                middle = sides.middles[f, k]
-                if middle >= 0 and sides.bends_m[middle - first] * window.focal_px > BEND_PX * depth:
-                    marked[middle] = 1
+                point = sides.between[f, 2 * k]
+                if point >= 0 and sides.bends_m[point - first] * window.focal_px > BEND_PX * depth:
+                    marked[point] = marked[sides.between[f, 2 * k + 1]] = 1
+    for f in range(len(sides.faces)):
+        within = sides.between[f, 6]
+        if within >= 0 and marked[sides.between[f, 0]] and marked[sides.between[f, 2]] and marked[sides.between[f, 4]]:
+            marked[within] = 1

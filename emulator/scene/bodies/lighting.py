@@ -54,16 +54,9 @@ Bytes = npt.NDArray[np.uint8]
 
 @entry
 def choose(
-    points: Floats,
-    normals: Floats,
-    lean: Floats,
-    marked: Bytes,
-    suns: Floats,
-    eyes: Floats,
-    lowest: float,
-    chosen: Numbers,
-    angles: Floats,
-) -> int:
+    points: Floats, normals: Floats, lean: Floats, marked: Bytes, suns: Floats, eyes: Floats, lowest: float,
+    chosen: Numbers, angles: Floats
+) -> int:  # fmt: skip
     """Select the points that can show light, write their numbers and angles, and return their count.
 
     Parameters
@@ -115,17 +108,9 @@ def dim_at_plane(count: int, radius: float, cosines: Floats, shares: Floats) -> 
 
 @entry
 def write_radiance(
-    law: Law,
-    sun_w_m2: float,
-    ambient_w_m2: float,
-    between_s: float,
-    chosen: Numbers,
-    count: int,
-    angles: Floats,
-    shares: Floats,
-    room: Floats,
-    out: Floats,
-) -> None:
+    law: Law, sun_w_m2: float, ambient_w_m2: float, between_s: float, chosen: Numbers, count: int, angles: Floats,
+    shares: Floats, room: Floats, out: Floats
+) -> None:  # fmt: skip
     """Write radiance, W m-2 sr-1, and its rate, a second, of the chosen points.
 
     Parameters
@@ -263,15 +248,9 @@ class Lighting:
     """
 
     def __init__(
-        self,
-        parameters: BodiesParameters,
-        pinhole: Pinhole,
-        meshes: Sequence[Mesh],
-        surfaces: Sequence[Surface],
-        sharp: Collection[int] = (),
-        threads: int = 1,
-        sides: Mapping[int, Sides] | None = None,
-    ) -> None:
+        self, parameters: BodiesParameters, pinhole: Pinhole, meshes: Sequence[Mesh], surfaces: Sequence[Surface],
+        sharp: Collection[int] = (), threads: int = 1, sides: Mapping[int, Sides] | None = None
+    ) -> None:  # fmt: skip
         self.facets = facets_of(surfaces, meshes)
         self.marked = [np.ones(len(surface.points), np.uint8) for surface in surfaces]
         self._sun, self._ambient = parameters.sun, parameters.ambient_w_m2
@@ -307,10 +286,16 @@ class Lighting:
     def _cut_sides(self, seen: Sequence[_Seen]) -> None:
         """Select the sides to cut, and cut the facets."""
         for body in self._bodies:
+            group = seen[body.group]
+            if body.edges is not None:
+                body.edges.begin(group.suns[0])
             if body.sides is not None:
-                group = seen[body.group]
                 window = self._window(group)
-                mark(body.points, body.normals, body.sides, group.suns[0], window, self._angles[:3], body.marked)
+                first = len(body.points) - len(body.sides.bends_m)
+                body.marked[first:] = 0
+                _, hidden = self._choose(body, group)
+                room = self._angles[:3]
+                mark(body.points, body.normals, body.sides, group.suns[0], window, hidden, room, body.marked)
         self.facets.cut(np.concatenate(self.marked))
 
     def _polygons(
@@ -321,12 +306,9 @@ class Lighting:
         return shadows.cast([Dark(light.dark, light.dark_rate) for light in members], around)
 
     def _lit(
-        self,
-        parameters: BodiesParameters,
-        surfaces: Sequence[Surface],
-        sharp: Collection[int],
+        self, parameters: BodiesParameters, surfaces: Sequence[Surface], sharp: Collection[int],
         sides: Mapping[int, Sides],
-    ) -> list[_Lit]:
+    ) -> list[_Lit]:  # fmt: skip
         where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in group.placed}
         lit = []
         point = facet = 0
@@ -383,12 +365,8 @@ class Lighting:
     def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float, polygons: list[Polygons]) -> Radiance:
         """Return the light of a body, and append the parts of its facets that a shadow edge crosses to `polygons`."""
         group, radius = seen[body.group], self._sun.radius_rad
-        lowest = -2.0 if self._ambient > 0 else -math.sin(radius) if body.edges is None else _BEYOND
         chosen, angles, shares, room = self._chosen, self._angles, self._shares, self._room
-        count = choose(
-            body.points, body.normals, body.lean, body.marked, group.suns, group.eyes_m, lowest, chosen, angles
-        )
-        on_horizon = chosen[:count][np.abs(angles[0, :count]) < radius]  # their own surface hides a part of the disc
+        count, hidden = self._choose(body, group)
         dim_at_plane(count, radius, angles[:2], shares)
         for g, tree in enumerate(self._trees):
             if tree is not None and (g != body.group or (body.edges is None and not body.sharp)):
@@ -405,14 +383,27 @@ class Lighting:
         if planet is not None:
             out[:, chosen[:count]] += planet[0], (planet[1] - planet[0]) / step_s
         if body.edges is not None:
-            window = self._window(group)
-            hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
-            hidden[on_horizon] = np.minimum(hidden[on_horizon], 0)
             facets = FrameFacets(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
             suns = Suns(group.suns[0], group.suns[1], step_s, radius)
-            polygons.append(body.edges.cut(Lights(*out, *dark), suns, window, facets))
+            polygons.append(body.edges.cut(Lights(*out, *dark), suns, self._window(group), facets))
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
+
+    def _choose(self, body: _Lit, group: _Seen) -> tuple[int, npt.NDArray[np.int8]]:
+        """Select points of a body; return their count and, for smooth bodies, whether each is hidden from the Sun."""
+        radius = self._sun.radius_rad
+        lowest = -2.0 if self._ambient > 0 else -math.sin(radius) if body.edges is None else _BEYOND
+        count = choose(
+            body.points, body.normals, body.lean, body.marked, group.suns, group.eyes_m, lowest, self._chosen,
+            self._angles,
+        )  # fmt: skip
+        if body.edges is None:
+            return count, np.full(len(body.points), -1, np.int8)
+        hidden = body.edges.hidden_from_sun(self._chosen, count, self._window(group))
+        # Of the points on the horizon their own surface hides a part of the disc.
+        on_horizon = self._chosen[:count][np.abs(self._angles[0, :count]) < radius]
+        hidden[on_horizon] = np.minimum(hidden[on_horizon], 0)
+        return count, hidden
 
     def _sea_and_air(self, body: _Lit, count: int) -> Floats | None:
         """Return the light of a planet's water and air at the chosen points, now and an instant later, (2, count)."""
@@ -465,13 +456,13 @@ def facets_of(surfaces: Sequence[Surface], meshes: Sequence[Mesh]) -> Facets:
         for surface, mesh in zip(surfaces, meshes, strict=True)
     ]
     firsts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
-    middles = [
-        np.where(surface.middles >= 0, surface.middles + first, -1)
-        if surface.middles is not None
-        else np.full(surface.faces.shape, -1)
+    between = [
+        np.where(surface.between >= 0, surface.between + first, -1)
+        if surface.between is not None
+        else np.full((len(surface.faces), 7), -1)
         for surface, first in zip(surfaces, firsts, strict=False)
     ]
-    return Facets(join(parts), np.concatenate(middles).astype(np.int32))
+    return Facets(join(parts), np.concatenate(between).astype(np.int32))
 
 
 def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) -> _Lit:

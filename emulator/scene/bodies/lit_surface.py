@@ -43,7 +43,7 @@ class Surface:
     smooth : True: normals are interpolated.
     albedo : (e,) of each radiance, relative to the body's law of reflection; None: 1 everywhere.
     water : (e,) share of open water; None: no water.
-    middles : (m, 3) int32, the vertex in the middle of each side that may be cut, see `curved_sides`; None: no side.
+    between : (m, 7) int32, vertices at which facets may be cut, see `curved_sides`; None: none.
     """
 
     vertices: Floats
@@ -55,7 +55,7 @@ class Surface:
     smooth: bool
     albedo: Floats | None = None
     water: Floats | None = None
-    middles: Faces | None = None
+    between: Faces | None = None
 
 
 def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:

@@ -30,7 +30,7 @@ from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Renderer, Screen, View
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
 from emulator.scene.bodies.compiled import entry
-from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_middles
+from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_thirds
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.mesh import Mesh
@@ -221,7 +221,7 @@ class LitBodies:
         mesh = near_in_memory(mesh)
         if not smooth or mesh.open_edges:  # a sheet is seen from both sides, its parts are not
             return lit_surface(mesh, smooth=smooth)
-        surface, self._sides[k], casters[k] = with_middles(mesh, BEND_PX * world.metres_a_pixel(k))
+        surface, self._sides[k], casters[k] = with_thirds(mesh, BEND_PX * world.metres_a_pixel(k))
         return surface
 
     def _longest_m(self, k: int) -> float:

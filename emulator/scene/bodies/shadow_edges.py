@@ -310,18 +310,9 @@ def list_crossed(
 
 @entry
 def cut_facets(  # noqa: PLR0913, PLR0917
-    tree: RayTree,
-    receiver: Receiver,
-    corners: Numbers,
-    crossed: Longs,
-    part: tuple[int, int],
-    is_hidden: npt.NDArray[np.int8],
-    lights: Lights,
-    suns: Suns,
-    window: Window,
-    sides: Sides,
-    out: Triangles,
-) -> None:
+    tree: RayTree, receiver: Receiver, corners: Numbers, crossed: Longs, part: tuple[int, int],
+    is_hidden: npt.NDArray[np.int8], lights: Lights, suns: Suns, window: Window, sides: Sides, out: Triangles
+) -> None:  # fmt: skip
     """Cut facets along the shadow edge that crosses them, and write the parts.
 
     Parameters
@@ -386,19 +377,22 @@ class ShadowEdges:
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
         self._crossed = np.zeros(0, np.int64)
-        self._before = np.zeros(3)
+        self._sun, self._moved_rad = np.zeros(3), 0.0
         self._sides = [
             Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
         ]
 
-    def hidden_from_sun(self, chosen: Numbers, count: int, window: Window, sun: Floats) -> npt.NDArray[np.int8]:
-        """Return for each vertex whether the Sun's middle is hidden: 0 or 1, else -1; `chosen` are to be tested."""
+    def begin(self, sun: Floats) -> None:
+        """Begin a light frame with the Sun in direction `sun`, (3,): no vertex is tested yet."""
         self._is_hidden.fill(-1)
-        moved_rad, self._before = float(np.linalg.norm(sun - self._before)), sun
+        self._moved_rad, self._sun = float(np.linalg.norm(sun - self._sun)), sun
+
+    def hidden_from_sun(self, chosen: Numbers, count: int, window: Window) -> npt.NDArray[np.int8]:
+        """Return for each vertex whether the Sun's middle is hidden: 0 or 1, else -1; `chosen` are to be tested."""
 
         def work(part: tuple[int, int], _: int) -> None:
-            points = self._receiver.lifted
-            look_to_sun(self._tree, points, chosen, part, window, sun, moved_rad, self._verdicts, self._is_hidden)
+            points, moved_rad = self._receiver.lifted, self._moved_rad
+            look_to_sun(self._tree, points, chosen, part, window, self._sun, moved_rad, self._verdicts, self._is_hidden)
 
         self._share(work, count, _POINTS_A_PART)
         return self._is_hidden

@@ -234,16 +234,9 @@ def blank_room(shadows: int) -> Room:
 
 @kernel
 def _add(
-    tree: TriangleTree,
-    k: int,
-    corners: Floats,
-    plane: Floats,
-    seen: Seen,
-    around: Surroundings,
-    near_m: float,
-    room: Room,
-    count: int,
-) -> int:
+    tree: TriangleTree, k: int, corners: Floats, plane: Floats, seen: Seen, around: Surroundings, near_m: float,
+    room: Room, count: int
+) -> int:  # fmt: skip
     """Write the shadow of triangle k on a facet, and its area, behind `count` others; return the new count."""
     pieces = room.pieces.corners
     triangle = tree.corners[k]
@@ -293,15 +286,9 @@ def _largest(values: Floats, n: int) -> int:
 
 @kernel
 def _lay(
-    receivers: Receivers,
-    f: int,
-    shadows: int,
-    dark: Dark,
-    near_m: float,
-    room: Room,
-    out: Triangles,
-    first: tuple[int, int],
-) -> tuple[int, int]:
+    receivers: Receivers, f: int, shadows: int, dark: Dark, near_m: float, room: Room, out: Triangles,
+    first: tuple[int, int]
+) -> tuple[int, int]:  # fmt: skip
     """Write the shadows on facet f, each cut around those before; return the first free row and triangle.
 
     The largest come first, which gives the fewest pieces. A facet that is covered as a whole gets one triangle.
@@ -343,16 +330,9 @@ def _lay(
 
 @entry
 def cast_polygons(
-    tree: TriangleTree,
-    receivers: Receivers,
-    dark: Dark,
-    around: Surroundings,
-    near_m: float,
-    memory: Memory,
-    room: Room,
-    out: Triangles,
-    first: tuple[int, int],
-) -> tuple[int, int, int]:
+    tree: TriangleTree, receivers: Receivers, dark: Dark, around: Surroundings, near_m: float, memory: Memory,
+    room: Room, out: Triangles, first: tuple[int, int]
+) -> tuple[int, int, int]:  # fmt: skip
     """Write the shadows on facets that face the Sun and the camera.
 
     Return the first free row and triangle, and the most shadows on one facet, including those beyond the room.
@@ -479,13 +459,9 @@ class SharpShadows:
     """
 
     def __init__(
-        self,
-        body: int,
-        tree: TriangleTree,
-        receivers: Sequence[Receivers],
-        near_m: float,
+        self, body: int, tree: TriangleTree, receivers: Sequence[Receivers], near_m: float,
         pool: ThreadPool | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._body, self._tree = body, tree
         self._near_m = near_m
         self._pool = pool or ThreadPool(1)

@@ -216,16 +216,9 @@ def depth_in(window: Window, point: Point) -> float:
 
 @entry
 def look_to_sun(  # noqa: PLR0913, PLR0917
-    tree: RayTree,
-    points: Floats,
-    chosen: Numbers,
-    part: tuple[int, int],
-    window: Window,
-    sun: Floats,
-    moved_rad: float,
-    verdicts: Verdicts,
-    is_hidden: npt.NDArray[np.int8],
-) -> None:
+    tree: RayTree, points: Floats, chosen: Numbers, part: tuple[int, int], window: Window, sun: Floats,
+    moved_rad: float, verdicts: Verdicts, is_hidden: npt.NDArray[np.int8]
+) -> None:  # fmt: skip
     """Write whether the Sun's middle is hidden from the chosen points that the camera may see: 0 or 1, else -1.
 
     Parameters
@@ -234,15 +227,14 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
     chosen, part : numbers of points, and the first of them to test and the one after the last.
     sun : (3,) unit.
     moved_rad : angle of the Sun since the last light frame.
-    is_hidden : (n,).
+    is_hidden : (n,); points of which it is known stay as they are.
     """
     hiding, suns = verdicts
     towards = (sun[0], sun[1], sun[2])
     for i in range(part[0], part[1]):
         k: Any = np.int64(chosen[i])
         point = row(points, k)
-        if depth_in(window, point) == 0.0:
-            is_hidden[k] = -1
+        if is_hidden[k] >= 0 or depth_in(window, point) == 0.0:
             continue
         if hiding[k] >= 0 and _triangles_met(tree.leaves, hiding[k] // LEAF, point, towards):
             is_hidden[k] = 1

@@ -209,15 +209,10 @@ def _box_slope(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
 
 @_entry
 def _outer_and_rate(  # noqa: PLR0913, PLR0917
-    wave: npt.NDArray[np.float32],
-    slope: npt.NDArray[np.float32],
-    scale: npt.NDArray[np.float32],
-    by_slope: npt.NDArray[np.float32],
-    by_wave: npt.NDArray[np.float32],
-    middle: np.float32,
-    light: Light,
-    rate: Light,
-) -> None:
+    wave: npt.NDArray[np.float32], slope: npt.NDArray[np.float32], scale: npt.NDArray[np.float32],
+    by_slope: npt.NDArray[np.float32], by_wave: npt.NDArray[np.float32], middle: np.float32, light: Light,
+    rate: Light
+) -> None:  # fmt: skip
     """Fill light, middle + wave[x] scale[y], and its time derivative in the same pass: both rows stay in the cache.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Facets with sides cut in the middle: surfaces stay closed, neighbours are right, and flat ones look as before."""
+"""Facets with sides cut in thirds: surfaces stay closed, neighbours are right, and flat ones look as before."""
 
 import numpy as np
 import pytest
@@ -21,19 +21,22 @@ def sides_of(faces):
 
 
 SIDES, NUMBER = sides_of(FACES)
-MIDDLES = (len(VERTICES) + NUMBER).astype(np.int32)
+FALLS = np.roll(FACES, -1, axis=1) < FACES
+ON_SIDES = (len(VERTICES) + 2 * NUMBER[:, :, None] + (FALLS[:, :, None] != [False, True])).reshape(-1, 6)
+WITHIN = len(VERTICES) + 2 * len(SIDES) + np.arange(len(FACES))
+POINTS = np.column_stack([ON_SIDES, WITHIN]).astype(np.int32)
+ENTRIES = int(WITHIN[-1]) + 1
 
 
 def surfaces():
     topology = prepare(FACES)
-    object.__setattr__(topology, "entries", len(VERTICES) + len(SIDES))
+    object.__setattr__(topology, "entries", ENTRIES)
     return topology
 
 
 def marked(share, seed):
-    out = np.ones(len(VERTICES) + len(SIDES), np.uint8)
-    out[len(VERTICES) :] = np.random.default_rng(seed).random(len(SIDES)) < share
-    return out
+    is_cut = np.random.default_rng(seed).random(len(SIDES)) < share
+    return np.concatenate([np.ones(len(VERTICES)), np.repeat(is_cut, 2), is_cut[NUMBER].all(axis=1)]).astype(np.uint8)
 
 
 NO_PATCHES = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
@@ -41,18 +44,18 @@ NO_PATCHES = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
 
 def test_parts_cover_each_facet_once():
     """In plane coordinates: the areas add up, all are counter-clockwise, and sides that are cut are never whole."""
-    at = np.array([(0, 0), (1, 0), (0, 1), (0.5, 0), (0.5, 0.5), (0, 0.5)])
+    at = np.array([(0, 0), (3, 0), (0, 3), (1, 0), (2, 0), (2, 1), (1, 2), (0, 2), (0, 1), (1, 1)]) / 3
     for cut, parts in PARTS.items():
         areas = [np.linalg.det([at[q] - at[p], at[r] - at[p]]) for p, q, r in parts]
         assert min(areas) > 0
         assert sum(areas) == pytest.approx(1.0)
         used = {point for part in parts for point in part}
-        assert used == {0, 1, 2} | {3 + k for k in range(3) if cut >> k & 1}
+        assert used == {0, 1, 2} | {p for p in range(3, 9) if cut >> (p - 3) // 2 & 1} | ({9} if cut == 7 else set())
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 1.0])
 def test_neighbours_are_those_of_the_same_facets_prepared_anew(share):
-    facets = Facets(surfaces(), MIDDLES)
+    facets = Facets(surfaces(), POINTS)
     for seed in range(5):
         facets.cut(marked(share, seed))
         found = facets.on(*NO_PATCHES)
@@ -64,7 +67,7 @@ def test_neighbours_are_those_of_the_same_facets_prepared_anew(share):
 
 
 def test_vertices_and_radiances_are_of_the_same_points():
-    facets, marks = Facets(surfaces(), MIDDLES), marked(0.4, 9)
+    facets, marks = Facets(surfaces(), POINTS), marked(0.4, 9)
     facets.cut(marks)
     found = facets.on(*NO_PATCHES)
     number = np.flatnonzero(marks)  # the whole vertices come first in both
@@ -72,7 +75,7 @@ def test_vertices_and_radiances_are_of_the_same_points():
 
 
 def test_a_surface_without_cuts_and_its_patches_are_as_before():
-    facets, plain = Facets(surfaces(), MIDDLES), Facets(surfaces())
+    facets, plain = Facets(surfaces(), POINTS), Facets(surfaces())
     facets.cut(marked(0.6, 1))
     facets.on(np.array([[0, 1, 2]], np.int32), np.array([3], np.int32))
     facets.cut(marked(0.0, 1))
@@ -83,7 +86,7 @@ def test_a_surface_without_cuts_and_its_patches_are_as_before():
 
 
 def test_rows_of_parts_belong_to_their_facets():
-    facets = Facets(surfaces(), MIDDLES)
+    facets = Facets(surfaces(), POINTS)
     facets.cut(marked(0.5, 2))
     half = len(FACES) // 2
     first, second = facets.parts_of(0, half), facets.parts_of(half, len(FACES))
@@ -91,23 +94,28 @@ def test_rows_of_parts_belong_to_their_facets():
     assert first[1] == second[0]
     assert second[1] == len(facets.shades)
     wholes = set(range(half)), set(range(half, len(FACES)))
-    owner = {tuple(sorted(p)): f for f in range(len(FACES)) for p in [FACES[f].tolist(), MIDDLES[f].tolist()]}
+    owner = {tuple(sorted(p)): f for f in range(len(FACES)) for p in [FACES[f].tolist(), POINTS[f].tolist()]}
     for rows, own in zip((first, second), wholes, strict=True):
         for row in range(*rows):
             corners = set(facets.shades[row].tolist())
-            assert any(corners <= set(key) | set(MIDDLES[f]) | set(FACES[f]) for key, f in owner.items() if f in own)
+            assert any(corners <= set(key) | set(POINTS[f]) | set(FACES[f]) for key, f in owner.items() if f in own)
 
 
 def test_cuts_of_flat_sides_change_no_light():
-    """The middle of each side on the chord, with the mean light of its ends, so far away that perspective is none."""
+    """The points in the planes of facets, with the light between their corners, too far away for perspective."""
     light, places = VERTICES[:, 2] ** 2, VERTICES + [0.1, 0.05, 1e5]
-    light_of_all = np.concatenate([light, light[SIDES].mean(axis=1)])
+
+    def of_all(values):
+        a, b = values[SIDES[:, 0]], values[SIDES[:, 1]]
+        on_sides = np.stack([2 * a + b, a + 2 * b], axis=1).reshape(-1, *values.shape[1:]) / 3
+        return np.concatenate([values, on_sides, values[FACES].mean(axis=1)])
+
+    light_of_all = of_all(light)
     pictures = []
     for share in (0.0, 0.5, 1.0):
-        facets, marks = Facets(surfaces(), MIDDLES), marked(share, 4)
+        facets, marks = Facets(surfaces(), POINTS), marked(share, 4)
         facets.cut(marks)
-        middles = places[SIDES].mean(axis=1)[marks[len(VERTICES) :] != 0]
-        at = np.concatenate([places, middles])
+        at = of_all(places)[marks != 0]
         renderer = Renderer(facets.on(*NO_PATCHES), SCREEN)
         out = np.zeros((2, 48, 64), np.float32)
         renderer.draw(View(at, 0.1 * (at - [0.0, 0.0, 1e5]), light_of_all, 0.2 * light_of_all), *out)

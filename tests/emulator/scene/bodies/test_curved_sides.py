@@ -10,7 +10,7 @@ import trimesh
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Lambert, Sun
 from emulator.scene.bodies import raster_bodies
-from emulator.scene.bodies.curved_sides import mark, split_round, with_middles
+from emulator.scene.bodies.curved_sides import mark, split_round, with_thirds
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.sun_rays import Window
@@ -32,17 +32,59 @@ def test_middles_lie_on_a_ball():
     assert beside.max() < 0.02 * chord
 
 
-def test_only_sides_that_bend_get_a_middle():
+def test_only_sides_that_bend_get_points():
     mesh = ball()
-    surface, sides, fine = with_middles(mesh, 1.0)
+    surface, sides, fine = with_thirds(mesh, 1.0)
     assert len(sides.bends_m) == 0
     assert len(surface.vertices) == len(mesh.vertices)
     assert len(fine.faces) == len(mesh.faces)
-    surface, sides, fine = with_middles(mesh, 1e-4)
-    assert len(fine.faces) == 4 * len(mesh.faces)
+    surface, sides, fine = with_thirds(mesh, 1e-4)
+    assert len(fine.faces) == 9 * len(mesh.faces)
     assert len(surface.vertices) == len(fine.vertices) == len(mesh.vertices) + len(sides.bends_m)
     longest = math.sqrt(((mesh.vertices[mesh.faces[:, 0]] - mesh.vertices[mesh.faces[:, 1]]) ** 2).sum(axis=1).max())
     assert sides.bends_m.max() == pytest.approx(longest**2 / 8, rel=0.02)  # the sagitta of a chord of a unit circle
+
+
+def test_points_lie_on_a_ball():
+    """Within facets, where three cubics meet, too."""
+    mesh = ball()
+    _, sides, fine = with_thirds(mesh, 1e-4)
+    chord = 1 - np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1).min()
+    for points in (sides.between[:, :6], sides.between[:, 6:]):
+        assert np.abs(np.linalg.norm(fine.vertices[points.ravel()], axis=1) - 1).max() < 0.02 * chord
+    normals = fine.normals[len(mesh.vertices) :]
+    np.testing.assert_allclose(normals, fine.vertices[len(mesh.vertices) :], atol=2e-3)
+    assert build_mesh(fine.vertices, fine.faces).volume_m3 == pytest.approx(4 / 3 * math.pi, rel=2e-3)
+
+
+def test_both_facets_of_a_side_have_its_points_in_order():
+    mesh = ball(1)
+    surface, sides, fine = with_thirds(mesh, 1e-4)
+    for k in range(3):
+        ends = mesh.vertices[mesh.faces[:, k]], mesh.vertices[np.roll(mesh.faces, -1, axis=1)[:, k]]
+        for j in range(2):
+            share = (1 + j) / 3
+            chord = (1 - share) * ends[0] + share * ends[1]
+            np.testing.assert_allclose(fine.vertices[sides.between[:, 2 * k + j]], chord, atol=0.05)
+    assert len(np.unique(sides.between)) == len(sides.bends_m) == len(surface.points) - len(mesh.vertices)
+
+
+def test_facets_with_a_shadow_edge_are_cut():
+    mesh = ball()
+    surface, sides, _ = with_thirds(mesh, 1e-4)
+    window = Window(np.eye(3), np.array([0.0, 0.0, -50.0]), 1.0, 1.0, 1e5)
+    hidden, marked = np.zeros(len(surface.points), np.int8), np.ones(len(surface.points), np.uint8)
+    front = np.argmin(mesh.vertices[:, 2])
+    for known in (0, -1):
+        hidden[:] = known
+        hidden[front] = 1
+        args = np.array([0.0, 0.0, -1.0]), window, hidden, np.empty((3, len(marked)))
+        mark(surface.points, surface.normals, sides, *args, marked)
+        around = (mesh.faces == front).any(axis=1) & (known == 0)
+        assert (marked[sides.between[around]] == 1).all()
+        others = np.setdiff1d(sides.between[(surface.normals[mesh.faces, 2] < -0.8).all(axis=1)], sides.between[around])
+        assert len(others) > 50
+        assert not marked[others].any()
 
 
 @pytest.mark.parametrize(
@@ -50,26 +92,33 @@ def test_only_sides_that_bend_get_a_middle():
 )
 def test_sides_are_cut_at_the_terminator_and_on_the_lit_outline(sun, eye):
     sun, eye = np.array(sun) / np.linalg.norm(sun), np.array(eye)
-    surface, sides, _ = with_middles(ball(), 1e-4)
+    surface, sides, _ = with_thirds(ball(), 1e-4)
     whole = len(surface.points) - len(sides.bends_m)
     marked = np.ones(len(surface.points), np.uint8)
     forward = -eye / np.linalg.norm(eye)
     across = np.cross(forward, [0.0, 1.0, 0.0])
     turn = np.stack([across / np.linalg.norm(across), np.cross(forward, across), forward])
     window = Window(turn, eye, 1.0, 1.0, 1e5)
-    mark(surface.points, surface.normals, sides, sun, window, np.empty((3, len(surface.points))), marked)
+    unknown, room = np.full(len(marked), -1, np.int8), np.empty((3, len(marked)))
+    mark(surface.points, surface.normals, sides, sun, window, unknown, room, marked)
     middles = surface.vertices[whole:]
     towards = (eye - middles) / np.linalg.norm(eye - middles, axis=1, keepdims=True)
     incidence, emission = middles @ sun, (middles * towards).sum(axis=1)
-    at_edge = (np.abs(incidence) < 0.05) | ((np.abs(emission) < 0.05) & (incidence > 0.2))
+    at_terminator = (incidence > 0) & (incidence < 0.05) & (emission > -0.05)
+    towards = eye - surface.vertices[:whole]
+    faces_camera = ((surface.vertices[:whole] * towards).sum(axis=1) > 0)[surface.faces]
+    on_outline = faces_camera.any(axis=1) & ~faces_camera.all(axis=1)
+    on_outline &= (surface.vertices[surface.faces] @ sun > 0.0).any(axis=1)
     far = ((np.abs(incidence) > 0.4) & (np.abs(emission) > 0.4)) | (emission < -0.4)
     is_cut = marked[whole:] == 1
-    assert at_edge.sum() > 50
-    assert is_cut[at_edge & (emission > -0.05)].all()
+    assert at_terminator.sum() > 50
+    assert is_cut[at_terminator].all()
+    assert on_outline.sum() > 40
+    assert (marked[sides.between[on_outline]] == 1).all()
     assert far.sum() > 500
     assert not is_cut[far].any()
     window = window._replace(focal_px=1e-2)  # so small that no bend is seen
-    mark(surface.points, surface.normals, sides, sun, window, np.empty((3, len(surface.points))), marked)
+    mark(surface.points, surface.normals, sides, sun, window, unknown, room, marked)
     assert not marked[whole:].any()
 
 

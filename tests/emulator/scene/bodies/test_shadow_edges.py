@@ -48,7 +48,8 @@ class Plate:
     def cast(self, sun, turning=(0.0, 0.0, 0.0), radius=RADIUS):
         """Return what is hidden at vertices, and the parts of facets, lit by 1 + x / 100 and dark at 0."""
         chosen, step_s = np.arange(len(self.vertices), dtype=np.int32), 1e-7
-        hidden = self.edges.hidden_from_sun(chosen, len(chosen), self.window, sun).copy()
+        self.edges.begin(sun)
+        hidden = self.edges.hidden_from_sun(chosen, len(chosen), self.window).copy()
         none, lit = np.zeros(len(chosen)), 1 + self.vertices[:, 0] / 100
         suns = Suns(sun, unit(sun + step_s * np.asarray(turning)), step_s, radius)
         return hidden, self.edges.cut(Lights(lit, none, none, none), suns, self.window, self.drawn)
