@@ -62,7 +62,7 @@ def choose(
     Parameters
     ----------
     points, normals, lean : of a `Surface`.
-    marked : (n,), 0 for points in the middle of sides that are not cut: they are left out.
+    marked : (n,), 0 for points of sides that are not cut: they are left out.
     suns, eyes : (2, 3) unit directions, and m, now and an instant later.
     lowest : points with a cosine of incidence that is not above this are left out.
     chosen : (n,), numbers of points.

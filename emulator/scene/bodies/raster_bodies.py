@@ -285,7 +285,7 @@ class RasterBodies(WorldScene[BodyWorld]):
 def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, Floats, Floats]]:
     """Return for each body the first body of its rigid group, and in the frame of that one its vertices.
 
-    Apart are those in the middle of sides, which are drawn where the side is cut.
+    Apart are the points that cut facets, which are drawn where these are cut.
     """
     placed = {}
     for group in rigid_groups(parameters.bodies):
