@@ -190,13 +190,13 @@ class LitBodies:
         motion = motion_at(t_ns, world.camera, self._poses, world.time)
         surface_lights, shadows = self._lighting.light_and_polygons(motion)
         bodies = [(root, vertices, 1.0) for root, vertices, _ in self._placed]
-        middles = [
+        between = [
             (root, points[marked[-len(points) :] != 0], 1.0)
             for (root, _, points), marked in zip(self._placed, self._lighting.marked, strict=True)
             if len(points)
         ]
         over = [(polygons.body, polygons.corners, 1.0 - LIFT) for polygons in shadows]
-        places, velocities = _in_camera_axes([*bodies, *middles, *over], motion)
+        places, velocities = _in_camera_axes([*bodies, *between, *over], motion)
         firsts = np.cumsum([0, *(len(shadow.corners) for shadow in shadows)], dtype=np.int32)
         faces = [shadow.faces + first for shadow, first in zip(shadows, firsts, strict=False)]
         below = np.concatenate([_NO_FACETS[:, 0], *(shadow.over for shadow in shadows)])
