@@ -92,8 +92,12 @@ struct camera {
 struct camera *add_camera(struct platform_device *parent, const struct evstim_sensor *sensor);
 void remove_camera(struct camera *camera);
 
-/* video.c: the video device, and words for the next buffer, or -EAGAIN. */
+/*
+ * video.c: the video device, and words for the next buffer, or -EAGAIN. As with a DMA engine, which holds the buffer
+ * after the one that it fills, the newest waits for one more: so VIDIOC_QBUF never returns a buffer already filled.
+ */
 int init_video(struct camera *camera);
+bool has_buffer(struct camera *camera);
 ssize_t write_words(struct camera *camera, struct iov_iter *from);
 
 /* sensor.c: the subdevice and its controls; the place of a name among others, 0 if it is not there. */

@@ -153,10 +153,8 @@ static __poll_t program_poll(struct file *file, poll_table *table)
 	if (camera->waits && !camera->taken)
 		ready |= EPOLLIN;
 	spin_unlock(&camera->request_lock);
-	spin_lock(&camera->buffers_lock);
-	if (!list_empty(&camera->buffers))
+	if (has_buffer(camera))
 		ready |= EPOLLOUT;
-	spin_unlock(&camera->buffers_lock);
 	return ready;
 }
 

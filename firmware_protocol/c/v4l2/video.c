@@ -41,6 +41,16 @@ static void buf_queue(struct vb2_buffer *vb)
 	wake_up_interruptible(&camera->changed);
 }
 
+bool has_buffer(struct camera *camera)
+{
+	bool has;
+
+	spin_lock(&camera->buffers_lock);
+	has = !list_empty(&camera->buffers) && !list_is_singular(&camera->buffers);
+	spin_unlock(&camera->buffers_lock);
+	return has;
+}
+
 static struct buffer *take_buffer(struct camera *camera)
 {
 	struct buffer *buffer;
@@ -113,9 +123,9 @@ static ssize_t write_to_buffer(struct camera *camera, struct iov_iter *from)
 
 	if (!camera->streams)
 		return octets; /* nobody is there to read them */
-	buffer = take_buffer(camera);
-	if (!buffer)
+	if (!has_buffer(camera))
 		return -EAGAIN;
+	buffer = take_buffer(camera);
 	if (!copy_from_iter_full(vb2_plane_vaddr(&buffer->vb.vb2_buf, 0), octets, from)) {
 		vb2_buffer_done(&buffer->vb.vb2_buf, VB2_BUF_STATE_ERROR);
 		return -EFAULT;
@@ -268,9 +278,9 @@ int init_video(struct camera *camera)
 	queue->timestamp_flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
 	queue->lock = &camera->lock;
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 8, 0)
-	queue->min_queued_buffers = 1;
+	queue->min_queued_buffers = 2;
 #else
-	queue->min_buffers_needed = 1;
+	queue->min_buffers_needed = 2;
 #endif
 	result = vb2_queue_init(queue);
 	if (result)
