@@ -84,7 +84,8 @@ def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
     return area + 0.5 * (px * qy - py * qx)
 
 
-LEAF = 4  # triangles
+LEAF = 8
+"""Most triangles of a leaf: with half as many, boxes would take twice the memory and rays as much time."""
 
 Floats = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -97,13 +98,14 @@ class TriangleTree(NamedTuple):
     Attributes
     ----------
     boxes : (2 leaves, 6) float64, m, the middle and half the sides of each node; row 0 is not used.
-    starts : (leaves + 1,) int32, the first triangle of each leaf.
-    corners : (m, 9) float64, m, the corners of each triangle, counter-clockwise as seen from outside.
-    planes : (m, 4) float64, unit normal and offset: a point x is outside a triangle's plane where n.x > offset, m.
+    sizes : (leaves,) int32, the number of triangles of each leaf.
+    corners : (leaves, 9, most) float64, m, the corners of each triangle of a leaf, counter-clockwise as seen from
+        outside; 0 where it has fewer than others. Triangle k is the one in column k % most of leaf k // most.
+    planes : (leaves, 4, most) float64, unit normal and offset: a point x is outside where n.x > offset, m.
     """
 
     boxes: Floats
-    starts: npt.NDArray[np.int32]
+    sizes: npt.NDArray[np.int32]
     corners: Floats
     planes: Floats
 
@@ -124,8 +126,13 @@ def build_tree(triangles: Floats) -> TriangleTree:
     starts = np.array([round(k * len(triangles) / 2**depth) for k in range(2**depth + 1)], np.int32)
     order = np.arange(len(triangles))
     sort_by_leaves(triangles.mean(axis=1), starts, depth, order)
-    ordered = np.ascontiguousarray(triangles[order])
-    return TriangleTree(_boxes(ordered, starts), starts, ordered.reshape(-1, 9), _planes(ordered))
+    ordered, sizes = triangles[order], np.diff(starts)
+    corners, planes = (np.zeros((len(sizes), numbers, int(sizes.max()))) for numbers in (9, 4))
+    for k in range(corners.shape[2]):
+        has = sizes > k
+        corners[has, :, k] = ordered[starts[:-1][has] + k].reshape(-1, 9)
+        planes[has, :, k] = _planes(corners[has, :, k].reshape(-1, 3, 3))
+    return TriangleTree(_boxes(ordered, starts), sizes, corners, planes)
 
 
 @kernel
@@ -281,11 +288,11 @@ def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
 
 
 @kernel
-def triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axes: Frame) -> float:
-    """Return the area of the unit disc that triangle k covers; the axes across the Sun are longer by 1 / tan radius."""
-    x0, y0, z0 = corners[k, 0] - px, corners[k, 1] - py, corners[k, 2] - pz
-    x1, y1, z1 = corners[k, 3] - px, corners[k, 4] - py, corners[k, 5] - pz
-    x2, y2, z2 = corners[k, 6] - px, corners[k, 7] - py, corners[k, 8] - pz
+def triangle_area(triangle: Floats, px: float, py: float, pz: float, axes: Frame) -> float:
+    """Return the area of the unit disc that a triangle covers; the axes across the Sun are longer by 1 / tan radius."""
+    x0, y0, z0 = triangle[0] - px, triangle[1] - py, triangle[2] - pz
+    x1, y1, z1 = triangle[3] - px, triangle[4] - py, triangle[5] - pz
+    x2, y2, z2 = triangle[6] - px, triangle[7] - py, triangle[8] - pz
     ux, uy, uz, vx, vy, vz, sx, sy, sz = axes
     # Depths along the axis, and places across it that are at most the depth within the disc. A triangle behind the
     # point covers nothing, nor one with all corners beyond the disc on one side.
@@ -342,20 +349,22 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
     tangent : of the disc's angular radius.
     enough : the traversal may end at this share.
     """
-    boxes, starts, corners, planes = tree
+    boxes, sizes, corners, planes = tree
     px, py, pz = point
     axes = disc_axes(sun, tangent)
     inverse = (inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2]))
-    leaves, node, area = len(starts) - 1, 1, 0.0
+    leaves, node, area = len(sizes), 1, 0.0
     while True:
         if box_in_cone(boxes, node, px, py, pz, sun, inverse, tangent):
             if node < leaves:
                 node *= 2
                 continue
-            for k in range(starts[node - leaves], starts[node - leaves + 1]):
+            leaf = node - leaves
+            for j in range(sizes[leaf]):
                 # Only from above its plane does a triangle show its outside.
-                if planes[k, 0] * px + planes[k, 1] * py + planes[k, 2] * pz > planes[k, 3] + near_m:
-                    area += triangle_area(corners, k, px, py, pz, axes)
+                plane = planes[leaf, :, j]
+                if plane[0] * px + plane[1] * py + plane[2] * pz > plane[3] + near_m:
+                    area += triangle_area(corners[leaf, :, j], px, py, pz, axes)
             if area >= math.pi * enough:
                 return enough
         node = after(node)

@@ -467,8 +467,9 @@ def facets_of(surfaces: Sequence[Surface], meshes: Sequence[Mesh]) -> Facets:
 
 def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) -> _Lit:
     """Return a body's points in the frame of its group."""
-    turn = pose.world_from_body.T
-    points, normals = surface.points @ turn + pose.position_m, surface.normals @ turn
+    turn, points, normals = pose.world_from_body.T, surface.points, surface.normals
+    if pose.position_m.any() or (turn != np.eye(3)).any():  # else they need no memory of their own
+        points, normals = points @ turn + pose.position_m, normals @ turn
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     return _Lit(points, normals, surface.lean, law, surface.albedo, surface.water, group, middle, radius_m, marked)

@@ -314,17 +314,18 @@ def _nears(corners: Floats, outside: Floats, plane: Floats, near_m: float, seen:
 @kernel
 def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide: Wide, listed: Numbers) -> int:
     """Write the triangles that may cover a part of a facet, as many as there is room for; return their number."""
-    boxes, starts, triangles, planes = tree
-    leaves, node, count = len(starts) - 1, 1, 0
+    boxes, sizes, triangles, planes = tree
+    leaves, node, count, most = len(sizes), 1, 0, triangles.shape[2]
     while True:
         if may_cover(boxes, node, plane, plane[3] + near_m, seen, wide.tangent):
             if node < leaves:
                 node *= 2
                 continue
-            for k in range(starts[node - leaves], starts[node - leaves + 1]):
-                if _nears(triangles[k], planes[k], plane, near_m, seen, wide):
+            leaf = node - leaves
+            for j in range(sizes[leaf]):
+                if _nears(triangles[leaf, :, j], planes[leaf, :, j], plane, near_m, seen, wide):
                     if count < len(listed):
-                        listed[count] = k
+                        listed[count] = most * leaf + j
                     count += 1
         node = after(node)
         if node == 1:

@@ -137,10 +137,10 @@ class _Forms(NamedTuple):
 
 
 @kernel
-def _forms(leaves: Floats, t: int, edge: int, q: Point, d: Point) -> _Forms:
+def _forms(corners: Floats, t: int, edge: int, q: Point, d: Point) -> _Forms:
     """Return the forms of an edge of triangle t and of the side q + s d."""
-    first = corner(leaves, t, edge)
-    e = minus(corner(leaves, t, (edge + 1) % 3), first)
+    first = corner(corners, t, edge)
+    e = minus(corner(corners, t, (edge + 1) % 3), first)
     return _Forms(cross(minus(first, q), e), cross(d, e), e)
 
 
@@ -153,18 +153,18 @@ def _share_at(forms: _Forms, sun: Point) -> float:
 
 
 @kernel
-def _leave(leaves: Floats, t: int, q: Point, d: Point, before: float, sun: Point) -> tuple[float, int]:
+def _leave(corners: Floats, t: int, q: Point, d: Point, before: float, sun: Point) -> tuple[float, int]:
     """Return the largest s up to `before` at which the side enters the shadow of triangle t, and through which edge.
 
     The edge is 3 where the side passes through the triangle's own plane.
     """
     last, through = -1e30, 3
     for edge in range(3):
-        s = _share_at(_forms(leaves, t, edge, q, d), sun)
+        s = _share_at(_forms(corners, t, edge, q, d), sun)
         if last < s <= before:
             last, through = s, edge
-    first = corner(leaves, t, 0)
-    normal = cross(minus(corner(leaves, t, 1), first), minus(corner(leaves, t, 2), first))
+    first = corner(corners, t, 0)
+    normal = cross(minus(corner(corners, t, 1), first), minus(corner(corners, t, 2), first))
     falls = dot(d, normal)
     if falls != 0.0:
         s = dot(minus(first, q), normal) / falls
@@ -210,14 +210,14 @@ def _cross(tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, n
     for _ in range(_MOST_TRIANGLES):
         if triangle < 0:
             break
-        s, edge = _leave(tree.leaves, triangle, q, d, at, sun)
+        s, edge = _leave(tree.binary.corners, triangle, q, d, at, sun)
         at = s - _PAST
         if at <= 0.0:
             return _Crossing(_PAST, 0.0, _PAST, 0.0)
         before = triangle
         triangle = first_met(tree, plus(q, at, d), sun)
         if triangle < 0 and edge < 3:
-            return _rims(_forms(tree.leaves, before, edge, q, d), s, suns, narrow)
+            return _rims(_forms(tree.binary.corners, before, edge, q, d), s, suns, narrow)
     return _Crossing(at, 0.0, at, 0.0)
 
 

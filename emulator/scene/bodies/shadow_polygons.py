@@ -239,8 +239,9 @@ def _add(
 ) -> int:  # fmt: skip
     """Write the shadow of triangle k on a facet, and its area, behind `count` others; return the new count."""
     pieces = room.pieces.corners
-    triangle = tree.corners[k]
-    if not covers(triangle, tree.planes[k], plane, plane[3] + near_m, seen):
+    most = tree.corners.shape[2]
+    triangle = tree.corners[k // most, :, k % most]
+    if not covers(triangle, tree.planes[k // most, :, k % most], plane, plane[3] + near_m, seen):
         return count
     n = _shade(corners, plane, triangle, around.sun, around.turning, pieces[0])
     n = without_short_sides(pieces[0, 0], n, near_m)
@@ -260,14 +261,15 @@ def _gather(
     tree: TriangleTree, corners: Floats, plane: Floats, seen: Seen, around: Surroundings, near_m: float, room: Room
 ) -> int:
     """Write the shadows of all triangles on a facet; return their number, including those beyond the room."""
-    boxes, starts = tree.boxes, tree.starts
-    leaves, node, count = len(starts) - 1, 1, 0
+    boxes, sizes, most = tree.boxes, tree.sizes, tree.corners.shape[2]
+    leaves, node, count = len(sizes), 1, 0
     while True:
         if may_cover(boxes, node, plane, plane[3] + near_m, seen, 0.0):
             if node < leaves:
                 node *= 2
                 continue
-            for k in range(starts[node - leaves], starts[node - leaves + 1]):
+            leaf = node - leaves
+            for k in range(most * leaf, most * leaf + sizes[leaf]):
                 count = _add(tree, k, corners, plane, seen, around, near_m, room, count)
         node = after(node)
         if node == 1:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import DUST, LEAF, Point, TriangleTree, covered, inverse_of
+from emulator.scene.bodies.cast_shadow import DUST, Point, TriangleTree, covered, inverse_of
 from emulator.scene.bodies.compiled import entry, kernel
 
 Floats = npt.NDArray[np.float64]
@@ -39,9 +39,9 @@ def row(points: Floats, k: int) -> Point:
 
 
 @kernel
-def corner(leaves: Floats, k: int, number: int) -> Point:
-    """Return corner 0, 1 or 2 of triangle k of the leaves of a `RayTree`."""
-    triangle, at = leaves[k // LEAF, :, k % LEAF], 3 * number
+def corner(corners: Floats, k: int, number: int) -> Point:
+    """Return corner 0, 1 or 2 of triangle k of a `TriangleTree`."""
+    triangle, at = corners[k // corners.shape[2], :, k % corners.shape[2]], 3 * number
     return triangle[at], triangle[at + 1], triangle[at + 2]
 
 
@@ -70,7 +70,7 @@ def cross(a: Point, b: Point) -> Point:
 
 
 class RayTree(NamedTuple):
-    """A tree for rays: three levels of a binary one are one, so that eight boxes or four triangles are one vector.
+    """A tree for rays: three levels of a binary one are one, so that eight boxes, or a leaf's triangles, are a vector.
 
     Node i of the binary tree has the boxes 8 i to 8 i + 7 below it.
 
@@ -78,14 +78,11 @@ class RayTree(NamedTuple):
     ----------
     binary : the tree.
     boxes : (any, 6, 8) m, middle and half the sides of its nodes 8 k to 8 k + 7.
-    leaves : (leaves, 9, 4) m, the corners of the triangles of each leaf; 0 where it has fewer. Triangle 4 i + j is
-        the one in column j of leaf i.
     first : the number of boxes that a ray tests first, those of the highest level that has whole nodes below it.
     """
 
     binary: TriangleTree
     boxes: Floats
-    leaves: Floats
     first: int
 
     @classmethod
@@ -93,11 +90,8 @@ class RayTree(NamedTuple):
         """Return the same tree for rays."""
         boxes = np.zeros((-(-len(tree.boxes) // 8) * 8, 6))
         boxes[: len(tree.boxes)] = tree.boxes
-        leaves, sizes = np.zeros((len(tree.starts) - 1, 9, LEAF)), np.diff(tree.starts)
-        for k in range(LEAF):
-            leaves[sizes > k, :, k] = tree.corners[tree.starts[:-1][sizes > k] + k]
-        depth = len(leaves).bit_length() - 1
-        return cls(tree, boxes.reshape(-1, 8, 6).transpose(0, 2, 1).copy(), leaves, 1 << (depth % 3 or min(depth, 3)))
+        depth = len(tree.sizes).bit_length() - 1
+        return cls(tree, boxes.reshape(-1, 8, 6).transpose(0, 2, 1).copy(), 1 << (depth % 3 or min(depth, 3)))
 
 
 @kernel
@@ -121,13 +115,13 @@ def _boxes_met(boxes: Floats, k: int, point: Point, inverse: Point, size: Point)
 
 
 @kernel
-def _triangles_met(leaves: Floats, k: int, point: Point, sun: Point) -> Any:
-    """Return the triangles of leaf k that a ray meets, from either side, a bit each (Moller and Trumbore 1997)."""
+def _triangles_met(corners: Floats, leaf: int, point: Point, sun: Point) -> Any:
+    """Return the triangles of a leaf that a ray meets, from either side, a bit each (Moller and Trumbore 1997)."""
     met: Any = np.int64(0)
-    for j in range(leaves.shape[2]):
-        first = leaves[k, 0, j], leaves[k, 1, j], leaves[k, 2, j]
-        u = leaves[k, 3, j] - first[0], leaves[k, 4, j] - first[1], leaves[k, 5, j] - first[2]
-        v = leaves[k, 6, j] - first[0], leaves[k, 7, j] - first[1], leaves[k, 8, j] - first[2]
+    for j in range(corners.shape[2]):
+        first = corners[leaf, 0, j], corners[leaf, 1, j], corners[leaf, 2, j]
+        u = corners[leaf, 3, j] - first[0], corners[leaf, 4, j] - first[1], corners[leaf, 5, j] - first[2]
+        v = corners[leaf, 6, j] - first[0], corners[leaf, 7, j] - first[1], corners[leaf, 8, j] - first[2]
         across = cross(sun, v)
         volume = dot(u, across)
         side = math.copysign(1.0, volume)
@@ -155,14 +149,14 @@ def first_met(tree: RayTree, point: Point, sun: Point) -> int:
             continue
         node = 8 * k + _LOWEST[met & 255]
         met &= met - 1
-        leaf = node - len(tree.leaves)
+        leaf = node - len(tree.binary.sizes)
         if leaf < 0:
             k = node
             met = met << 8 | _boxes_met(tree.boxes, k, point, inverse, size)
             continue
-        triangles = _triangles_met(tree.leaves, leaf, point, sun)
+        triangles = _triangles_met(tree.binary.corners, leaf, point, sun)
         if triangles:
-            return int(LEAF * leaf + _LOWEST[triangles])
+            return int(tree.binary.corners.shape[2] * leaf + _LOWEST[triangles])
     return SUNLIT
 
 
@@ -230,13 +224,14 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
     is_hidden : (n,); points of which it is known stay as they are.
     """
     hiding, suns = verdicts
+    corners = tree.binary.corners
     towards = (sun[0], sun[1], sun[2])
     for i in range(part[0], part[1]):
         k: Any = np.int64(chosen[i])
         point = row(points, k)
         if is_hidden[k] >= 0 or depth_in(window, point) == 0.0:
             continue
-        if hiding[k] >= 0 and _triangles_met(tree.leaves, hiding[k] // LEAF, point, towards):
+        if hiding[k] >= 0 and _triangles_met(corners, hiding[k] // corners.shape[2], point, towards):
             is_hidden[k] = 1
             continue
         if hiding[k] == SUNLIT and dot(row(suns, k), towards) > suns[k, 3]:

@@ -193,7 +193,7 @@ def test_trees_of_all_depths_have_the_triangles_that_rays_meet(count):
     for axis in (unit([0.3, -0.5, 0.8]), np.array([0.0, 0.0, 1.0])):
         points = middles + random.normal(size=(200, 3)) * 0.5 - random.normal(size=(200, 1)) * spread * axis
         found = np.array([first_met(tree, tuple(point), tuple(axis)) for point in points])
-        ordered = tree.leaves.transpose(0, 2, 1).reshape(-1, 3, 3)
+        ordered = tree.binary.corners.transpose(0, 2, 1).reshape(-1, 3, 3)
         first, u, v = ordered[:, 0], ordered[:, 1] - ordered[:, 0], ordered[:, 2] - ordered[:, 0]
         is_one = np.linalg.norm(np.cross(u, v), axis=1) > 0
         system = np.stack([np.broadcast_to(-axis, u.shape), u, v], axis=2)[is_one]
