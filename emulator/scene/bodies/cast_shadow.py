@@ -101,13 +101,11 @@ class TriangleTree(NamedTuple):
     sizes : (leaves,) int32, the number of triangles of each leaf.
     corners : (leaves, 9, most) float64, m, the corners of each triangle of a leaf, counter-clockwise as seen from
         outside; 0 where it has fewer than others. Triangle k is the one in column k % most of leaf k // most.
-    planes : (leaves, 4, most) float64, unit normal and offset: a point x is outside where n.x > offset, m.
     """
 
     boxes: Floats
     sizes: npt.NDArray[np.int32]
     corners: Floats
-    planes: Floats
 
     @property
     def middle_m(self) -> Floats:
@@ -127,12 +125,10 @@ def build_tree(triangles: Floats) -> TriangleTree:
     order = np.arange(len(triangles))
     sort_by_leaves(triangles.mean(axis=1), starts, depth, order)
     ordered, sizes = triangles[order], np.diff(starts)
-    corners, planes = (np.zeros((len(sizes), numbers, int(sizes.max()))) for numbers in (9, 4))
+    corners = np.zeros((len(sizes), 9, int(sizes.max())))
     for k in range(corners.shape[2]):
-        has = sizes > k
-        corners[has, :, k] = ordered[starts[:-1][has] + k].reshape(-1, 9)
-        planes[has, :, k] = _planes(corners[has, :, k].reshape(-1, 3, 3))
-    return TriangleTree(_boxes(ordered, starts), sizes, corners, planes)
+        corners[sizes > k, :, k] = ordered[starts[:-1][sizes > k] + k].reshape(-1, 9)
+    return TriangleTree(_boxes(ordered, starts), sizes, corners)
 
 
 @kernel
@@ -202,11 +198,21 @@ def _boxes(triangles: Floats, starts: npt.NDArray[np.int32]) -> Floats:
     return np.hstack([(low + high) / 2, (high - low) / 2])
 
 
-def _planes(triangles: Floats) -> Floats:
-    """Return unit normals and offsets; a triangle without area has the normal 0 and so no outside."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    return np.column_stack([normals, (normals * triangles.mean(axis=1)).sum(axis=1)])
+@kernel
+def outward_of(triangle: Floats) -> Point:
+    """Return the normal of a triangle, twice its area long: 0 for one without area, which has no outside."""
+    x, y, z = triangle[0], triangle[1], triangle[2]
+    ux, uy, uz = triangle[3] - x, triangle[4] - y, triangle[5] - z
+    vx, vy, vz = triangle[6] - x, triangle[7] - y, triangle[8] - z
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@kernel
+def _shows_outside(triangle: Floats, point: Point, near_m: float) -> bool:
+    """Return whether a point lies above a triangle's plane by more than `near_m`."""
+    nx, ny, nz = outward_of(triangle)
+    height = nx * (point[0] - triangle[0]) + ny * (point[1] - triangle[1]) + nz * (point[2] - triangle[2])
+    return bool(height > near_m * math.sqrt(nx * nx + ny * ny + nz * nz))
 
 
 @kernel
@@ -349,7 +355,7 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
     tangent : of the disc's angular radius.
     enough : the traversal may end at this share.
     """
-    boxes, sizes, corners, planes = tree
+    boxes, sizes, corners = tree
     px, py, pz = point
     axes = disc_axes(sun, tangent)
     inverse = (inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2]))
@@ -361,9 +367,7 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
                 continue
             leaf = node - leaves
             for j in range(sizes[leaf]):
-                # Only from above its plane does a triangle show its outside.
-                plane = planes[leaf, :, j]
-                if plane[0] * px + plane[1] * py + plane[2] * pz > plane[3] + near_m:
+                if _shows_outside(corners[leaf, :, j], point, near_m):
                     area += triangle_area(corners[leaf, :, j], px, py, pz, axes)
             if area >= math.pi * enough:
                 return enough

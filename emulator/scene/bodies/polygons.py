@@ -9,12 +9,13 @@ near the Sun's.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after
+from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after, outward_of
 from emulator.scene.bodies.compiled import kernel
 
 ROOM = 24
@@ -293,10 +294,11 @@ def may_cover(boxes: Floats, node: int, plane: Floats, above: float, seen: Seen,
 
 
 @kernel
-def _nears(corners: Floats, outside: Floats, plane: Floats, near_m: float, seen: Seen, wide: Wide) -> bool:
+def _nears(corners: Floats, plane: Floats, near_m: float, seen: Seen, wide: Wide) -> bool:
     """Return whether a triangle may cover a part of a facet while the Sun turns by at most so much."""
     axes, extent = seen
-    if outside[0] * axes.wx + outside[1] * axes.wy + outside[2] * axes.wz >= wide.sine:
+    x, y, z = outward_of(corners)
+    if x * axes.wx + y * axes.wy + z * axes.wz >= wide.sine * math.sqrt(x * x + y * y + z * z):
         return False
     high = high_w = -_EMPTY
     for k in range(3):
@@ -314,7 +316,7 @@ def _nears(corners: Floats, outside: Floats, plane: Floats, near_m: float, seen:
 @kernel
 def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide: Wide, listed: Numbers) -> int:
     """Write the triangles that may cover a part of a facet, as many as there is room for; return their number."""
-    boxes, sizes, triangles, planes = tree
+    boxes, sizes, triangles = tree
     leaves, node, count, most = len(sizes), 1, 0, triangles.shape[2]
     while True:
         if may_cover(boxes, node, plane, plane[3] + near_m, seen, wide.tangent):
@@ -323,7 +325,7 @@ def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide
                 continue
             leaf = node - leaves
             for j in range(sizes[leaf]):
-                if _nears(triangles[leaf, :, j], planes[leaf, :, j], plane, near_m, seen, wide):
+                if _nears(triangles[leaf, :, j], plane, near_m, seen, wide):
                     if count < len(listed):
                         listed[count] = most * leaf + j
                     count += 1
@@ -333,10 +335,11 @@ def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide
 
 
 @kernel
-def covers(triangle: Floats, outside: Floats, plane: Floats, above: float, seen: Seen) -> bool:
+def covers(triangle: Floats, plane: Floats, above: float, seen: Seen) -> bool:
     """Return whether a triangle that shows the Sun its inside may cover a part of a facet."""
     axes, extent = seen
-    if outside[0] * axes.wx + outside[1] * axes.wy + outside[2] * axes.wz >= 0.0:
+    x, y, z = outward_of(triangle)
+    if x * axes.wx + y * axes.wy + z * axes.wz >= 0.0:
         return False
     high = -_EMPTY
     for k in range(3):

@@ -241,7 +241,7 @@ def _add(
     pieces = room.pieces.corners
     most = tree.corners.shape[2]
     triangle = tree.corners[k // most, :, k % most]
-    if not covers(triangle, tree.planes[k // most, :, k % most], plane, plane[3] + near_m, seen):
+    if not covers(triangle, plane, plane[3] + near_m, seen):
         return count
     n = _shade(corners, plane, triangle, around.sun, around.turning, pieces[0])
     n = without_short_sides(pieces[0, 0], n, near_m)
