@@ -24,8 +24,7 @@ binary tree in a heap: node 1 is the root, node i has the children 2 i and 2 i +
 Triangles are split at the median of their centres along the longest side of their box. The traversal runs from left to
 right and needs no stack: after node i comes 2 i, or `after(i)` where i is skipped.
 
-Three measures make it fast: the traversal skips boxes beside the cone (a box extended by the cone's radius at its far
-side against the axis), it ends where the disc is covered, and points with a result of 0 or 1 have no second evaluation.
+Fast because it skips boxes beside the cone and ends where the disc is covered; 0 and 1 have no second evaluation.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import entry, kernel
+from emulator.scene.bodies.compiled import Point, cross, dot, entry, kernel, minus
 
 
 @kernel
@@ -84,12 +83,9 @@ def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
     return area + 0.5 * (px * qy - py * qx)
 
 
-LEAF = 8
-"""Most triangles of a leaf: with half as many, boxes would take twice the memory and rays as much time."""
+LEAF = 8  # most triangles of a leaf: with 4 boxes take twice the memory, and rays as much time
 
 Floats = npt.NDArray[np.float64]
-Point = tuple[float, float, float]
-"""A place, m, or a direction."""
 
 
 class TriangleTree(NamedTuple):
@@ -201,18 +197,9 @@ def _boxes(triangles: Floats, starts: npt.NDArray[np.int32]) -> Floats:
 @kernel
 def outward_of(triangle: Floats) -> Point:
     """Return the normal of a triangle, twice its area long: 0 for one without area, which has no outside."""
-    x, y, z = triangle[0], triangle[1], triangle[2]
-    ux, uy, uz = triangle[3] - x, triangle[4] - y, triangle[5] - z
-    vx, vy, vz = triangle[6] - x, triangle[7] - y, triangle[8] - z
-    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-
-
-@kernel
-def _shows_outside(triangle: Floats, point: Point, near_m: float) -> bool:
-    """Return whether a point lies above a triangle's plane by more than `near_m`."""
-    nx, ny, nz = outward_of(triangle)
-    height = nx * (point[0] - triangle[0]) + ny * (point[1] - triangle[1]) + nz * (point[2] - triangle[2])
-    return bool(height > near_m * math.sqrt(nx * nx + ny * ny + nz * nz))
+    first = triangle[0], triangle[1], triangle[2]
+    u = minus((triangle[3], triangle[4], triangle[5]), first)
+    return cross(u, minus((triangle[6], triangle[7], triangle[8]), first))
 
 
 @kernel
@@ -367,8 +354,12 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
                 continue
             leaf = node - leaves
             for j in range(sizes[leaf]):
-                if _shows_outside(corners[leaf, :, j], point, near_m):
-                    area += triangle_area(corners[leaf, :, j], px, py, pz, axes)
+                triangle = corners[leaf, :, j]
+                outward = outward_of(triangle)
+                # Only from above its plane does a triangle show its outside.
+                height = dot(outward, point) - dot(outward, (triangle[0], triangle[1], triangle[2]))
+                if height > near_m * math.sqrt(dot(outward, outward)):
+                    area += triangle_area(triangle, px, py, pz, axes)
             if area >= math.pi * enough:
                 return enough
         node = after(node)

@@ -26,10 +26,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.topology import PARTS
-from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.compiled import cross, dot, entry, minus, row
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.sun_rays import Window, depth_in, dot, minus, row
+from emulator.scene.bodies.sun_rays import Window, depth_in
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -37,7 +37,7 @@ Bytes = npt.NDArray[np.uint8]
 Numbers = npt.NDArray[np.int32]
 Hidden = npt.NDArray[np.int8]
 
-BEND_PX = 0.05
+BEND_PX = 0.03
 """Bend of a side that is not seen, pixels."""
 
 _DARKEST = -0.1  # cosine of incidence: where no corner of a facet is above, its outline is black
@@ -146,8 +146,9 @@ def mark(  # noqa: PLR0913, PLR0917
 ) -> None:  # fmt: skip
     """Mark the sides that are to be cut: those of facets that a shadow's edge, terminator or outline may pass through.
 
-    The cosines of incidence at a facet's corners then include 0, or are as near to it as they differ; where none is
-    above 0, the facet is dark. Those of emission include 0. Corners with and without the Sun have an edge between them.
+    The cosines of incidence at a facet's corners and of its plane then include 0, or are as near to it as they differ;
+    where none is above 0, the facet is dark. Those of emission at its corners include 0. Corners with and without the
+    Sun have an edge between them.
 
     Parameters
     ----------
@@ -173,10 +174,13 @@ def mark(  # noqa: PLR0913, PLR0917
         b = sides.faces[f, 1]
         c = sides.faces[f, 2]
         depth = max(at[2, a], at[2, b], at[2, c])  # 0: out of the light frame
-        lowest, highest = min(at[0, a], at[0, b], at[0, c]), max(at[0, a], at[0, b], at[0, c])
         away, towards = min(at[1, a], at[1, b], at[1, c]), max(at[1, a], at[1, b], at[1, c])
         if depth == 0.0 or towards < away - towards:
             continue
+        plane = cross(minus(row(points, b), row(points, a)), minus(row(points, c), row(points, a)))
+        of_plane = dot(plane, to_sun) / math.sqrt(max(dot(plane, plane), 1e-300))
+        lowest = min(at[0, a], at[0, b], at[0, c], of_plane)
+        highest = max(at[0, a], at[0, b], at[0, c], of_plane)
         at_terminator = lowest < highest - lowest and highest > 0.0
         on_outline = away < 0.0 and highest > _DARKEST
         lit, dark = min(is_hidden[a], is_hidden[b], is_hidden[c]), max(is_hidden[a], is_hidden[b], is_hidden[c])

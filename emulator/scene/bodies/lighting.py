@@ -288,7 +288,7 @@ class Lighting:
         for body in self._bodies:
             group = seen[body.group]
             if body.edges is not None:
-                body.edges.begin(group.suns[0])
+                body.edges.begin(group.suns[0], self._sun.radius_rad)
             if body.sides is not None:
                 window = self._window(group)
                 first = len(body.points) - len(body.sides.bends_m)
@@ -391,19 +391,14 @@ class Lighting:
 
     def _choose(self, body: _Lit, group: _Seen) -> tuple[int, npt.NDArray[np.int8]]:
         """Select points of a body; return their count and, for smooth bodies, whether each is hidden from the Sun."""
-        radius = self._sun.radius_rad
-        lowest = -2.0 if self._ambient > 0 else -math.sin(radius) if body.edges is None else _BEYOND
+        lowest = -2.0 if self._ambient > 0 else -math.sin(self._sun.radius_rad) if body.edges is None else _BEYOND
         count = choose(
             body.points, body.normals, body.lean, body.marked, group.suns, group.eyes_m, lowest, self._chosen,
             self._angles,
         )  # fmt: skip
         if body.edges is None:
             return count, np.full(len(body.points), -1, np.int8)
-        hidden = body.edges.hidden_from_sun(self._chosen, count, self._window(group))
-        # Of the points on the horizon their own surface hides a part of the disc.
-        on_horizon = self._chosen[:count][np.abs(self._angles[0, :count]) < radius]
-        hidden[on_horizon] = np.minimum(hidden[on_horizon], 0)
-        return count, hidden
+        return count, body.edges.hidden_from_sun(self._chosen, count, self._window(group))
 
     def _sea_and_air(self, body: _Lit, count: int) -> Floats | None:
         """Return the light of a planet's water and air at the chosen points, now and an instant later, (2, count)."""
@@ -467,7 +462,8 @@ def facets_of(surfaces: Sequence[Surface], meshes: Sequence[Mesh]) -> Facets:
 
 def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) -> _Lit:
     """Return a body's points in the frame of its group."""
-    turn, points, normals = pose.world_from_body.T, surface.points, surface.normals
+    turn = pose.world_from_body.T
+    points, normals = surface.points, surface.normals
     if pose.position_m.any() or (turn != np.eye(3)).any():  # else they need no memory of their own
         points, normals = points @ turn + pose.position_m, normals @ turn
     low, high = points.min(axis=0), points.max(axis=0)

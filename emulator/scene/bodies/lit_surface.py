@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.mesh import Mesh
+from emulator.scene.bodies.mesh import Mesh, facet_vectors
 
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
@@ -210,8 +210,7 @@ def _cut(faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools, count:
 
 
 def _facet_normals(mesh: Mesh) -> Floats:
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = facet_vectors(mesh.vertices, mesh.faces)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
 
 

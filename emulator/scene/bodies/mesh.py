@@ -79,11 +79,6 @@ class Mesh:
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
     @property
-    def volume_m3(self) -> float:
-        """The enclosed volume, by the divergence theorem; undefined for a mesh with holes."""
-        return float(_signed_volume(self.vertices, self.faces))
-
-    @property
     def area_m2(self) -> float:
         """The surface area."""
         return float(np.linalg.norm(facet_vectors(self.vertices, self.faces), axis=1).sum())
@@ -156,7 +151,9 @@ def build_mesh(
         raise SceneError("no facet has any area: nothing to draw")
     dropped, corners = int((~valid).sum()), corners[valid]
     open_edges = _count_open_edges(corners)
-    inside_out = turns and bool(_signed_volume(points, corners) < 0)
+    # Tetrahedra between each facet and the middle of the mesh: their volume is negative where it is inside out.
+    heights = points[corners[:, 0]] - points[corners].mean(axis=(0, 1))
+    inside_out = turns and bool((facet_vectors(points, corners) * heights).sum() < 0)
     if inside_out:
         corners = corners[:, ::-1]
     used, corners = np.unique(corners, return_inverse=True)
@@ -233,12 +230,6 @@ def _with_area(points: _Points, corners: npt.NDArray[np.int64]) -> npt.NDArray[n
     sides = points[corners] - points[np.roll(corners, 1, axis=1)]
     longest2 = (sides**2).sum(axis=2).max(axis=1)
     return np.asarray(np.linalg.norm(facet_vectors(points, corners), axis=1) > 1e-12 * longest2)
-
-
-def _signed_volume(points: _Points, corners: npt.NDArray[np.integer]) -> float:
-    """Return the sum of the tetrahedra between each facet and the middle of the mesh: negative when inside out."""
-    middle = points[corners].mean(axis=(0, 1))
-    return float(np.einsum("ij,ij->", facet_vectors(points, corners), points[corners[:, 0]] - middle) / 3)
 
 
 def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:

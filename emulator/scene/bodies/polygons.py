@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after, outward_of
-from emulator.scene.bodies.compiled import kernel
+from emulator.scene.bodies.compiled import dot, kernel
 
 ROOM = 24
 """Corners of a polygon; a cut adds one."""
@@ -297,8 +297,8 @@ def may_cover(boxes: Floats, node: int, plane: Floats, above: float, seen: Seen,
 def _nears(corners: Floats, plane: Floats, near_m: float, seen: Seen, wide: Wide) -> bool:
     """Return whether a triangle may cover a part of a facet while the Sun turns by at most so much."""
     axes, extent = seen
-    x, y, z = outward_of(corners)
-    if x * axes.wx + y * axes.wy + z * axes.wz >= wide.sine * math.sqrt(x * x + y * y + z * z):
+    outward = outward_of(corners)
+    if dot(outward, (axes.wx, axes.wy, axes.wz)) >= wide.sine * math.sqrt(dot(outward, outward)):
         return False
     high = high_w = -_EMPTY
     for k in range(3):
@@ -317,7 +317,7 @@ def _nears(corners: Floats, plane: Floats, near_m: float, seen: Seen, wide: Wide
 def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide: Wide, listed: Numbers) -> int:
     """Write the triangles that may cover a part of a facet, as many as there is room for; return their number."""
     boxes, sizes, triangles = tree
-    leaves, node, count, most = len(sizes), 1, 0, triangles.shape[2]
+    leaves, node, count = len(sizes), 1, 0
     while True:
         if may_cover(boxes, node, plane, plane[3] + near_m, seen, wide.tangent):
             if node < leaves:
@@ -327,7 +327,7 @@ def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide
             for j in range(sizes[leaf]):
                 if _nears(triangles[leaf, :, j], plane, near_m, seen, wide):
                     if count < len(listed):
-                        listed[count] = most * leaf + j
+                        listed[count] = triangles.shape[2] * leaf + j
                     count += 1
         node = after(node)
         if node == 1:
@@ -338,8 +338,7 @@ def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide
 def covers(triangle: Floats, plane: Floats, above: float, seen: Seen) -> bool:
     """Return whether a triangle that shows the Sun its inside may cover a part of a facet."""
     axes, extent = seen
-    x, y, z = outward_of(triangle)
-    if x * axes.wx + y * axes.wy + z * axes.wz >= 0.0:
+    if dot(outward_of(triangle), (axes.wx, axes.wy, axes.wz)) >= 0.0:
         return False
     high = -_EMPTY
     for k in range(3):

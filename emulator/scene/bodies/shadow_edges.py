@@ -29,23 +29,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import Point, TriangleTree
-from emulator.scene.bodies.compiled import entry, kernel
+from emulator.scene.bodies.cast_shadow import TriangleTree
+from emulator.scene.bodies.compiled import Point, cross, dot, entry, kernel, minus, plus, row
 from emulator.scene.bodies.shadow_polygons import Polygons, Triangles
-from emulator.scene.bodies.sun_rays import (
-    RayTree,
-    Verdicts,
-    Window,
-    corner,
-    cross,
-    depth_in,
-    dot,
-    first_met,
-    look_to_sun,
-    minus,
-    plus,
-    row,
-)
+from emulator.scene.bodies.sun_rays import RayTree, Verdicts, Window, corner, depth_in, first_met, look_to_sun
 from emulator.threads import ThreadPool
 
 Floats = npt.NDArray[np.float64]
@@ -373,6 +360,7 @@ class ShadowEdges:
     ) -> None:  # fmt: skip
         lifted = np.ascontiguousarray(vertices + _LIFT * side_m * normals)
         self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, first)
+        self._normals = np.ascontiguousarray(normals)
         self._body, self._tree, self._pool = body, RayTree.of(tree), pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
@@ -382,17 +370,20 @@ class ShadowEdges:
             Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
         ]
 
-    def begin(self, sun: Floats) -> None:
+    def begin(self, sun: Floats, radius_rad: float) -> None:
         """Begin a light frame with the Sun in direction `sun`, (3,): no vertex is tested yet."""
         self._is_hidden.fill(-1)
-        self._moved_rad, self._sun = float(np.linalg.norm(sun - self._sun)), sun
+        self._moved_rad = float(np.linalg.norm(sun - self._sun))
+        self._sun, self._radius_rad = sun, radius_rad
 
     def hidden_from_sun(self, chosen: Numbers, count: int, window: Window) -> npt.NDArray[np.int8]:
         """Return for each vertex whether the Sun's middle is hidden: 0 or 1, else -1; `chosen` are to be tested."""
 
         def work(part: tuple[int, int], _: int) -> None:
-            points, moved_rad = self._receiver.lifted, self._moved_rad
-            look_to_sun(self._tree, points, chosen, part, window, self._sun, moved_rad, self._verdicts, self._is_hidden)
+            look_to_sun(
+                self._tree, self._receiver.lifted, self._normals, chosen, part, window, self._sun, self._radius_rad,
+                self._moved_rad, self._verdicts, self._is_hidden,
+            )  # fmt: skip
 
         self._share(work, count, _POINTS_A_PART)
         return self._is_hidden

@@ -239,8 +239,8 @@ def _add(
 ) -> int:  # fmt: skip
     """Write the shadow of triangle k on a facet, and its area, behind `count` others; return the new count."""
     pieces = room.pieces.corners
-    most = tree.corners.shape[2]
-    triangle = tree.corners[k // most, :, k % most]
+    width = tree.corners.shape[2]
+    triangle = tree.corners[k // width, :, k % width]
     if not covers(triangle, plane, plane[3] + near_m, seen):
         return count
     n = _shade(corners, plane, triangle, around.sun, around.turning, pieces[0])
@@ -261,15 +261,15 @@ def _gather(
     tree: TriangleTree, corners: Floats, plane: Floats, seen: Seen, around: Surroundings, near_m: float, room: Room
 ) -> int:
     """Write the shadows of all triangles on a facet; return their number, including those beyond the room."""
-    boxes, sizes, most = tree.boxes, tree.sizes, tree.corners.shape[2]
-    leaves, node, count = len(sizes), 1, 0
+    boxes, width = tree.boxes, tree.corners.shape[2]
+    leaves, node, count = len(tree.sizes), 1, 0
     while True:
         if may_cover(boxes, node, plane, plane[3] + near_m, seen, 0.0):
             if node < leaves:
                 node *= 2
                 continue
             leaf = node - leaves
-            for k in range(most * leaf, most * leaf + sizes[leaf]):
+            for k in range(width * leaf, width * leaf + tree.sizes[leaf]):
                 count = _add(tree, k, corners, plane, seen, around, near_m, room, count)
         node = after(node)
         if node == 1:

@@ -6,8 +6,7 @@ each other. A result is used again while it is certain to be the same:
     hidden     the leaf whose triangle hid the Sun is tested first: if one still does, no ray is needed
     sunlit     no outside of a triangle shows in a cone around the Sun's direction: the Sun may move within that cone
 
-A result does not depend on those before it, only the time that it takes. Most points of an asteroid keep theirs for
-minutes; those near a shadow edge get a ray each time.
+A result does not depend on those before it, only the time that it takes. Points near a shadow edge get a ray each time.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import DUST, Point, TriangleTree, covered, inverse_of
-from emulator.scene.bodies.compiled import entry, kernel
+from emulator.scene.bodies.cast_shadow import DUST, TriangleTree, covered, inverse_of, seen_above
+from emulator.scene.bodies.compiled import Point, cross, dot, entry, kernel, minus, plus, row
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
@@ -33,40 +32,10 @@ _LASTS = 10  # light frames, at least, for which a cone is worth its search
 
 
 @kernel
-def row(points: Floats, k: int) -> Point:
-    """Return row k of an array, (n, 3)."""
-    return points[k, 0], points[k, 1], points[k, 2]
-
-
-@kernel
 def corner(corners: Floats, k: int, number: int) -> Point:
     """Return corner 0, 1 or 2 of triangle k of a `TriangleTree`."""
     triangle, at = corners[k // corners.shape[2], :, k % corners.shape[2]], 3 * number
     return triangle[at], triangle[at + 1], triangle[at + 2]
-
-
-@kernel
-def minus(a: Point, b: Point) -> Point:
-    """Return the vector from b to a."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@kernel
-def plus(a: Point, scale: float, b: Point) -> Point:
-    """Return a + scale b."""
-    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
-
-
-@kernel
-def dot(a: Point, b: Point) -> float:
-    """Return the inner product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def cross(a: Point, b: Point) -> Point:
-    """Return the vector product."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 class RayTree(NamedTuple):
@@ -210,16 +179,18 @@ def depth_in(window: Window, point: Point) -> float:
 
 @entry
 def look_to_sun(  # noqa: PLR0913, PLR0917
-    tree: RayTree, points: Floats, chosen: Numbers, part: tuple[int, int], window: Window, sun: Floats,
-    moved_rad: float, verdicts: Verdicts, is_hidden: npt.NDArray[np.int8]
+    tree: RayTree, points: Floats, normals: Floats, chosen: Numbers, part: tuple[int, int], window: Window, sun: Floats,
+    radius_rad: float, moved_rad: float, verdicts: Verdicts, is_hidden: npt.NDArray[np.int8]
 ) -> None:  # fmt: skip
     """Write whether the Sun's middle is hidden from the chosen points that the camera may see: 0 or 1, else -1.
 
+    Where a part of the disc is below a point's own horizon, it is the middle of what is above (`seen_above`).
+
     Parameters
     ----------
-    points : (n, 3) m, a little above the surface, in the tree's frame.
+    points, normals : (n, 3) m, a little above the surface, in the tree's frame; unit.
     chosen, part : numbers of points, and the first of them to test and the one after the last.
-    sun : (3,) unit.
+    sun, radius_rad : (3,) unit, and the disc's.
     moved_rad : angle of the Sun since the last light frame.
     is_hidden : (n,); points of which it is known stay as they are.
     """
@@ -230,6 +201,12 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
         k: Any = np.int64(chosen[i])
         point = row(points, k)
         if is_hidden[k] >= 0 or depth_in(window, point) == 0.0:
+            continue
+        normal = row(normals, k)
+        height = dot(normal, towards)
+        if abs(height) < radius_rad:
+            middle = plus(towards, radius_rad * seen_above(height / radius_rad)[1], normal)
+            is_hidden[k] = 1 if first_met(tree, point, middle) >= 0 else 0
             continue
         if hiding[k] >= 0 and _triangles_met(corners, hiding[k] // corners.shape[2], point, towards):
             is_hidden[k] = 1

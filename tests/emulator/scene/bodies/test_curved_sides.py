@@ -16,6 +16,7 @@ from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.sun_rays import Window
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath
+from tests.emulator.scene.bodies.volume import volume_m3
 
 
 def ball(subdivisions=3):
@@ -54,7 +55,7 @@ def test_points_lie_on_a_ball():
         assert np.abs(np.linalg.norm(fine.vertices[points.ravel()], axis=1) - 1).max() < 0.02 * chord
     normals = fine.normals[len(mesh.vertices) :]
     np.testing.assert_allclose(normals, fine.vertices[len(mesh.vertices) :], atol=2e-3)
-    assert build_mesh(fine.vertices, fine.faces).volume_m3 == pytest.approx(4 / 3 * math.pi, rel=2e-3)
+    assert volume_m3(build_mesh(fine.vertices, fine.faces)) == pytest.approx(4 / 3 * math.pi, rel=2e-3)
 
 
 def test_both_facets_of_a_side_have_its_points_in_order():

@@ -6,6 +6,7 @@ import trimesh
 
 from emulator.scene.bodies.lit_surface import lit_surface, near_in_memory, shadow_triangles, subdivide
 from emulator.scene.bodies.mesh import build_mesh
+from tests.emulator.scene.bodies.volume import volume_m3
 
 
 def box(size=(3.0, 1.0, 0.2)):
@@ -23,7 +24,7 @@ def test_subdivision_keeps_the_surface_and_leaves_no_gap(make, size_m):
     assert build_mesh(fine.vertices, fine.faces).open_edges == 0  # it also refuses facets of different winding
     assert len(build_mesh(fine.vertices, fine.faces).vertices) == len(fine.vertices)
     assert fine.area_m2 == pytest.approx(mesh.area_m2, rel=1e-12)
-    assert fine.volume_m3 == pytest.approx(mesh.volume_m3, rel=1e-12)
+    assert volume_m3(fine) == pytest.approx(volume_m3(mesh), rel=1e-12)
     np.testing.assert_allclose(np.linalg.norm(fine.normals, axis=1), 1)
 
 
@@ -75,7 +76,7 @@ def test_the_order_in_memory_changes_neither_facets_nor_albedo():
     ordered = near_in_memory(tinted)
     assert _facets(ordered) == _facets(tinted)
     assert len(ordered.vertices) == len(tinted.vertices)
-    assert ordered.volume_m3 == pytest.approx(tinted.volume_m3, rel=1e-12)
+    assert volume_m3(ordered) == pytest.approx(volume_m3(tinted), rel=1e-12)
 
 
 def _facets(mesh):

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from scipy import ndimage
 
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Sun
@@ -48,7 +49,7 @@ class Plate:
     def cast(self, sun, turning=(0.0, 0.0, 0.0), radius=RADIUS):
         """Return what is hidden at vertices, and the parts of facets, lit by 1 + x / 100 and dark at 0."""
         chosen, step_s = np.arange(len(self.vertices), dtype=np.int32), 1e-7
-        self.edges.begin(sun)
+        self.edges.begin(sun, radius)
         hidden = self.edges.hidden_from_sun(chosen, len(chosen), self.window).copy()
         none, lit = np.zeros(len(chosen)), 1 + self.vertices[:, 0] / 100
         suns = Suns(sun, unit(sun + step_s * np.asarray(turning)), step_s, radius)
@@ -153,10 +154,13 @@ def test_verdicts_are_those_of_embree():
         assert (hidden != truth).sum() <= 2  # embree's rays are float32
 
 
-def look(tree, points, sun, verdicts, moved_rad=0.0):
+def look(tree, points, sun, verdicts, moved_rad=0.0, normals=None, radius_rad=0.0):
     chosen, hidden = np.arange(len(points), dtype=np.int32), np.full(len(points), -1, np.int8)
     all_around = Window(np.eye(3), np.array([0.0, 0.0, -1e9]), 10.0, 10.0, 1.0)
-    look_to_sun(tree, points, chosen, (0, len(points)), all_around, sun, moved_rad, verdicts, hidden)
+    normals = points if normals is None else normals
+    look_to_sun(
+        tree, points, normals, chosen, (0, len(points)), all_around, sun, radius_rad, moved_rad, verdicts, hidden
+    )
     return hidden
 
 
@@ -251,3 +255,21 @@ def test_pixels_are_dark_where_embree_hides_the_sun():
     bright = light.ravel()[hit] > 0.5 * without.ravel()[hit]
     assert hidden[faces_sun].mean() > 0.02  # the head's shadow on the body, and those of boulders
     assert (bright == ~hidden)[faces_sun].mean() > 0.98
+    # No light comes from the horizon of a place in the shadow of others.
+    dark = np.zeros(light.size, bool)
+    dark[hit] = hidden
+    around = ndimage.minimum_filter(dark.reshape(light.shape), 3)
+    assert around.sum() > 100
+    assert (light[around] > 1e-5 * light.max()).mean() < 0.03
+
+
+@pytest.mark.parametrize("height", [-0.9, -0.5, 0.5, 0.9])
+@pytest.mark.parametrize(("wall", "is_hidden"), [(0.0, False), (0.3, False), (0.9, True)])
+def test_a_point_whose_horizon_cuts_the_sun_is_hidden_where_the_middle_of_the_rest_is(height, wall, is_hidden):
+    """The Sun's middle `height` of its radius above level ground; a wall as high as `wall` of what is seen of it."""
+    ground = [[-99.0, -99.0, 0.0], [99.0, -99.0, 0.0], [0.0, 99.0, 0.0]]
+    across = [[10.0, -99.0, -99.0], [10.0, 99.0, -99.0], [10.0, 0.0, 10.0 * RADIUS * (1 + height) * wall]]
+    tree = RayTree.of(build_tree(np.array([ground, across])))
+    sun = np.array([math.cos(RADIUS * height), 0.0, math.sin(RADIUS * height)])
+    point, normal = np.array([[0.0, 0.0, 1e-6]]), np.array([[0.0, 0.0, 1.0]])
+    assert look(tree, point, sun, Verdicts.unknown(1), normals=normal, radius_rad=RADIUS) == [is_hidden]
