@@ -151,10 +151,17 @@ def test_without_poses_it_is_the_rigs_own_run(tmp_path):
 
 
 def fixed(camera, ball):
-    """The rig with camera and ball at rest at two poses; a ball with a path of its own, as in the simulation."""
+    """The rig with camera and ball at two poses at first, and as near in the end as in the rig: facets are as fine."""
     rig = rig_of()
-    poses = [(tuple(pose.position_m), tuple(pose.q_world_from_body)) for pose in (camera, ball)]
-    tables = [evstim.KeyframePath(tuple(evstim.Keyframe(t_s, *pose) for t_s in (0.0, 9.0))) for pose in poses]
+    ends = Pose(np.array([1.0, 0.0, -3.0]), AS_THE_WORLD), Pose(ORIGIN, AS_THE_WORLD)
+    paths = [
+        [(tuple(pose.position_m), tuple(pose.q_world_from_body)) for pose in path]
+        for path in zip((camera, ball), ends, strict=True)
+    ]
+    tables = [
+        evstim.KeyframePath(tuple(evstim.Keyframe(t_s, *pose) for t_s, pose in zip((0.0, 10.0), path, strict=True)))
+        for path in paths
+    ]
     bodies = (dataclasses.replace(rig.scene.bodies[0], path=tables[1]), *rig.scene.bodies[1:])
     return dataclasses.replace(rig, scene=dataclasses.replace(rig.scene, camera=tables[0], bodies=bodies))
 
@@ -168,7 +175,7 @@ def test_a_step_ends_at_the_poses_that_were_given():
     light = np.zeros((48, 64), np.float32)
     with evstim.build_scene(fixed(at(4), turned)) as scene:
         scene.light(0, light)
-    np.testing.assert_allclose(step.light, light, rtol=2e-3, atol=1e-4)  # its paths come nearer: finer facets
+    np.testing.assert_allclose(step.light, light, rtol=2e-3, atol=1e-4)
     np.testing.assert_allclose(step.truth.poses.camera_m, at(4).position_m)
     np.testing.assert_allclose(step.truth.poses.bodies_m[0], turned.position_m)
     np.testing.assert_allclose(step.truth.poses.q_world_from_bodies[0], turned.q_world_from_body)
