@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import Point, cross, dot, entry, kernel, minus
+from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, entry, kernel, minus, plus, row, vertex
 
 
 @kernel
@@ -197,9 +197,8 @@ def _boxes(triangles: Floats, starts: npt.NDArray[np.int32]) -> Floats:
 @kernel
 def outward_of(triangle: Floats) -> Point:
     """Return the normal of a triangle, twice its area long: 0 for one without area, which has no outside."""
-    first = triangle[0], triangle[1], triangle[2]
-    u = minus((triangle[3], triangle[4], triangle[5]), first)
-    return cross(u, minus((triangle[6], triangle[7], triangle[8]), first))
+    first = vertex(triangle, 0)
+    return cross(minus(vertex(triangle, 1), first), minus(vertex(triangle, 2), first))
 
 
 @kernel
@@ -214,15 +213,9 @@ def after(node: int) -> int:
 class Frame(NamedTuple):
     """Three axes: u and v across a direction w, and it."""
 
-    ux: float
-    uy: float
-    uz: float
-    vx: float
-    vy: float
-    vz: float
-    wx: float
-    wy: float
-    wz: float
+    u: Point
+    v: Point
+    w: Point
 
 
 DUST = 1e-9  # shares below that are rounding
@@ -230,23 +223,16 @@ _NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are
 
 
 @kernel
-def axes_around(sx: float, sy: float, sz: float) -> Frame:
+def axes_around(direction: Point) -> Frame:
     """Return the frame of a unit direction.
 
     Source: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6 (1).
     """
+    sx, sy, sz = direction
     sign = math.copysign(1.0, sz)
     a = -1.0 / (sign + sz)
     b = sx * sy * a
-    return Frame(1.0 + sign * sx * sx * a, sign * b, -sign * sx, b, sign + sy * sy * a, -sy, sx, sy, sz)
-
-
-@kernel
-def disc_axes(sun: Point, tangent: float) -> Frame:
-    """Return the frame of a direction with axes across it longer by 1 / tangent: the disc has the radius 1."""
-    ux, uy, uz, vx, vy, vz, sx, sy, sz = axes_around(sun[0], sun[1], sun[2])
-    k = 1.0 / tangent
-    return Frame(k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
+    return Frame((1.0 + sign * sx * sx * a, sign * b, -sign * sx), (b, sign + sy * sy * a, -sy), direction)
 
 
 @kernel
@@ -281,24 +267,21 @@ def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
 
 
 @kernel
-def triangle_area(triangle: Floats, px: float, py: float, pz: float, axes: Frame) -> float:
+def triangle_area(triangle: Floats, point: Point, axes: Frame) -> float:
     """Return the area of the unit disc that a triangle covers; the axes across the Sun are longer by 1 / tan radius."""
-    x0, y0, z0 = triangle[0] - px, triangle[1] - py, triangle[2] - pz
-    x1, y1, z1 = triangle[3] - px, triangle[4] - py, triangle[5] - pz
-    x2, y2, z2 = triangle[6] - px, triangle[7] - py, triangle[8] - pz
-    ux, uy, uz, vx, vy, vz, sx, sy, sz = axes
+    p, q, r = minus(vertex(triangle, 0), point), minus(vertex(triangle, 1), point), minus(vertex(triangle, 2), point)
     # Depths along the axis, and places across it that are at most the depth within the disc. A triangle behind the
     # point covers nothing, nor one with all corners beyond the disc on one side.
-    w0, w1, w2 = x0 * sx + y0 * sy + z0 * sz, x1 * sx + y1 * sy + z1 * sz, x2 * sx + y2 * sy + z2 * sz
+    w0, w1, w2 = dot(p, axes.w), dot(q, axes.w), dot(r, axes.w)
     if w0 <= 0.0 and w1 <= 0.0 and w2 <= 0.0:
         return 0.0
-    a0, a1, a2 = x0 * ux + y0 * uy + z0 * uz, x1 * ux + y1 * uy + z1 * uz, x2 * ux + y2 * uy + z2 * uz
+    a0, a1, a2 = dot(p, axes.u), dot(q, axes.u), dot(r, axes.u)
     if (a0 > w0 and a1 > w1 and a2 > w2) or (-a0 > w0 and -a1 > w1 and -a2 > w2):
         return 0.0
-    b0, b1, b2 = x0 * vx + y0 * vy + z0 * vz, x1 * vx + y1 * vy + z1 * vz, x2 * vx + y2 * vy + z2 * vz
+    b0, b1, b2 = dot(p, axes.v), dot(q, axes.v), dot(r, axes.v)
     if (b0 > w0 and b1 > w1 and b2 > w2) or (-b0 > w0 and -b1 > w1 and -b2 > w2):
         return 0.0
-    reach = abs(x0) + abs(y0) + abs(z0) + abs(x1) + abs(y1) + abs(z1) + abs(x2) + abs(y2) + abs(z2)
+    reach = abs(p[0]) + abs(p[1]) + abs(p[2]) + abs(q[0]) + abs(q[1]) + abs(q[2]) + abs(r[0]) + abs(r[1]) + abs(r[2])
     nearest = _NEAREST * reach
     if w0 < nearest or w1 < nearest or w2 < nearest:
         return abs(_cut_area((a0, b0, w0, a1, b1, w1, a2, b2, w2), nearest))
@@ -309,13 +292,11 @@ def triangle_area(triangle: Floats, px: float, py: float, pz: float, axes: Frame
 
 
 @kernel
-def box_in_cone(
-    boxes: Floats, node: int, px: float, py: float, pz: float, sun: Point, inverse: Point, tangent: float
-) -> bool:
+def _box_in_cone(boxes: Floats, node: int, point: Point, sun: Point, inverse: Point, tangent: float) -> bool:
     """Return whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
-    cx, cy, cz = boxes[node, 0] - px, boxes[node, 1] - py, boxes[node, 2] - pz
+    cx, cy, cz = minus(row(boxes, node), point)
     hx, hy, hz = boxes[node, 3], boxes[node, 4], boxes[node, 5]
-    depth = cx * sun[0] + cy * sun[1] + cz * sun[2] + hx * abs(sun[0]) + hy * abs(sun[1]) + hz * abs(sun[2])
+    depth = dot((cx, cy, cz), sun) + hx * abs(sun[0]) + hy * abs(sun[1]) + hz * abs(sun[2])
     if depth <= 0.0:  # of the far side
         return False
     wider = depth * tangent
@@ -343,12 +324,13 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
     enough : the traversal may end at this share.
     """
     boxes, sizes, corners = tree
-    px, py, pz = point
-    axes = disc_axes(sun, tangent)
+    # Axes across the Sun that are longer by 1 / tangent: the disc has the radius 1.
+    u, v, _ = axes_around(sun)
+    axes = Frame(plus(ZERO, 1.0 / tangent, u), plus(ZERO, 1.0 / tangent, v), sun)
     inverse = (inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2]))
     leaves, node, area = len(sizes), 1, 0.0
     while True:
-        if box_in_cone(boxes, node, px, py, pz, sun, inverse, tangent):
+        if _box_in_cone(boxes, node, point, sun, inverse, tangent):
             if node < leaves:
                 node *= 2
                 continue
@@ -357,9 +339,9 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
                 triangle = corners[leaf, :, j]
                 outward = outward_of(triangle)
                 # Only from above its plane does a triangle show its outside.
-                height = dot(outward, point) - dot(outward, (triangle[0], triangle[1], triangle[2]))
+                height = dot(outward, point) - dot(outward, vertex(triangle, 0))
                 if height > near_m * math.sqrt(dot(outward, outward)):
-                    area += triangle_area(triangle, px, py, pz, axes)
+                    area += triangle_area(triangle, point, axes)
             if area >= math.pi * enough:
                 return enough
         node = after(node)
@@ -368,34 +350,12 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
 
 
 @kernel
-def _place(moved: Floats, x: float, y: float, z: float) -> Point:
-    """Return a point in the tree's frame."""
-    return (
-        moved[0, 0] * x + moved[0, 1] * y + moved[0, 2] * z + moved[0, 3],
-        moved[1, 0] * x + moved[1, 1] * y + moved[1, 2] * z + moved[1, 3],
-        moved[2, 0] * x + moved[2, 1] * y + moved[2, 2] * z + moved[2, 3],
-    )
-
-
-@kernel
-def _hide(tree: TriangleTree, place: Point, moved: Floats, tangent: float, near_m: float) -> float:
+def _hide(tree: TriangleTree, point: Point, moved: Floats, tangent: float, near_m: float) -> float:
     """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
+    x, y, z = dot(row(moved, 0), point), dot(row(moved, 1), point), dot(row(moved, 2), point)
+    place = x + moved[0, 3], y + moved[1, 3], z + moved[2, 3]
     hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m, 1.0 - DUST)
     return 0.0 if hidden < DUST else hidden if hidden < 1.0 - DUST else 1.0
-
-
-@kernel
-def _dim_point(
-    tree: TriangleTree, point: Point, moved: Floats, tangent: float, near_m: float, shares: Floats, i: int
-) -> None:
-    """Multiply the shares of point number i by what is not covered; beyond penumbras that is the same later."""
-    x, y, z = point
-    hidden = _hide(tree, _place(moved[0], x, y, z), moved[0], tangent, near_m)
-    later = hidden
-    if 0.0 < hidden < 1.0:
-        later = _hide(tree, _place(moved[1], x, y, z), moved[1], tangent, near_m)
-    shares[0, i] *= 1.0 - hidden
-    shares[1, i] *= 1.0 - later
 
 
 @entry
@@ -416,5 +376,9 @@ def dim(
     """
     for i in range(count):
         if shares[0, i] > 0.0 or shares[1, i] > 0.0:
-            k = chosen[i]
-            _dim_point(tree, (points[k, 0], points[k, 1], points[k, 2]), moved, tangent, near_m, shares, i)
+            point = row(points, chosen[i])
+            hidden = _hide(tree, point, moved[0], tangent, near_m)
+            # Beyond penumbras it is the same later.
+            later = _hide(tree, point, moved[1], tangent, near_m) if 0.0 < hidden < 1.0 else hidden
+            shares[0, i] *= 1.0 - hidden
+            shares[1, i] *= 1.0 - later

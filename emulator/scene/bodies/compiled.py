@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
 
-__all__ = ["Point", "cross", "dot", "entry", "kernel", "minus", "plus", "row"]
+__all__ = ["ZERO", "Point", "cross", "dot", "entry", "kernel", "minus", "plus", "row", "vertex"]
 
 _SOURCES = ("emulator.scene.bodies", "emulator.photometry")
 
@@ -20,12 +20,19 @@ entry = entry_of(*_SOURCES, _nrt=False)
 Floats = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
 """A place, m, or a direction."""
+ZERO: Point = (0.0, 0.0, 0.0)
 
 
 @kernel
 def row(points: Floats, k: int) -> Point:
     """Return row k of an array, (n, 3)."""
     return points[k, 0], points[k, 1], points[k, 2]
+
+
+@kernel
+def vertex(triangle: Floats, k: int) -> Point:
+    """Return corner k of a triangle, (9,)."""
+    return triangle[3 * k], triangle[3 * k + 1], triangle[3 * k + 2]
 
 
 @kernel

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after, outward_of
-from emulator.scene.bodies.compiled import dot, kernel
+from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, kernel, minus, row, vertex
 
 ROOM = 24
 """Corners of a polygon; a cut adds one."""
@@ -29,25 +29,10 @@ Numbers = npt.NDArray[np.int32]
 class Cutter(NamedTuple):
     """A moving line in a plane: a polygon's part where a.x >= d is kept; the rates of a and d."""
 
-    ax: float
-    ay: float
-    az: float
+    a: Point
     d: float
-    ax_rate: float
-    ay_rate: float
-    az_rate: float
+    a_rate: Point
     d_rate: float
-
-
-class Segment(NamedTuple):
-    """A side's first end and the way to the other, or the rates of both."""
-
-    x: float
-    y: float
-    z: float
-    along_x: float
-    along_y: float
-    along_z: float
 
 
 class Pieces(NamedTuple):
@@ -90,26 +75,30 @@ class Wide(NamedTuple):
 
 
 @kernel
+def _velocity(polygon: Floats, k: int) -> Point:
+    """Return the velocity of corner k."""
+    return polygon[k, 3], polygon[k, 4], polygon[k, 5]
+
+
+@kernel
 def cut(polygon: Floats, n: int, cutter: Cutter, out: Floats) -> int:
     """Write the part of a polygon that a cutter keeps; return its corners.
 
     `polygon` and `out` are (ROOM, 6), place and velocity.
     """
-    ax, ay, az, d, bx, by, bz, e = cutter
     count = 0
     for k in range(n):
         m = k + 1 if k + 1 < n else 0
-        px, py, pz = polygon[k, 0], polygon[k, 1], polygon[k, 2]
-        qx, qy, qz = polygon[m, 0], polygon[m, 1], polygon[m, 2]
-        high0, high1 = ax * px + ay * py + az * pz - d, ax * qx + ay * qy + az * qz - d
+        p, q = row(polygon, k), row(polygon, m)
+        high0, high1 = dot(cutter.a, p) - cutter.d, dot(cutter.a, q) - cutter.d
         if high0 >= 0.0 and count < ROOM:
             for j in range(6):
                 out[count, j] = polygon[k, j]
             count += 1
         # Where a side crosses: at the share t of it, which changes as both heights do.
         if (high0 >= 0.0) != (high1 >= 0.0) and count < ROOM:
-            rate0 = ax * polygon[k, 3] + ay * polygon[k, 4] + az * polygon[k, 5] + bx * px + by * py + bz * pz - e
-            rate1 = ax * polygon[m, 3] + ay * polygon[m, 4] + az * polygon[m, 5] + bx * qx + by * qy + bz * qz - e
+            rate0 = dot(cutter.a, _velocity(polygon, k)) + dot(cutter.a_rate, p) - cutter.d_rate
+            rate1 = dot(cutter.a, _velocity(polygon, m)) + dot(cutter.a_rate, q) - cutter.d_rate
             fall = high0 - high1
             t = high0 / fall
             dt = (rate0 - t * (rate0 - rate1)) / fall
@@ -130,19 +119,14 @@ def copy_corners(polygon: Floats, n: int, out: Floats) -> None:
 
 
 @kernel
-def side_of(plane: Floats, side: Segment, rates: Segment) -> Cutter:
+def side_of(plane: Floats, first: Point, along: Point, velocity: Point, along_rate: Point) -> Cutter:
     """Return the cutter through a side that keeps the part to its left, seen from outside.
 
-    `plane` is the unit normal of the polygon's plane.
+    `plane` begins with the unit normal of the polygon's plane; `first` is an end, `along` the vector to the other one.
     """
-    nx, ny, nz = plane[0], plane[1], plane[2]
-    x, y, z, ex, ey, ez = side
-    vx, vy, vz, fx, fy, fz = rates
-    # a = n x side, and its rate.
-    ax, ay, az = ny * ez - nz * ey, nz * ex - nx * ez, nx * ey - ny * ex
-    bx, by, bz = ny * fz - nz * fy, nz * fx - nx * fz, nx * fy - ny * fx
-    d = ax * x + ay * y + az * z
-    return Cutter(ax, ay, az, d, bx, by, bz, bx * x + by * y + bz * z + ax * vx + ay * vy + az * vz)
+    normal = plane[0], plane[1], plane[2]
+    a, a_rate = cross(normal, along), cross(normal, along_rate)
+    return Cutter(a, dot(a, first), a_rate, dot(a_rate, first) + dot(a, velocity))
 
 
 @kernel
@@ -172,11 +156,9 @@ def without_short_sides(polygon: Floats, n: int, shortest_m: float) -> int:
 def double_area(polygon: Floats, n: int, plane: Floats) -> float:
     """Return twice the area of a polygon, counter-clockwise as seen from outside."""
     area = 0.0
-    x, y, z = polygon[0, 0], polygon[0, 1], polygon[0, 2]
+    normal, first = (plane[0], plane[1], plane[2]), row(polygon, 0)
     for k in range(1, n - 1):
-        ux, uy, uz = polygon[k, 0] - x, polygon[k, 1] - y, polygon[k, 2] - z
-        vx, vy, vz = polygon[k + 1, 0] - x, polygon[k + 1, 1] - y, polygon[k + 1, 2] - z
-        area += plane[0] * (uy * vz - uz * vy) + plane[1] * (uz * vx - ux * vz) + plane[2] * (ux * vy - uy * vx)
+        area += dot(normal, cross(minus(row(polygon, k), first), minus(row(polygon, k + 1), first)))
     return area
 
 
@@ -184,11 +166,8 @@ def double_area(polygon: Floats, n: int, plane: Floats) -> float:
 def _side(polygon: Floats, first: int, n: int, k: int, plane: Floats) -> Cutter:
     """Return the cutter through side k of the polygon in rows first to first + n - 1, with places and velocities."""
     i, j = first + k, first + (k + 1 if k + 1 < n else 0)
-    x, y, z = polygon[i, 0], polygon[i, 1], polygon[i, 2]
-    vx, vy, vz = polygon[i, 3], polygon[i, 4], polygon[i, 5]
-    side = Segment(x, y, z, polygon[j, 0] - x, polygon[j, 1] - y, polygon[j, 2] - z)
-    rates = Segment(vx, vy, vz, polygon[j, 3] - vx, polygon[j, 4] - vy, polygon[j, 5] - vz)
-    return side_of(plane, side, rates)
+    place, velocity = row(polygon, i), _velocity(polygon, i)
+    return side_of(plane, place, minus(row(polygon, j), place), velocity, minus(_velocity(polygon, j), velocity))
 
 
 @kernel
@@ -198,11 +177,10 @@ def _beside(
     """Return whether a side of polygon q has all of polygon p outside, or within `slack_m` of it."""
     for k in range(q_n):
         side = _side(q, q_first, q_n, k, plane)
-        ax, ay, az, d = side.ax, side.ay, side.az, side.d
-        slack = slack_m * (abs(ax) + abs(ay) + abs(az))
+        slack = slack_m * (abs(side.a[0]) + abs(side.a[1]) + abs(side.a[2]))
         outside = True
         for i in range(p_first, p_first + p_n):
-            if ax * p[i, 0] + ay * p[i, 1] + az * p[i, 2] - d > slack:
+            if dot(side.a, row(p, i)) - side.d > slack:
                 outside = False
                 break
         if outside:
@@ -238,14 +216,15 @@ def cut_around(
                 counts[into, count] = m
                 count += 1
             for k in range(0 if clear else n):
-                ax, ay, az, d, bx, by, bz, rate = _side(places, first, n, k, plane)
+                side = _side(places, first, n, k, plane)
                 if count < MOST_PIECES - 1:
-                    outside = cut(piece, m, Cutter(-ax, -ay, -az, -d, -bx, -by, -bz, -rate), pieces[into, count])
+                    a, a_rate = minus(ZERO, side.a), minus(ZERO, side.a_rate)
+                    outside = cut(piece, m, Cutter(a, -side.d, a_rate, -side.d_rate), pieces[into, count])
                     outside = without_short_sides(pieces[into, count], outside, slack_m)
                     if outside >= 3 and double_area(pieces[into, count], outside, plane) > least_m2:
                         counts[into, count] = outside
                         count += 1
-                m = cut(piece, m, Cutter(ax, ay, az, d, bx, by, bz, rate), pieces[into, MOST_PIECES - 1])
+                m = cut(piece, m, side, pieces[into, MOST_PIECES - 1])
                 if m < 3:
                     break
                 copy_corners(pieces[into, MOST_PIECES - 1], m, piece)
@@ -262,11 +241,11 @@ def extent_of(corners: Floats, axes: Frame) -> Extent:
     low_u = low_v = low_w = _EMPTY
     high_u = high_v = -_EMPTY
     for k in range(3):
-        x, y, z = corners[3 * k], corners[3 * k + 1], corners[3 * k + 2]
-        u, v = x * axes.ux + y * axes.uy + z * axes.uz, x * axes.vx + y * axes.vy + z * axes.vz
+        corner = vertex(corners, k)
+        u, v = dot(corner, axes.u), dot(corner, axes.v)
         low_u, high_u = min(low_u, u), max(high_u, u)
         low_v, high_v = min(low_v, v), max(high_v, v)
-        low_w = min(low_w, x * axes.wx + y * axes.wy + z * axes.wz)
+        low_w = min(low_w, dot(corner, axes.w))
     return Extent(low_u, high_u, low_v, high_v, low_w)
 
 
@@ -277,20 +256,35 @@ def may_cover(boxes: Floats, node: int, plane: Floats, above: float, seen: Seen,
     With a tangent above 0: or from a direction that is so far from the Sun's.
     """
     axes, extent = seen
-    x, y, z = boxes[node, 0], boxes[node, 1], boxes[node, 2]
-    hx, hy, hz = boxes[node, 3], boxes[node, 4], boxes[node, 5]
-    high = plane[0] * x + plane[1] * y + plane[2] * z + abs(plane[0]) * hx + abs(plane[1]) * hy + abs(plane[2]) * hz
-    if not high > above:
+    middle = row(boxes, node)
+    normal = plane[0], plane[1], plane[2]
+    if not dot(normal, middle) + _half(boxes, node, normal) > above:
         return False
-    u, v = x * axes.ux + y * axes.uy + z * axes.uz, x * axes.vx + y * axes.vy + z * axes.vz
-    half_u = hx * abs(axes.ux) + hy * abs(axes.uy) + hz * abs(axes.uz)
-    half_v = hx * abs(axes.vx) + hy * abs(axes.vy) + hz * abs(axes.vz)
+    u, v = dot(middle, axes.u), dot(middle, axes.v)
+    half_u, half_v = _half(boxes, node, axes.u), _half(boxes, node, axes.v)
     if tangent > 0.0:
-        half_w = hx * abs(axes.wx) + hy * abs(axes.wy) + hz * abs(axes.wz)
-        distance = x * axes.wx + y * axes.wy + z * axes.wz + half_w - extent.low_w
+        distance = dot(middle, axes.w) + _half(boxes, node, axes.w) - extent.low_w
         half_u, half_v = half_u + max(distance, 0.0) * tangent, half_v + max(distance, 0.0) * tangent
-    beside_u = u + half_u < extent.low_u or u - half_u > extent.high_u
-    return not (beside_u or v + half_v < extent.low_v or v - half_v > extent.high_v)
+    return not _is_beside(Extent(u - half_u, u + half_u, v - half_v, v + half_v, 0.0), 0.0, extent)
+
+
+@kernel
+def _half(boxes: Floats, node: int, axis: Point) -> float:
+    """Return half the extent of a box along an axis."""
+    return float(boxes[node, 3] * abs(axis[0]) + boxes[node, 4] * abs(axis[1]) + boxes[node, 5] * abs(axis[2]))
+
+
+@kernel
+def _is_beside(box: Extent, wider: float, extent: Extent) -> bool:
+    """Return whether a box, wider on each side, does not meet the other one as seen from the Sun."""
+    beside_u = box.high_u + wider < extent.low_u or box.low_u - wider > extent.high_u
+    return beside_u or box.high_v + wider < extent.low_v or box.low_v - wider > extent.high_v
+
+
+@kernel
+def _height(triangle: Floats, axis: Point) -> float:
+    """Return how far a triangle reaches along an axis."""
+    return float(max(dot(vertex(triangle, 0), axis), dot(vertex(triangle, 1), axis), dot(vertex(triangle, 2), axis)))
 
 
 @kernel
@@ -298,19 +292,12 @@ def _nears(corners: Floats, plane: Floats, near_m: float, seen: Seen, wide: Wide
     """Return whether a triangle may cover a part of a facet while the Sun turns by at most so much."""
     axes, extent = seen
     outward = outward_of(corners)
-    if dot(outward, (axes.wx, axes.wy, axes.wz)) >= wide.sine * math.sqrt(dot(outward, outward)):
+    if dot(outward, axes.w) >= wide.sine * math.sqrt(dot(outward, outward)):
         return False
-    high = high_w = -_EMPTY
-    for k in range(3):
-        x, y, z = corners[3 * k], corners[3 * k + 1], corners[3 * k + 2]
-        high = max(high, plane[0] * x + plane[1] * y + plane[2] * z)
-        high_w = max(high_w, x * axes.wx + y * axes.wy + z * axes.wz)
-    if not high > plane[3] + near_m:
+    if not _height(corners, (plane[0], plane[1], plane[2])) > plane[3] + near_m:
         return False
-    box = extent_of(corners, axes)
-    wider = max(high_w - extent.low_w, 0.0) * wide.tangent
-    beside_u = box.high_u + wider < extent.low_u or box.low_u - wider > extent.high_u
-    return not (beside_u or box.high_v + wider < extent.low_v or box.low_v - wider > extent.high_v)
+    wider = max(_height(corners, axes.w) - extent.low_w, 0.0) * wide.tangent
+    return not _is_beside(extent_of(corners, axes), wider, extent)
 
 
 @kernel
@@ -337,13 +324,7 @@ def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide
 @kernel
 def covers(triangle: Floats, plane: Floats, above: float, seen: Seen) -> bool:
     """Return whether a triangle that shows the Sun its inside may cover a part of a facet."""
-    axes, extent = seen
-    if dot(outward_of(triangle), (axes.wx, axes.wy, axes.wz)) >= 0.0:
+    if dot(outward_of(triangle), seen.axes.w) >= 0.0:
         return False
-    high = -_EMPTY
-    for k in range(3):
-        x, y, z = triangle[3 * k], triangle[3 * k + 1], triangle[3 * k + 2]
-        high = max(high, plane[0] * x + plane[1] * y + plane[2] * z)
-    box = extent_of(triangle, axes)
-    beside_u = box.high_u < extent.low_u or box.low_u > extent.high_u
-    return high > above and not (beside_u or box.high_v < extent.low_v or box.low_v > extent.high_v)
+    is_above = _height(triangle, (plane[0], plane[1], plane[2])) > above
+    return is_above and not _is_beside(extent_of(triangle, seen.axes), 0.0, seen.extent)

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import TriangleTree, after, axes_around
-from emulator.scene.bodies.compiled import entry, kernel
+from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, entry, kernel, minus, plus, row, vertex
 from emulator.scene.bodies.lit_surface import Surface
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.polygons import (
@@ -38,7 +38,6 @@ from emulator.scene.bodies.polygons import (
     Cutter,
     Pieces,
     Seen,
-    Segment,
     Wide,
     copy_corners,
     covers,
@@ -140,11 +139,14 @@ class Room(NamedTuple):
 @kernel
 def _project(polygon: Floats, n: int, plane: Floats, sun: Floats, turning: Floats) -> None:
     """Move standing corners along the Sun's direction onto a plane, and write their velocities there."""
-    across = plane[0] * sun[0] + plane[1] * sun[1] + plane[2] * sun[2]
-    across_rate = plane[0] * turning[0] + plane[1] * turning[1] + plane[2] * turning[2]
+    normal, towards, turn = (
+        (plane[0], plane[1], plane[2]),
+        (sun[0], sun[1], sun[2]),
+        (turning[0], turning[1], turning[2]),
+    )
+    across, across_rate = dot(normal, towards), dot(normal, turn)
     for k in range(n):
-        x, y, z = polygon[k, 0], polygon[k, 1], polygon[k, 2]
-        distance = (plane[0] * x + plane[1] * y + plane[2] * z - plane[3]) / across
+        distance = (dot(normal, row(polygon, k)) - plane[3]) / across
         distance_rate = -distance * across_rate / across
         for j in range(3):
             polygon[k, j] -= distance * sun[j]
@@ -159,15 +161,13 @@ def _shade(corners: Floats, plane: Floats, triangle: Floats, sun: Floats, turnin
             pieces[0, k, j] = triangle[3 * (2 - k) + j]
             pieces[0, k, 3 + j] = 0.0
     # Only what is above the plane casts a shadow on it; of that, only what falls on the facet counts.
-    n = cut(pieces[0], 3, Cutter(plane[0], plane[1], plane[2], plane[3], 0.0, 0.0, 0.0, 0.0), pieces[1])
+    n = cut(pieces[0], 3, Cutter((plane[0], plane[1], plane[2]), plane[3], ZERO, 0.0), pieces[1])
     if n < 3:
         return 0
     _project(pieces[1], n, plane, sun, turning)
     for side in range(3):
-        i, j = 3 * side, 3 * ((side + 1) % 3)
-        ax, ay, az = corners[i], corners[i + 1], corners[i + 2]
-        ends = Segment(ax, ay, az, corners[j] - ax, corners[j + 1] - ay, corners[j + 2] - az)
-        cutter = side_of(plane, ends, Segment(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        first = vertex(corners, side)
+        cutter = side_of(plane, first, minus(vertex(corners, (side + 1) % 3), first), ZERO, ZERO)
         n = cut(pieces[(side + 1) % 2], n, cutter, pieces[side % 2])
         if n < 3:
             return 0
@@ -175,18 +175,12 @@ def _shade(corners: Floats, plane: Floats, triangle: Floats, sun: Floats, turnin
 
 
 @kernel
-def _slope(corners: Floats, plane: Floats, a: float, b: float, c: float) -> tuple[float, float, float]:
+def _slope(corners: Floats, plane: Floats, a: float, b: float, c: float) -> Point:
     """Return the gradient along a facet of the linear function with these values at its corners."""
-    nx, ny, nz = plane[0], plane[1], plane[2]
-    ux, uy, uz = corners[3] - corners[0], corners[4] - corners[1], corners[5] - corners[2]
-    vx, vy, vz = corners[6] - corners[0], corners[7] - corners[1], corners[8] - corners[2]
-    area = nx * (uy * vz - uz * vy) + ny * (uz * vx - ux * vz) + nz * (ux * vy - uy * vx)
-    p, q = (b - a) / area, (c - a) / area
-    return (
-        p * (vy * nz - vz * ny) + q * (ny * uz - nz * uy),
-        p * (vz * nx - vx * nz) + q * (nz * ux - nx * uz),
-        p * (vx * ny - vy * nx) + q * (nx * uy - ny * ux),
-    )
+    normal, first = (plane[0], plane[1], plane[2]), vertex(corners, 0)
+    u, v = minus(vertex(corners, 1), first), minus(vertex(corners, 2), first)
+    area = dot(normal, cross(u, v))
+    return plus(plus(ZERO, (b - a) / area, cross(v, normal)), (c - a) / area, cross(normal, u))
 
 
 @kernel
@@ -195,17 +189,16 @@ def _write(polygon: Floats, n: int, receivers: Receivers, f: int, dark: Dark, ou
     corners, plane = receivers.corners[f], receivers.planes[f]
     a, b, c = receivers.shades[f, 0], receivers.shades[f, 1], receivers.shades[f, 2]
     still, rates = dark
-    gx, gy, gz = _slope(corners, plane, still[a], still[b], still[c])
-    rx, ry, rz = _slope(corners, plane, rates[a], rates[b], rates[c])
-    places, light = out.places, out.light
+    gradient = _slope(corners, plane, still[a], still[b], still[c])
+    change = _slope(corners, plane, rates[a], rates[b], rates[c])
     for i in range(n):
-        x, y, z = polygon[i, 0] - corners[0], polygon[i, 1] - corners[1], polygon[i, 2] - corners[2]
+        place = minus(row(polygon, i), vertex(corners, 0))
         for j in range(6):
-            places[k + i, j] = polygon[i, j]
-        light[k + i, 0] = max(still[a] + gx * x + gy * y + gz * z, 0.0)
-        light[k + i, 1] = rates[a] + rx * x + ry * y + rz * z
+            out.places[k + i, j] = polygon[i, j]
+        out.light[k + i, 0] = max(still[a] + dot(gradient, place), 0.0)
         # A corner that moves over the facet passes its gradient.
-        light[k + i, 1] += gx * polygon[i, 3] + gy * polygon[i, 4] + gz * polygon[i, 5]
+        velocity = polygon[i, 3], polygon[i, 4], polygon[i, 5]
+        out.light[k + i, 1] = rates[a] + dot(change, place) + dot(gradient, velocity)
 
 
 @kernel
@@ -343,15 +336,15 @@ def cast_polygons(
     """
     suns, listed = memory
     corners, sun, eye = receivers.corners, around.sun, around.eye
-    axes, most_shadows = axes_around(sun[0], sun[1], sun[2]), 0
+    towards = sun[0], sun[1], sun[2]
+    axes, most_shadows = axes_around(towards), 0
     for f in range(len(corners)):
         plane = receivers.planes[f]
-        if plane[0] * sun[0] + plane[1] * sun[1] + plane[2] * sun[2] < _LEAST_COSINE:
-            continue
-        if not plane[0] * eye[0] + plane[1] * eye[1] + plane[2] * eye[2] > plane[3]:
+        normal = plane[0], plane[1], plane[2]
+        if dot(normal, towards) < _LEAST_COSINE or not dot(normal, (eye[0], eye[1], eye[2])) > plane[3]:
             continue
         count = listed[f, 0]
-        is_valid = suns[f, 0] * sun[0] + suns[f, 1] * sun[1] + suns[f, 2] * sun[2] > suns[f, 3]
+        is_valid = dot(row(suns, f), towards) > suns[f, 3]
         if is_valid and count == 0:
             continue
         seen = Seen(axes, extent_of(corners[f], axes))
@@ -377,10 +370,9 @@ def cast_polygons(
 
 @kernel
 def _double_facet(corners: Floats, plane: Floats) -> float:
-    ux, uy, uz = corners[3] - corners[0], corners[4] - corners[1], corners[5] - corners[2]
-    vx, vy, vz = corners[6] - corners[0], corners[7] - corners[1], corners[8] - corners[2]
-    area: float = plane[0] * (uy * vz - uz * vy) + plane[1] * (uz * vx - ux * vz) + plane[2] * (ux * vy - uy * vx)
-    return area
+    """Return twice the area of a facet."""
+    u, v = minus(vertex(corners, 1), vertex(corners, 0)), minus(vertex(corners, 2), vertex(corners, 0))
+    return dot((plane[0], plane[1], plane[2]), cross(u, v))
 
 
 _FIRST_ROWS = 1024
