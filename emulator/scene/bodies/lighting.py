@@ -35,7 +35,7 @@ from emulator.photometry.reflectance import PLANET_ALBEDO, Water, air_light
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
 from emulator.raster import Facets, join, prepare
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
-from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.compiled import entry, row
 from emulator.scene.bodies.curved_sides import Sides, mark
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
@@ -384,8 +384,8 @@ class Lighting:
             out[:, chosen[:count]] += planet[0], (planet[1] - planet[0]) / step_s
         if body.edges is not None:
             facets = FrameFacets(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
-            suns = Suns(group.suns[0], group.suns[1], step_s, radius)
-            polygons.append(body.edges.cut(Lights(*out, *dark), suns, self._window(group), facets))
+            suns = Suns(row(group.suns, 0), row(group.suns, 1), step_s, radius)
+            polygons.append(body.edges.cut(Lights(out, dark), suns, self._window(group), facets))
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
 

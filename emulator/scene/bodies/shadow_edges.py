@@ -8,9 +8,12 @@ the edge of the shadow is where the plane through an edge of the hiding triangle
     s = (c x e).S / (d x e).S                             S: the Sun's direction
 
 a ratio of two linear forms of S, so its rate is exact. From the hidden end the search leaves one hiding triangle after
-the other, until a ray from just beyond the last one meets none. The facet becomes three parts, drawn over it:
+the other, until a ray from just beyond the last one meets none. Where the hidden end is turned away from the Sun, it
+begins at the terminator: there the cosine of incidence, linear between the ends, is 0, and so is the light. Rays begin
+on the curve of the side, for the facets around hide the Sun from its chord. The facet becomes three parts, drawn over
+it:
 
-    lit          up to where the disc of the Sun is whole
+    lit          up to where the disc of the Sun is whole, or to the terminator
     penumbra     between the crossings of both rims of the disc, which lie across the edge; left out where it is narrow
     dark         the light without the Sun, beyond
 
@@ -44,7 +47,7 @@ _MOST_TRIANGLES = 32  # left one after the other on a side
 _PAST = 2e-3  # of a side: the place behind a triangle's shadow at which the next ray begins
 _STEEPEST = 1e5  # sides a radian of the Sun's motion: shadows that graze the surface are no faster
 _DISC = math.sqrt(3) / 2
-_LEAST_PX = 0.2  # area of a facet that is cut: smaller ones have the light between their corners
+_LEAST_PX = 0.005  # area of a facet that is cut: smaller ones have the light between their corners
 _NARROW_PX = 0.5  # penumbras narrower than this are edges
 MARGIN_PX = 24.0  # around the light frame, within which the corners of its facets lie
 _ROWS, _TRIANGLES = 7, 5  # of the parts of a facet, at most
@@ -59,11 +62,13 @@ class Receiver(NamedTuple):
     ----------
     vertices : (n, 3) m.
     lifted : (n, 3) m, from where rays begin.
+    normals : (n, 3) unit.
     first : the radiance of the first vertex among those of all bodies.
     """
 
     vertices: Floats
     lifted: Floats
+    normals: Floats
     first: int
 
 
@@ -82,21 +87,19 @@ class FrameFacets(NamedTuple):
 
 
 class Suns(NamedTuple):
-    """The Sun's direction now and an instant later, (3,) each; the time between, s; its angular radius, rad."""
+    """The Sun's direction now and an instant later; the time between, s; its angular radius, rad."""
 
-    now: Floats
-    later: Floats
+    now: Point
+    later: Point
     between_s: float
     radius_rad: float
 
 
 class Lights(NamedTuple):
-    """Light of the vertices with the Sun and without it, and their rates, (n,) each."""
+    """Light of the vertices with the Sun and without it, each with its rate, (2, n)."""
 
     lit: Floats
-    lit_rate: Floats
     dark: Floats
-    dark_rate: Floats
 
 
 class Sides(NamedTuple):
@@ -113,6 +116,13 @@ class _Crossing(NamedTuple):
     lit_rate: float
     dark: float
     dark_rate: float
+
+
+class _Light(NamedTuple):
+    """Light of a place, and its rate."""
+
+    value: float
+    rate: float
 
 
 class _Forms(NamedTuple):
@@ -163,26 +173,38 @@ def _leave(corners: Floats, t: int, q: Point, d: Point, before: float, sun: Poin
 @kernel
 def _rims(forms: _Forms, s: float, suns: Suns, narrow: float) -> _Crossing:
     """Return the crossings of both rims of the disc and their rates; that of its middle if they are `narrow` apart."""
-    now = (suns.now[0], suns.now[1], suns.now[2])
-    later = (suns.later[0], suns.later[1], suns.later[2])
-    moved = minus(later, now)
+    moved = minus(suns.later, suns.now)
     fastest = _STEEPEST * math.sqrt(dot(moved, moved))
     # Across the plane through the edge and the Sun.
-    tilt = cross(forms.edge, now)
+    tilt = cross(forms.edge, suns.now)
     radius = _DISC * suns.radius_rad / math.sqrt(max(dot(tilt, tilt), 1e-300))
-    low = _share_at(forms, plus(now, -radius, tilt))
-    high = _share_at(forms, plus(now, radius, tilt))
+    low = _share_at(forms, plus(suns.now, -radius, tilt))
+    high = _share_at(forms, plus(suns.now, radius, tilt))
     if high < low:
         radius = -radius
         low, high = high, low
     if not (narrow < high - low < 2.0 and low <= s <= high):
         radius = 0.0
         low = high = s
-    low_moved = _share_at(forms, plus(later, -radius, tilt)) - low
-    high_moved = _share_at(forms, plus(later, radius, tilt)) - high
+    low_moved = _share_at(forms, plus(suns.later, -radius, tilt)) - low
+    high_moved = _share_at(forms, plus(suns.later, radius, tilt)) - high
     low_rate = min(max(low_moved, -fastest), fastest) / suns.between_s if low >= 0.0 else 0.0
     high_rate = min(max(high_moved, -fastest), fastest) / suns.between_s if high <= 1.0 else 0.0
     return _Crossing(max(low, 0.0), low_rate, min(high, 1.0), high_rate)
+
+
+@kernel
+def _terminator(receiver: Receiver, lit: int, dark: int, suns: Suns) -> tuple[float, float]:
+    """Return the share of a side at which the cosine of incidence is 0, and its rate; 1 where it is 0 nowhere."""
+    moved = minus(suns.later, suns.now)
+    first, last = row(receiver.normals, lit), row(receiver.normals, dark)
+    high, low = dot(first, suns.now), dot(last, suns.now)
+    if low >= 0.0 or low >= high:
+        return 1.0, 0.0
+    share = high / (high - low)
+    if share < _PAST:
+        return _PAST, 0.0
+    return share, ((1.0 - share) * dot(first, moved) + share * dot(last, moved)) / ((high - low) * suns.between_s)
 
 
 @kernel
@@ -190,27 +212,50 @@ def _cross(tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, n
     """Return where a shadow's edge crosses the side from vertex `lit` to vertex `dark`."""
     q = row(receiver.lifted, lit)
     d = minus(row(receiver.lifted, dark), q)
-    sun = (suns.now[0], suns.now[1], suns.now[2])
-    at = 1.0
+    at, rate = _terminator(receiver, lit, dark, suns)
+    first, last = row(receiver.normals, lit), row(receiver.normals, dark)
+    if dot(d, last) > dot(d, first):  # the side bends outwards
+        rise = 0.5 * at * (1.0 - at)
+        q = plus(plus(q, rise * dot(d, last), last), -rise * dot(d, first), first)
     # The hiding triangle is searched for anew: that of an earlier light frame may be another one.
-    triangle = first_met(tree, plus(q, at, d), sun)
+    triangle = first_met(tree, plus(q, at, d), suns.now)
     for _ in range(_MOST_TRIANGLES):
         if triangle < 0:
             break
-        s, edge = _leave(tree.binary.corners, triangle, q, d, at, sun)
-        at = s - _PAST
+        s, edge = _leave(tree.binary.corners, triangle, q, d, at, suns.now)
+        at, rate = s - _PAST, 0.0
         if at <= 0.0:
             return _Crossing(_PAST, 0.0, _PAST, 0.0)
         before = triangle
-        triangle = first_met(tree, plus(q, at, d), sun)
+        triangle = first_met(tree, plus(q, at, d), suns.now)
         if triangle < 0 and edge < 3:
             return _rims(_forms(tree.binary.corners, before, edge, q, d), s, suns, narrow)
-    return _Crossing(at, 0.0, at, 0.0)
+    return _Crossing(at, rate, at, rate)
+
+
+@kernel
+def _light_of(light: Floats, k: int) -> _Light:
+    """Return the light of vertex k."""
+    return _Light(light[0, k], light[1, k])
+
+
+@kernel
+def _beyond(receiver: Receiver, lights: Lights, lit: int, dark: int, suns: Suns) -> _Light:
+    """Return the light of the end `dark` that makes the Sun's light fall to 0 at the terminator, linear from `lit`."""
+    end, rate = _terminator(receiver, lit, dark, suns)
+    if end == 1.0:
+        return _light_of(lights.lit, dark)
+    sunlight = lights.lit[0, lit] - lights.dark[0, lit]
+    change = lights.lit[1, lit] - lights.dark[1, lit]
+    share = 1.0 - 1.0 / end
+    return _Light(
+        lights.dark[0, dark] + share * sunlight, lights.dark[1, dark] + share * change + sunlight * rate / (end * end)
+    )
 
 
 @kernel
 def _put(  # noqa: PLR0913, PLR0917
-    receiver: Receiver, lights: Lights, a: int, b: int, s: float, rate: float, is_lit: bool, out: Triangles, row: int
+    receiver: Receiver, a: int, b: int, s: float, rate: float, at_a: _Light, at_b: _Light, out: Triangles, row: int
 ) -> None:  # fmt: skip
     """Write a corner at the share s of the side from vertex a to vertex b, which moves along it by `rate` a second."""
     vertices, places = receiver.vertices, out.places
@@ -218,10 +263,8 @@ def _put(  # noqa: PLR0913, PLR0917
         along = vertices[b, j] - vertices[a, j]
         places[row, j] = vertices[a, j] + s * along
         places[row, 3 + j] = rate * along
-    light = lights.lit if is_lit else lights.dark
-    change = lights.lit_rate if is_lit else lights.dark_rate
-    out.light[row, 0] = light[a] + s * (light[b] - light[a])
-    out.light[row, 1] = change[a] + s * (change[b] - change[a]) + rate * (light[b] - light[a])
+    out.light[row, 0] = at_a.value + s * (at_b.value - at_a.value)
+    out.light[row, 1] = at_a.rate + s * (at_b.rate - at_a.rate) + rate * (at_b.value - at_a.value)
 
 
 @kernel
@@ -322,16 +365,28 @@ def cut_facets(  # noqa: PLR0913, PLR0917
         is_lit = is_hidden[o] == 0
         lit_row, dark_row = (row + 1, row + 3) if is_lit else (row + 3, row + 1)
         is_wide = False
-        _put(receiver, lights, o, o, 0.0, 0.0, is_lit, out, row)
+        of_o, of_others = (lights.lit, lights.dark) if is_lit else (lights.dark, lights.lit)
+        _put(receiver, o, o, 0.0, 0.0, _light_of(of_o, o), _light_of(of_o, o), out, row)
         for k in range(2):
             other = p if k == 0 else q
             lit, dark = (o, other) if is_lit else (other, o)
             x = _cross_once(tree, receiver, lit, dark, suns, window, sides)
             is_wide |= x.dark > x.lit
-            _put(receiver, lights, lit, dark, x.lit, x.lit_rate, is_hidden[lit] == 0, out, lit_row + k)
-            _put(receiver, lights, lit, dark, x.dark, x.dark_rate, is_hidden[dark] == 0, out, dark_row + k)
-        _put(receiver, lights, p, p, 0.0, 0.0, not is_lit, out, row + 5)
-        _put(receiver, lights, q, q, 0.0, 0.0, not is_lit, out, row + 6)
+            at_lit, at_dark = _light_of(lights.lit, lit), _beyond(receiver, lights, lit, dark, suns)
+            _put(receiver, lit, dark, x.lit, x.lit_rate, at_lit, at_dark, out, lit_row + k)
+            at_lit, at_dark = _light_of(lights.dark, lit), _light_of(lights.dark, dark)
+            _put(receiver, lit, dark, x.dark, x.dark_rate, at_lit, at_dark, out, dark_row + k)
+            _put(
+                receiver,
+                other,
+                other,
+                0.0,
+                0.0,
+                _light_of(of_others, other),
+                _light_of(of_others, other),
+                out,
+                row + 5 + k,
+            )
         # Rows: o; near it, on both sides; beyond the penumbra, on both sides; p; q.
         _add_triangle(out, number, row, row + 1, row + 2, f)
         _add_triangle(out, number + 1, row + 3, row + 5, row + 6, f)
@@ -359,8 +414,7 @@ class ShadowEdges:
         pool: ThreadPool,
     ) -> None:  # fmt: skip
         lifted = np.ascontiguousarray(vertices + _LIFT * side_m * normals)
-        self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, first)
-        self._normals = np.ascontiguousarray(normals)
+        self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, np.ascontiguousarray(normals), first)
         self._body, self._tree, self._pool = body, RayTree.of(tree), pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
@@ -378,10 +432,11 @@ class ShadowEdges:
 
     def hidden_from_sun(self, chosen: Numbers, count: int, window: Window) -> npt.NDArray[np.int8]:
         """Return for each vertex whether the Sun's middle is hidden: 0 or 1, else -1; `chosen` are to be tested."""
+        receiver = self._receiver
 
         def work(part: tuple[int, int], _: int) -> None:
             look_to_sun(
-                self._tree, self._receiver.lifted, self._normals, chosen, part, window, self._sun, self._radius_rad,
+                self._tree, receiver.lifted, receiver.normals, chosen, part, window, self._sun, self._radius_rad,
                 self._moved_rad, self._verdicts, self._is_hidden,
             )  # fmt: skip
 

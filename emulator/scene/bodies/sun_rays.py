@@ -204,7 +204,10 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
             continue
         normal = row(normals, k)
         height = dot(normal, towards)
-        if abs(height) < radius_rad:
+        if height < -radius_rad:
+            is_hidden[k] = 1
+            continue
+        if height < radius_rad:
             middle = plus(towards, radius_rad * seen_above(height / radius_rad)[1], normal)
             is_hidden[k] = 1 if first_met(tree, point, middle) >= 0 else 0
             continue

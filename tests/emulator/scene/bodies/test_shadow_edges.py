@@ -52,8 +52,10 @@ class Plate:
         self.edges.begin(sun, radius)
         hidden = self.edges.hidden_from_sun(chosen, len(chosen), self.window).copy()
         none, lit = np.zeros(len(chosen)), 1 + self.vertices[:, 0] / 100
-        suns = Suns(sun, unit(sun + step_s * np.asarray(turning)), step_s, radius)
-        return hidden, self.edges.cut(Lights(lit, none, none, none), suns, self.window, self.drawn)
+        suns = Suns(tuple(sun), tuple(unit(sun + step_s * np.asarray(turning))), step_s, radius)
+        return hidden, self.edges.cut(
+            Lights(np.stack([lit, none]), np.stack([none, none])), suns, self.window, self.drawn
+        )
 
 
 def dark_part(plate, hidden, parts, at_s=0.0):
@@ -129,10 +131,10 @@ def test_sides_with_one_place_in_the_cache_are_crossed_each():
     vertices[[0, 1, 1025]] = [1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-3.0, -1.0, 0.0]
     edges, sun = edges_of(build_tree(np.array(wall.triangles)), vertices, normals), np.array([0.0, 0.0, 1.0])
     edges._is_hidden[[0, 1, 1025]] = 0, 1, 1
-    none = np.zeros(1026)
+    none = np.zeros((2, 1026))
     drawn = FrameFacets(np.array([[0, 1, 1025]], np.int32), (0, 1), (0, 0))
     parts = edges.cut(
-        Lights(none + 1, none, none, none), Suns(sun, sun, 1e-7, RADIUS), ABOVE._replace(focal_px=2e3), drawn
+        Lights(none + 1, none), Suns(tuple(sun), tuple(sun), 1e-7, RADIUS), ABOVE._replace(focal_px=2e3), drawn
     )
     np.testing.assert_allclose(parts.places_m[1:5, 0], 0.0, atol=1e-9)
 
@@ -157,7 +159,7 @@ def test_verdicts_are_those_of_embree():
 def look(tree, points, sun, verdicts, moved_rad=0.0, normals=None, radius_rad=0.0):
     chosen, hidden = np.arange(len(points), dtype=np.int32), np.full(len(points), -1, np.int8)
     all_around = Window(np.eye(3), np.array([0.0, 0.0, -1e9]), 10.0, 10.0, 1.0)
-    normals = points if normals is None else normals
+    normals = np.tile(sun, (len(points), 1)) if normals is None else normals  # turned to the Sun: each gets a ray
     look_to_sun(
         tree, points, normals, chosen, (0, len(points)), all_around, sun, radius_rad, moved_rad, verdicts, hidden
     )
