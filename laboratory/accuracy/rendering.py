@@ -104,10 +104,12 @@ class Stretch:
     windows: tuple[tuple[str, int, int, int, int], ...] = ()
 
 
-_STRETCHES = {
+_STRETCHES = {  # with more samples where the noise of the truth would be as large as the target
     "itokawa": tuple(Stretch(start_s, finer=8) for start_s in (0.0, 10.0, 50.0)),  # whose step is the longest
-    "eros-flyover": (Stretch(windows=(("terminator", 0, 110, 150, 260),)),),
-    "malapert": tuple(Stretch(start_s, steps=4) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
+    "eros": (Stretch(samples=24),),
+    "eros-flyover": (Stretch(samples=16, windows=(("terminator", 0, 110, 150, 260),)),),
+    "rendezvous": (Stretch(samples=16),),
+    "malapert": tuple(Stretch(start_s, steps=4, samples=16) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
 }
 
 
@@ -175,10 +177,6 @@ class Drawn:
     middle: float
     line: float
     events: int
-
-    def row(self) -> dict[str, Any]:
-        """Return it for tables."""
-        return dataclasses.asdict(self)
 
 
 @dataclass(frozen=True)

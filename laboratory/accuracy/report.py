@@ -232,7 +232,7 @@ def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -
 
 def write_rendering(rows: Sequence[Drawn], out: Path) -> list[Path]:
     """Write the chart of drawing time against false and missed events into folder `out`; the page first."""
-    records = [row.row() for row in rows]
+    records = [dataclasses.asdict(row) for row in rows]
     drawn = draw_rendering(rows, out / "rendering")
     page = Page("What drawing more cheaply costs in events").findings(reading_of_rendering(rows))
     page.drawn(drawn).records(records)

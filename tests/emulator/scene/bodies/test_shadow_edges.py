@@ -139,6 +139,31 @@ def test_sides_with_one_place_in_the_cache_are_crossed_each():
     np.testing.assert_allclose(parts.places_m[1:5, 0], 0.0, atol=1e-9)
 
 
+def test_light_ends_at_the_terminator_and_moves_with_it():
+    """One facet in the open with cosines of incidence 0.2, 0.1 and -0.2: the light is 0.3 more than elsewhere."""
+    above = build_tree(np.array([[[0.0, 0.0, 90.0], [1.0, 0.0, 90.0], [0.0, 1.0, 90.0]]]))
+    vertices, cosines = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]), np.array([0.2, 0.1, -0.2])
+    normals = np.stack([cosines, np.zeros(3), np.sqrt(1 - cosines**2)], axis=1)
+    edges, step_s = edges_of(above, vertices, normals), 1e-7
+    sun, later = np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, step_s])
+    edges.begin(sun, RADIUS)
+    window = ABOVE._replace(focal_px=2e3)
+    assert edges.hidden_from_sun(np.arange(3, dtype=np.int32), 3, window).tolist() == [0, 0, 1]
+    dark = np.stack([np.full(3, 0.3), np.zeros(3)])
+    lit = dark + [np.maximum(cosines, 0.0), normals[:, 2]]
+    drawn = FrameFacets(np.array([[0, 1, 2]], np.int32), (0, 1), (0, 0))
+    parts = edges.cut(Lights(lit, dark), Suns(tuple(sun), tuple(later), step_s, RADIUS), window, drawn)
+    # Rows 1 and 2 are dark, 3 and 4 lit, on the sides from corner 2, which alone is dark, to corners 0 and 1.
+    shares = np.array([0.2 / 0.4, 0.1 / 0.3])
+    sides = vertices[2] - vertices[:2]
+    rates = ((1 - shares) * normals[:2, 2] + shares * normals[2, 2]) / (cosines[:2] - cosines[2])
+    for rows in ([1, 2], [3, 4]):
+        np.testing.assert_allclose(parts.places_m[rows], vertices[:2] + shares[:, None] * sides, atol=1e-12)
+        np.testing.assert_allclose(parts.velocities_m_s[rows], rates[:, None] * sides, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(parts.radiance[rows], 0.3, rtol=1e-12)
+        np.testing.assert_allclose(parts.rate[rows], 0.0, atol=1e-6)
+
+
 def eros():
     return load_mesh(find_shape("eros007790"), 1.0)
 
