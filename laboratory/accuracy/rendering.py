@@ -107,7 +107,7 @@ class Stretch:
 _STRETCHES = {  # with more samples where the noise of the truth would be as large as the target
     "itokawa": tuple(Stretch(start_s, finer=8) for start_s in (0.0, 10.0, 50.0)),  # whose step is the longest
     "eros": (Stretch(samples=24),),
-    "eros-flyover": (Stretch(samples=16, windows=(("terminator", 0, 110, 150, 260),)),),
+    "eros-flyover": (Stretch(windows=(("terminator", 0, 110, 150, 260),)),),
     "rendezvous": (Stretch(samples=16),),
     "malapert": tuple(Stretch(start_s, steps=4, samples=16) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
 }
