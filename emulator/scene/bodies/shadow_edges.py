@@ -376,17 +376,8 @@ def cut_facets(  # noqa: PLR0913, PLR0917
             _put(receiver, lit, dark, x.lit, x.lit_rate, at_lit, at_dark, out, lit_row + k)
             at_lit, at_dark = _light_of(lights.dark, lit), _light_of(lights.dark, dark)
             _put(receiver, lit, dark, x.dark, x.dark_rate, at_lit, at_dark, out, dark_row + k)
-            _put(
-                receiver,
-                other,
-                other,
-                0.0,
-                0.0,
-                _light_of(of_others, other),
-                _light_of(of_others, other),
-                out,
-                row + 5 + k,
-            )
+            at_other = _light_of(of_others, other)
+            _put(receiver, other, other, 0.0, 0.0, at_other, at_other, out, row + 5 + k)
         # Rows: o; near it, on both sides; beyond the penumbra, on both sides; p; q.
         _add_triangle(out, number, row, row + 1, row + 2, f)
         _add_triangle(out, number + 1, row + 3, row + 5, row + 6, f)
