@@ -139,12 +139,9 @@ class Room(NamedTuple):
 @kernel
 def _project(polygon: Floats, n: int, plane: Floats, sun: Floats, turning: Floats) -> None:
     """Move standing corners along the Sun's direction onto a plane, and write their velocities there."""
-    normal, towards, turn = (
-        (plane[0], plane[1], plane[2]),
-        (sun[0], sun[1], sun[2]),
-        (turning[0], turning[1], turning[2]),
-    )
-    across, across_rate = dot(normal, towards), dot(normal, turn)
+    normal = plane[0], plane[1], plane[2]
+    across = dot(normal, (sun[0], sun[1], sun[2]))
+    across_rate = dot(normal, (turning[0], turning[1], turning[2]))
     for k in range(n):
         distance = (dot(normal, row(polygon, k)) - plane[3]) / across
         distance_rate = -distance * across_rate / across

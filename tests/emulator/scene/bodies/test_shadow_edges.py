@@ -140,7 +140,7 @@ def test_sides_with_one_place_in_the_cache_are_crossed_each():
 
 
 def test_light_ends_at_the_terminator_and_moves_with_it():
-    """One facet in the open with cosines of incidence 0.2, 0.1 and -0.2: the light is 0.3 more than elsewhere."""
+    """One facet in the open with cosines of incidence 0.2, 0.1 and -0.2; 0.3 is the light without the Sun."""
     above = build_tree(np.array([[[0.0, 0.0, 90.0], [1.0, 0.0, 90.0], [0.0, 1.0, 90.0]]]))
     vertices, cosines = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]), np.array([0.2, 0.1, -0.2])
     normals = np.stack([cosines, np.zeros(3), np.sqrt(1 - cosines**2)], axis=1)
