@@ -108,7 +108,7 @@ _STRETCHES = {  # with more samples where the noise of the truth would be as lar
     "eros": (Stretch(samples=24),),
     "eros-flyover": (Stretch(windows=(("terminator", 0, 110, 150, 260),)),),
     "rendezvous": (Stretch(samples=16),),
-    "malapert": tuple(Stretch(start_s, steps=4) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
+    "malapert": tuple(Stretch(start_s, steps=4, samples=16) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
 }
 
 

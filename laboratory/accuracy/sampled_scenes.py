@@ -20,8 +20,8 @@ The surface of each scene, by which it is judged:
 Rays to bodies are those of embree, an independent library (embreex), in float32; the point on the facet is computed in
 float64. Rays over ground follow its heights cell by cell, and skip what lies below the ray by the maxima of larger
 cells. A ray to the Sun starts _LIFT of a small facet's side above it: more than float32 rounds, and so near that it
-does not miss low shadows. Over ground, which is met in float64, it starts _GROUND_LIFT of the distance of
-posts above it. A shadow's edge moves by that height over the tangent of the Sun's elevation.
+does not miss low shadows. Over ground, which is met in float64, it starts _GROUND_LIFT of the posts' distance up. A
+shadow's edge moves by that height over the tangent of the Sun's elevation.
 
 A board (`SampledBoard`) along the rows of pixels is the product of two square waves, each sampled along its axis.
 """
@@ -47,6 +47,7 @@ from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.scene.world import WorldScene
+from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.pose import Pose
 from firmware_protocol.compiled import entry_of
 
@@ -97,14 +98,19 @@ class SampledScene(WorldScene[Any]):
         light, kind = np.zeros((len(pixels), places)), np.zeros((len(pixels), places), np.int64)
         to_sun = self._sun + disc @ self._across
         to_sun /= np.linalg.norm(to_sun, axis=1, keepdims=True)
-        for first in range(0, len(pixels), max(_AT_ONCE // places, 1)):
-            part = slice(first, first + max(_AT_ONCE // places, 1))
+        count, pool = max(_AT_ONCE // places, 1), ThreadPool(available_threads())
+
+        def sample(k: int, _: int) -> None:
+            part = slice(k * count, (k + 1) * count)
             rows, columns = np.divmod(pixels[part], width)
             x = (columns[:, None] + within[:, 0] - width / 2) / focal_px
             y = (rows[:, None] + within[:, 1] - height / 2) / focal_px
             rays = np.stack([x, y, np.ones(x.shape)], axis=-1).reshape(-1, 3)
-            found = shade(rays, np.tile(to_sun, (len(rows), 1)))
-            light[part], kind[part] = (values.reshape(-1, places) for values in found)
+            seen = shade(rays, np.tile(to_sun, (len(rows), 1)))
+            light[part], kind[part] = (values.reshape(-1, places) for values in seen)
+
+        pool.each(sample, -(-len(pixels) // count))
+        pool.close()
         return light, kind
 
 
@@ -486,12 +492,9 @@ def _first_hit(ground: _Ground, start: tuple[float, float, float], ray: tuple[fl
             level += 1
             continue
         left, low = table[level, 3] + j * size, table[level, 4] + i * size
-        end = math.inf
-        if dx != 0.0:
-            end = min(end, (left + (size if dx > 0.0 else 0.0) - ox) / dx)
-        if dy != 0.0:
-            end = min(end, (low + (size if dy > 0.0 else 0.0) - oy) / dy)
-        end = max(end, t + nudge)
+        to_x = (left + (size if dx > 0.0 else 0.0) - ox) / dx if dx != 0.0 else math.inf
+        to_y = (low + (size if dy > 0.0 else 0.0) - oy) / dy if dy != 0.0 else math.inf
+        end = max(min(to_x, to_y), t + nudge)
         lowest = oz + dz * (t if dz >= 0.0 else end)
         if lowest > peaks[table[level, 0] + i * table[level, 2] + j]:
             t = end
