@@ -25,8 +25,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from emulator.scene.terrain.ground import MOMENTS
-from emulator.scene.terrain.tile import RATES
+from emulator.scene.terrain.tile import MOMENTS, RATES
 
 _types: Any = numba.types  # numba's functions here have no types that mypy could read
 _code: Any = cgutils
@@ -65,8 +64,20 @@ def _product_sum(builder: ir.IRBuilder, a: Any, b: Any, c: Any) -> Any:
     return builder.fadd(builder.fmul(a, b, flags=_FUSED), c, flags=_FUSED)
 
 
-def _adding(moments: Any, sums: Any, numbers: int) -> tuple[Any, Any]:
-    """Return signature and generator of an intrinsic that adds the means over a box of so many `numbers` to `sums`."""
+@_intrinsic
+def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any) -> Any:
+    """Add the mean of the moments over a box, times `weight` and both half sides, to MOMENTS `sums` from `at` on.
+
+    The rate of what it adds is added from `at` + RATES on.
+
+    Parameters
+    ----------
+    moments : (MOMENTS n,) uint16, 16-bit floats; see `Pyramid`.
+    level : number of the level's first post, posts in a row, and rows: the last post's place follows.
+    box : middle x and y in posts of the level, half sides, weight, posts that it moves a second, x and y; the box is
+        within the level.
+    sums : (n,) float32.
+    """
 
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
         first, out = (_array(context, builder, signature, arguments, k) for k in (0, 3))
@@ -74,30 +85,27 @@ def _adding(moments: Any, sums: Any, numbers: int) -> tuple[Any, Any]:
         return context.get_dummy_value()
 
     long, real = _types.int64, _types.float32
-    return _types.void(moments, _types.UniTuple(long, 3), _types.UniTuple(real, numbers), sums, long), generate
+    return _types.void(moments, _types.UniTuple(long, 3), _types.UniTuple(real, 7), sums, long), generate
 
 
 @_intrinsic
-def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any) -> Any:
-    """Add the mean of the moments over a box, times `weight` and both half sides, to MOMENTS `sums` from `at` on.
+def from_half(context: Any, number: Any) -> Any:
+    """Return the number of a 16-bit float, given as uint16."""
 
-    Parameters
-    ----------
-    moments : (MOMENTS n,) uint16, 16-bit floats; see `Pyramid`.
-    level : number of the level's first post, posts in a row, and rows: the last post's place follows.
-    box : middle x and y in posts of the level, half sides, weight; the box is within the level.
-    sums : (n,) float32.
-    """
-    return _adding(moments, sums, 5)
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        return builder.fpext(builder.bitcast(arguments[0], _HALF), _FLOAT)
+
+    return _types.float32(_types.uint16), generate
 
 
 @_intrinsic
-def add_box_and_rate(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any) -> Any:
-    """Do as `add_box`, and add the rate of what it adds to MOMENTS `sums` from `at` + RATES on.
+def to_half(context: Any, number: Any) -> Any:
+    """Return the 16-bit float nearest to a float32 number, as uint16."""
 
-    `box` is as in `add_box`, and behind it the posts of the level that the box moves a second, x and y.
-    """
-    return _adding(moments, sums, 7)
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(builder.fptrunc(arguments[0], _HALF), ir.IntType(16))
+
+    return _types.uint16(_types.float32), generate
 
 
 def _array(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any, k: int) -> Any:
@@ -106,11 +114,11 @@ def _array(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any, 
 
 
 def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
-    """Add the mean over a box to numbers from `out` on, and its rate where the box moves."""
+    """Add the mean over a box to numbers from `out` on, and its rate."""
     first, columns, rows = _code.unpack_tuple(builder, place_of[0])
-    x, y, half_x, half_y, weight, *moves = _code.unpack_tuple(builder, place_of[1])
-    left, across, wide = _side(builder, x, half_x, columns, moves[:1])
-    top, down, high = _side(builder, y, half_y, rows, moves[1:])
+    x, y, half_x, half_y, weight, move_x, move_y = _code.unpack_tuple(builder, place_of[1])
+    left, across, wide = _side(builder, x, half_x, columns, move_x)
+    top, down, high = _side(builder, y, half_y, rows, move_y)
     place = builder.add(first, builder.add(builder.mul(top, columns), left))
     totals = [_code.alloca_once_value(builder, _constant([0.0] * MOMENTS)) for _ in across]
     weights = [builder.bitcast(_code.alloca_once_value(builder, shares), _FLOAT.as_pointer()) for shares in down]
@@ -131,11 +139,10 @@ def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
             for further in range(_ROWS):
                 index = builder.add(first_row, _int(further))
                 row = _row(builder, data, builder.add(place, builder.mul(index, columns)), spreads)
-                share, *rate = (_spread(builder, builder.load(builder.gep(w, [index])), MOMENTS) for w in weights)
+                share, rate = (_spread(builder, builder.load(builder.gep(w, [index])), MOMENTS) for w in weights)
                 # The mean's sum, and its rate: of the row's rate by the share, and of the row by the share's rate.
                 sums = [_product_sum(builder, values, share, sum_) for values, sum_ in zip(row, sums, strict=True)]
-                if rate:
-                    sums[1] = _product_sum(builder, row[0], rate[0], sums[1])
+                sums[1] = _product_sum(builder, row[0], rate, sums[1])
             for sum_, total in zip(sums, totals, strict=True):
                 builder.store(sum_, total)
         builder.branch(end)
@@ -146,7 +153,7 @@ def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
         builder.store(_product_sum(builder, builder.load(total), share, builder.load(to, align=4)), to, align=4)
 
 
-def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any, move: list[Any]) -> tuple[Any, list[Any], Any]:
+def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any, move: Any) -> tuple[Any, list[Any], Any]:
     """Return the first post, weights of the posts from there, and how many have one; the weights' rates too."""
     low, high = builder.fsub(middle, half), builder.fadd(middle, half)
     last = builder.sub(posts, _int(MOST_POSTS))
@@ -160,7 +167,7 @@ def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any, move: list[
     return begin, _weights(builder, builder.fsub(low, offset), builder.fsub(high, offset), move), count
 
 
-def _weights(builder: ir.IRBuilder, low: Any, high: Any, move: list[Any]) -> list[Any]:
+def _weights(builder: ir.IRBuilder, low: Any, high: Any, move: Any) -> list[Any]:
     """Return the integrals of the hat functions of posts 0, 1 ... from `low` to `high`, times 2, and their rates."""
     posts = _constant([float(k) for k in range(_LANES)])
     plus_1, minus_1 = _constant([1.0] * _LANES), _constant([-1.0] * _LANES)
@@ -174,8 +181,7 @@ def _weights(builder: ir.IRBuilder, low: Any, high: Any, move: list[Any]) -> lis
         u = builder.select(builder.fcmp_ordered(">", lowered, minus_1), lowered, minus_1)
         heights.append(builder.call(magnitude, [u]))
         ends.append(_product_sum(builder, builder.fmul(u, _constant([-0.5] * _LANES)), heights[-1], u))
-    rates = [builder.fmul(builder.fsub(*heights), _spread(builder, speed, _LANES)) for speed in move]
-    return [builder.fsub(ends[1], ends[0]), *rates]
+    return [builder.fsub(ends[1], ends[0]), builder.fmul(builder.fsub(*heights), _spread(builder, move, _LANES))]
 
 
 def _row(builder: ir.IRBuilder, data: Any, start: Any, weights: list[list[Any]]) -> list[Any]:

@@ -24,11 +24,14 @@ import numpy as np
 
 from emulator.raster.layout import Floats
 from emulator.scene.terrain import tile as t
-from emulator.scene.terrain.box_moments import MOST_POSTS, add_box, add_box_and_rate
-from emulator.scene.terrain.ground import MOMENTS, Halves
+from emulator.scene.terrain.box_moments import MOST_POSTS, add_box
+from emulator.scene.terrain.ground import Halves
 from emulator.scene.terrain.pixel_hits import Fields, Posts, Projection, clamp, write_levels
-from emulator.scene.terrain.tile import RATES, TILE, Floats32, Ints32, Tile, set_triple, triple
+from emulator.scene.terrain.tile import MOMENTS, RATES, TILE, Floats32, Ints32, Tile, set_triple, triple
 from emulator.sensor.numerics.compiled import lane, vector_kernel
+
+LONGEST = MOST_POSTS - 2.0
+"""Side of a box, posts; BOX_SIZE is the side over it."""
 
 _BLEND = 0.9  # of a level's range: where the next one begins to be mixed in
 
@@ -37,8 +40,8 @@ _TINY, _ZERO, _QUARTER, _HALF, _ONE, _TWO = (_f(v) for v in (1e-20, 0.0, 0.25, 0
 _LONGEST2 = _f(1.0 / 144.0)
 _LEAN, _ROUND2, _ROUNDED = _f(0.12), _f(2.56), _f(0.65)
 _EDGE_ON2, _TWIST2 = _f(0.1**2), _f(0.5**2)
-_LEAST, _MOST_HALF = _f(0.01), _f(0.5 * (MOST_POSTS - 2))  # half sides of a box in posts
-_BLENDED = _f(_BLEND / (1.0 - _BLEND))
+_LEAST, _MOST_HALF = _f(0.01), _f(0.5 * LONGEST)  # half sides of a box in posts
+_PER_BLEND, _BLENDED = _f(2.0 / (LONGEST * (1.0 - _BLEND))), _f(_BLEND / (1.0 - _BLEND))
 
 
 @vector_kernel
@@ -46,7 +49,7 @@ def footprints(row: int, first: int, projection: Projection, turn: Floats, unit_
     """Write the boxes of a row of pixels from column `first` on, unit vectors to the eye, and which are doubtful."""
     _eyes(row, first, projection, turn, s)
     _sides(s)
-    _boxes(_f(2.0 / (unit_m * (MOST_POSTS - 2))), s)
+    _boxes(_f(2.0 / (unit_m * LONGEST)), s)
 
 
 @vector_kernel
@@ -148,26 +151,23 @@ def mismatches(focal: float, s: Floats32) -> None:
 
 
 @vector_kernel
-def box_means(count: int, posts: Posts, top: int, place: Floats, longest: float, moving: bool, tile: Tile) -> None:
+def box_means(count: int, posts: Posts, top: int, place: Floats, tile: Tile) -> None:
     """Write the means of the moments over the boxes of `count` pixels that are not doubtful, MOMENTS each.
 
-    Parameters
-    ----------
-    top, place : of `write_levels`.
-    longest : side of a box, posts; BOX_SIZE is the side over it.
-    moving : the rates of the means are written too, from RATES on, for boxes that move by MOVE_X and MOVE_Y.
+    The rates of the means are written from RATES on: boxes move by MOVE_X and MOVE_Y. `top`, `place` : of
+    `write_levels`.
     """
     s = tile.fields
     write_levels(count, posts, top, place, Fields(t.MIDDLE_X, t.MIDDLE_Y, t.BOX_SIZE), s, tile.places)
-    _windows(_f(2.0 / (longest * (1.0 - _BLEND))), s)
-    _add_boxes(count, moving, posts.moments, s, tile.places, tile.sums)
+    _windows(s)
+    _add_boxes(count, posts.moments, s, tile.places, tile.sums)
     for k in range(count):
         if s[t.NEXT * TILE + k] > 0.0 and s[t.DOUBT * TILE + k] <= 0.0:
-            _add_next(k, moving, posts, place, s, tile.places, tile.sums)
+            _add_next(k, posts, place, s, tile.places, tile.sums)
 
 
 @vector_kernel
-def _windows(per_blend: float, s: Floats32) -> None:
+def _windows(s: Floats32) -> None:
     """Write the boxes in posts of their level, and the share of the next one."""
     for k in range(TILE):
         per_m, n = s[t.PER_M * TILE + k], s[t.TAPS * TILE + k]
@@ -180,7 +180,9 @@ def _windows(per_blend: float, s: Floats32) -> None:
         s[t.HALF_U * TILE + k], s[t.HALF_V * TILE + k] = half_u, half_v
         s[t.STEP_U * TILE + k], s[t.STEP_V * TILE + k] = step_u, step_v
         # The sums over boxes are taken with the weight half_u half_v times the mean (`add_box`).
-        part = min(max(max(s[t.HALF_X * TILE + k], s[t.HALF_Y * TILE + k]) * per_m * per_blend - _BLENDED, _ZERO), _ONE)
+        part = min(
+            max(max(s[t.HALF_X * TILE + k], s[t.HALF_Y * TILE + k]) * per_m * _PER_BLEND - _BLENDED, _ZERO), _ONE
+        )
         s[t.NEXT * TILE + k] = part
         s[t.WEIGHT * TILE + k] = (_ONE - part) / (n * half_u * half_v)
         s[t.LAST_X * TILE + k] = max(s[t.LAST_X * TILE + k] - half_u, half_u)
@@ -188,7 +190,7 @@ def _windows(per_blend: float, s: Floats32) -> None:
 
 
 @vector_kernel
-def _add_boxes(count: int, moving: bool, moments: Halves, s: Floats32, places: Ints32, sums: Floats32) -> None:
+def _add_boxes(count: int, moments: Halves, s: Floats32, places: Ints32, sums: Floats32) -> None:
     """Write the means over boxes, times their weights."""
     for k in range(count):
         for n in range(MOMENTS):
@@ -207,15 +209,12 @@ def _add_boxes(count: int, moving: bool, moments: Halves, s: Floats32, places: I
         move = s[t.MOVE_X * TILE + k] * s[t.PER_M * TILE + k], s[t.MOVE_Y * TILE + k] * s[t.PER_M * TILE + k]
         for _ in range(np.int32(s[t.TAPS * TILE + k])):
             box = clamp(u, half_u, last_u), clamp(v, half_v, last_v), half_u, half_v, weight
-            if moving:
-                add_box_and_rate(moments, level, (*box, *move), sums, k * MOMENTS)
-            else:
-                add_box(moments, level, box, sums, k * MOMENTS)
+            add_box(moments, level, (*box, *move), sums, k * MOMENTS)
             u, v = u + s[t.STEP_U * TILE + k], v + s[t.STEP_V * TILE + k]
 
 
 @lane
-def _add_next(k: int, moving: bool, posts: Posts, place: Floats, s: Floats32, places: Ints32, sums: Floats32) -> None:
+def _add_next(k: int, posts: Posts, place: Floats, s: Floats32, places: Ints32, sums: Floats32) -> None:
     """Add the means over the boxes of pixel k on the next level, times NEXT: as `_windows` and `_add_boxes` do."""
     levels, unit = posts.levels, posts.grids.unit_m
     level = places[t.LEVEL * TILE + k] + 1
@@ -234,8 +233,5 @@ def _add_next(k: int, moving: bool, posts: Posts, place: Floats, s: Floats32, pl
     for _ in range(np.int32(n)):
         at_u, at_v = _f(clamp(u, half_u, last_u)), _f(clamp(v, half_v, last_v))
         box = at_u, at_v, _f(half_u), _f(half_v), _f(weight)
-        if moving:
-            add_box_and_rate(posts.moments, (levels[level, 0], columns, rows), (*box, *move), sums, k * MOMENTS)
-        else:
-            add_box(posts.moments, (levels[level, 0], columns, rows), box, sums, k * MOMENTS)
+        add_box(posts.moments, (levels[level, 0], columns, rows), (*box, *move), sums, k * MOMENTS)
         u, v = u + step_u, v + step_v

@@ -65,6 +65,7 @@ class Posts(NamedTuple):
     moments: Halves
     levels: Table
     grids: Grids
+    shadows: Halves
 
 
 class Fields(NamedTuple):
@@ -228,7 +229,7 @@ def meet_map(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
 @vector_kernel
 def _heights(heights: Floats32, s: Floats32, places: Ints32) -> None:
     """Write the heights of the four posts around each place."""
-    _posts(s, places)
+    find_posts(s, places)
     for k in range(TILE):
         low = np.uint64(places[t.POST * TILE + k])
         high = low + np.uint64(places[t.LEVEL_COLUMNS * TILE + k])
@@ -237,7 +238,7 @@ def _heights(heights: Floats32, s: Floats32, places: Ints32) -> None:
 
 
 @vector_kernel
-def _posts(s: Floats32, places: Ints32) -> None:
+def find_posts(s: Floats32, places: Ints32) -> None:
     """Write the post left of and below each place, and the place from there in posts."""
     for k in range(TILE):
         u = s[t.FIRST_X * TILE + k] + s[t.X * TILE + k] * s[t.PER_M * TILE + k]

@@ -45,9 +45,9 @@ import numpy.typing as npt
 from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import Bytes, Float32s, W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
-from emulator.scene.terrain.ground import BP, BPP, BPQ, BQ, BQQ, MOMENTS, B, P, Q, entry
+from emulator.scene.terrain.ground import entry
 from emulator.scene.terrain.pixel_hits import Sight
-from emulator.scene.terrain.tile import RATES, TILE, Floats32, Tile, set_triple, triple
+from emulator.scene.terrain.tile import BP, BPP, BPQ, BQ, BQQ, MOMENTS, TILE, B, Floats32, P, Q, set_triple, triple
 from emulator.sensor.numerics.compiled import lane, vector_kernel
 
 _f = np.float32
@@ -102,7 +102,7 @@ class Motion(NamedTuple):
 
 
 @vector_kernel
-def mean_light(sun: Sunlight, tile: Tile) -> None:
+def mean_light(sun: Sunlight, tile: t.Tile) -> None:
     """Write the light of a row's pixels."""
     s, inputs = tile.fields, tile.inputs
     _angles(sun.towards, s, tile.sums, inputs)
@@ -182,13 +182,13 @@ def footprint_moves(motion: Motion, s: Floats32) -> None:
 
 
 @vector_kernel
-def light_rate(sun: Sunlight, tile: Tile) -> None:
+def light_rate(sun: Sunlight, tile: t.Tile) -> None:
     """Write the rate of light, from `mean_light` at the means of a moment later; moments and eyes are moved there."""
     s, sums = tile.fields, tile.sums
     for k in range(TILE):
         moment = s[t.MOMENT_S * TILE + k]
         for n in range(MOMENTS):
-            sums[k * MOMENTS + n] += moment * sums[RATES + k * MOMENTS + n]
+            sums[k * MOMENTS + n] += moment * sums[t.RATES + k * MOMENTS + n]
         s[t.RATE * TILE + k] = s[t.FAST * TILE + k]
     for k in range(TILE):
         moment = s[t.MOMENT_S * TILE + k]

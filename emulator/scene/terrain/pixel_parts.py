@@ -29,13 +29,23 @@ import numpy as np
 
 from emulator.raster.layout import Floats, W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
-from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B
-from emulator.scene.terrain.pixel_boxes import box_means
-from emulator.scene.terrain.pixel_hits import Fields, Posts, Sight, Table, meet_map, write_levels
+from emulator.scene.terrain.box_moments import from_half
+from emulator.scene.terrain.ground import ALBEDO, RADII, SHADOWS, Halves, share_above
+from emulator.scene.terrain.pixel_hits import (
+    Fields,
+    Grids,
+    Posts,
+    Sight,
+    Table,
+    find_posts,
+    lowest_level,
+    meet_map,
+    write_levels,
+)
 from emulator.scene.terrain.pixel_law import GRAZING
 from emulator.scene.terrain.quadtree import BLOCK
-from emulator.scene.terrain.tile import TILE, Floats32, Tile, set_triple, triple
-from emulator.sensor.numerics.compiled import NONE, kernel, lane, vector_kernel
+from emulator.scene.terrain.tile import MOMENTS, TILE, Floats32, P, Q, Tile, set_triple, triple
+from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane
 
 Triple = tuple[float, float, float]
 
@@ -67,7 +77,6 @@ class _Parts(NamedTuple):
     eye : unit vector to it.
     lift : change of the middle for lifting the facet by a metre.
     right, down : change of the middle for a pixel to the right and for one down.
-    half_m : half the side of a part's square on the ground.
     columns, rows : number of parts across and down.
     from_depth : at which rays begin.
     """
@@ -77,7 +86,6 @@ class _Parts(NamedTuple):
     lift: Triple
     right: Triple
     down: Triple
-    half_m: float
     columns: float
     rows: float
     from_depth: float
@@ -86,12 +94,10 @@ class _Parts(NamedTuple):
 COLUMN, SHARE, MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED, SEEN = range(7)
 LINE_FIELDS = 7
 
-_LONGEST = 6.0  # times the shorter side, the footprint's longer one
-_SPARED = 0.9  # of a part: a footprint that is longer by less has no more of them
-_FROM = 0.95  # of the least depth around: where rays begin
-_RAYS, _STRIDE = 4.0, 5  # rays of a pixel over `samples`; columns from one ray to the next, prime to their number
-_SQUARE_POSTS = 4.0  # along the side of a part's square
-_TINY, _ZERO, _GRAZING = np.float32(1e-30), np.float32(0.0), np.float32(GRAZING)
+_FROM = 0.98  # of the least depth around: where rays begin
+_APART, _MOST = 0.5, 7.0  # posts from a part to the next, as long as they are no more along a side
+_RAYS, _GOLDEN = 8.0, 0.618034  # rays of a pixel over `samples`; share of a pixel from one ray to the next
+_ZERO, _ONE, _GRAZING = np.float32(0.0), np.float32(1.0), np.float32(GRAZING)
 
 _INSIDE = 1e-6  # posts: how far a place is moved along its ray to lie clearly in a cell
 _FAR = 1e30
@@ -108,18 +114,9 @@ def into_world(turn: Floats, x: float, y: float, z: float) -> Triple:
     )
 
 
-@lane
-def shorter_side(ax: float, ay: float, bx: float, by: float, ratio: float) -> float:
-    """Return the length of the footprint's shorter side that a and b span, the longer one's over `ratio` at least."""
-    # The sides are the roots of the eigenvalues of the spread.
-    qxx, qxy, qyy = ax * ax + bx * bx, ax * ay + bx * by, ay * ay + by * by
-    mean, apart = 0.5 * (qxx + qyy), math.sqrt(0.25 * (qxx - qyy) ** 2 + qxy * qxy)
-    return math.sqrt(max(mean - apart, (mean + apart) * (1.0 / (ratio * ratio))))
-
-
 @kernel
 def part_means(
-    row: int, first: int, last: int, by_rays: bool, sight: Sight, posts: Posts, peaks: Peaks, top: int, samples: float,
+    row: int, first: int, last: int, by_rays: bool, sight: Sight, posts: Posts, peaks: Peaks, samples: float,
     towards: Floats, tile: Tile, line: Floats,
 ) -> None:  # fmt: skip
     """Write the means over the parts of a row's listed pixels, see the module docstring, and the share that is ground.
@@ -128,30 +125,28 @@ def part_means(
     ----------
     first, last : of the columns listed in `line`, and the one after the last.
     by_rays : parts are where rays through the pixel first meet the map; else near its facet.
-    top : coarsest level.
     samples : parts of a pixel along the shorter side of its footprint.
     """
-    per_m = 2.0 / (_SQUARE_POSTS * posts.grids.unit_m)
     filled: int = NONE
     for k in range(first, last):
         for field in (MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED, SEEN):
             line[field, k] = 0.0
         column = int(line[COLUMN, k])
-        parts = _by_rays(row, column, sight, samples) if by_rays else _divided(row, column, sight, samples)
+        parts = _by_rays(row, column, sight, samples) if by_rays else _divided(row, column, sight, posts.grids, samples)
         count = parts.columns * parts.rows
         line[SHARE, k] = 1.0 / count
         # Parts of one pixel after another fill tiles; a full tile is added to its pixels.
         for part in range(int(count)):
-            _put(filled, k, part, parts, per_m, tile)
+            _put(filled, k, part, parts, tile)
             filled += 1
             if filled == TILE:
-                _finish(filled, by_rays, posts, peaks, top, sight.place, towards, tile, line)
+                _add_points(filled, by_rays, posts, peaks, sight.place, towards, tile, line)
                 filled = NONE
-    _finish(filled, by_rays, posts, peaks, top, sight.place, towards, tile, line)
+    _add_points(filled, by_rays, posts, peaks, sight.place, towards, tile, line)
 
 
 @lane
-def _divided(row: int, column: int, sight: Sight, samples: float) -> _Parts:
+def _divided(row: int, column: int, sight: Sight, grids: Grids, samples: float) -> _Parts:
     """Return how a pixel is divided."""
     facet, turn = sight.facets[sight.owner[row, column]], sight.turn
     focal, middle_column, middle_row = sight.projection
@@ -167,17 +162,17 @@ def _divided(row: int, column: int, sight: Sight, samples: float) -> _Parts:
     a = turn[0, 0] - across * dx, turn[0, 1] - across * dy, turn[0, 2] - across * dz
     b = turn[1, 0] - along * dx, turn[1, 1] - along * dy, turn[1, 2] - along * dz
     step, lift = depth / focal, depth * nz
-    shorter = shorter_side(a[0], a[1], b[0], b[1], _LONGEST)
-    parts = samples / shorter
+    x, y = sight.place[0] + depth * dx, sight.place[1] + depth * dy
+    per_post = step / (_APART * grids.unit_m * (1 << lowest_level(x, y, 0, grids)))
+    wide, high = math.sqrt(a[0] * a[0] + a[1] * a[1]), math.sqrt(b[0] * b[0] + b[1] * b[1])
     return _Parts(
         (depth * dx, depth * dy, depth * dz),
         (dx * per_d, dy * per_d, dz * per_d),
         (lift * dx, lift * dy, lift * dz),
         (a[0] * step, a[1] * step, a[2] * step),
         (b[0] * step, b[1] * step, b[2] * step),
-        0.5 * shorter * step / samples,
-        max(math.ceil(parts * math.sqrt(a[0] * a[0] + a[1] * a[1]) - _SPARED), 1.0),
-        max(math.ceil(parts * math.sqrt(b[0] * b[0] + b[1] * b[1]) - _SPARED), 1.0),
+        max(min(math.ceil(per_post * wide), _MOST), samples),
+        max(min(math.ceil(per_post * high), _MOST), samples),
         0.0,
     )
 
@@ -196,7 +191,6 @@ def _by_rays(row: int, column: int, sight: Sight, samples: float) -> _Parts:
         (0.0, 0.0, 0.0),
         (turn[0, 0] * per_px, turn[0, 1] * per_px, turn[0, 2] * per_px),
         (turn[1, 0] * per_px, turn[1, 1] * per_px, turn[1, 2] * per_px),
-        0.5 * per_px / samples,
         1.0,
         _RAYS * samples,
         _FROM * _nearest(row, column, sight),
@@ -218,74 +212,73 @@ def _nearest(row: int, column: int, sight: Sight) -> float:
 
 
 @lane
-def _put(n: int, k: int, part: int, parts: _Parts, per_m: float, tile: Tile) -> None:
-    """Write part `part` of the listed pixel k as number n of the tile: one box without doubt."""
+def _put(n: int, k: int, part: int, parts: _Parts, tile: Tile) -> None:
+    """Write part `part` of the listed pixel k as number n of the tile."""
     s, middle, a, b = tile.fields, parts.middle, parts.right, parts.down
     line = part // int(parts.columns)
     right, down = (part - line * parts.columns + 0.5) / parts.columns - 0.5, (line + 0.5) / parts.rows - 0.5
     if parts.from_depth > 0.0:
-        right = ((_STRIDE * line + 2) % int(parts.rows) + 0.5) / parts.rows - 0.5
+        right = (line + 0.5) * _GOLDEN % 1.0 - 0.5
     s[t.X * TILE + n] = middle[0] + right * a[0] + down * b[0]
     s[t.Y * TILE + n] = middle[1] + right * a[1] + down * b[1]
     s[t.Z * TILE + n] = middle[2] + right * a[2] + down * b[2]
     set_triple(s, t.LIFT_X, n, parts.lift[0], parts.lift[1], parts.lift[2])
     set_triple(s, t.EYE_X, n, parts.eye[0], parts.eye[1], parts.eye[2])
-    s[t.HALF_X * TILE + n] = s[t.HALF_Y * TILE + n] = parts.half_m
-    s[t.SIZE * TILE + n] = parts.half_m * per_m
+    s[t.SIZE * TILE + n] = 0.0  # the finest posts there
     s[t.LIFTED * TILE + n] = parts.from_depth
     s[t.TAPS * TILE + n] = 1.0
-    s[t.TAP_X * TILE + n] = s[t.TAP_Y * TILE + n] = 0.0
-    s[t.DOUBT * TILE + n] = 0.0
     tile.places[t.PIXEL * TILE + n] = k
 
 
 @kernel
-def _finish(
-    count: int, by_rays: bool, posts: Posts, peaks: Peaks, top: int, place: Floats, towards: Floats, tile: Tile,
-    line: Floats,
-) -> None:  # fmt: skip
-    """Add the means over the squares around the first `count` parts of a tile to their pixels."""
-    s, places, sums = tile.fields, tile.places, tile.sums
+def _add_points(
+    count: int, by_rays: bool, posts: Posts, peaks: Peaks, place: Floats, towards: Floats, tile: Tile, line: Floats
+) -> None:
+    """Add b, b p, b q and b / (mu0 + mu) at the first `count` parts of a tile to their pixels."""
+    s, places = tile.fields, tile.places
     if by_rays:
         first_hits(count, posts, peaks, place, s)
-    else:
-        write_levels(count, posts, top, place, Fields(t.X, t.Y, t.SIZE), s, places)
+    write_levels(count, posts, 0, place, Fields(t.X, t.Y, t.SIZE), s, places)
+    if not by_rays:
         meet_map(posts.heights, np.float32(place[2]), s, places)
-    for k in range(TILE):
-        s[t.MIDDLE_X * TILE + k], s[t.MIDDLE_Y * TILE + k] = s[t.X * TILE + k], s[t.Y * TILE + k]
-        s[t.BOX_SIZE * TILE + k] = s[t.SIZE * TILE + k]
-    box_means(count, posts, top, place, _SQUARE_POSTS, False, tile)
-    _reflected(towards, s, sums)
+    find_posts(s, places)
+    sx, sy, sz = np.float32(towards[0]), np.float32(towards[1]), np.float32(towards[2])
     for n in range(count):
         k = places[t.PIXEL * TILE + n]
-        share = line[SHARE, k]
-        line[MEAN_B, k] += share * sums[n * MOMENTS + B]
-        line[MEAN_BP, k] += share * sums[n * MOMENTS + BP]
-        line[MEAN_BQ, k] += share * sums[n * MOMENTS + BQ]
-        line[MEAN_REFLECTED, k] += share * s[t.FAST * TILE + n]
-        line[SEEN, k] += share * s[t.TAPS * TILE + n]
+        seen = line[SHARE, k] * s[t.TAPS * TILE + n]
+        # Slopes, the height of the Sun over the horizon and albedo are linear between posts; light is not.
+        south = np.int64(places[t.POST * TILE + n])
+        north = south + np.int64(places[t.LEVEL_COLUMNS * TILE + n])
+        u, v = s[t.WITHIN_X * TILE + n], s[t.WITHIN_Y * TILE + n]
+        p = _between(posts.moments, MOMENTS, P, south, north, u, v)
+        q = _between(posts.moments, MOMENTS, Q, south, north, u, v)
+        radii = _between(posts.shadows, SHADOWS, RADII, south, north, u, v)
+        albedo = _between(posts.shadows, SHADOWS, ALBEDO, south, north, u, v)
+        ex, ey, ez = triple(s, t.EYE_X, n)
+        per_n = _ONE / math.sqrt(_ONE + p * p + q * q)
+        mu0 = max((sz - p * sx - q * sy) * per_n, _ZERO)
+        b = seen * albedo * mu0 * share_above(radii)
+        line[MEAN_B, k] += b
+        line[MEAN_BP, k] += b * p
+        line[MEAN_BQ, k] += b * q
+        line[MEAN_REFLECTED, k] += b / (mu0 + max((ez - p * ex - q * ey) * per_n, _GRAZING))
+        line[SEEN, k] += seen
 
 
-@vector_kernel
-def _reflected(towards: Floats, s: Floats32, sums: Floats32) -> None:
-    """Write b / (mu0 + mu) of the mean slope of each square."""
-    sx, sy, sz = np.float32(towards[0]), np.float32(towards[1]), np.float32(towards[2])
-    for k in range(TILE):
-        b = max(sums[k * MOMENTS + B], _ZERO)
-        bp, bq = sums[k * MOMENTS + BP], sums[k * MOMENTS + BQ]
-        ex, ey, ez = triple(s, t.EYE_X, k)
-        n = math.sqrt(b * b + bp * bp + bq * bq)
-        lit = max(b * sz - bp * sx - bq * sy, _ZERO)
-        seen = b * ez - bp * ex - bq * ey
-        s[t.FAST * TILE + k] = b * n / max(lit + max(seen, _GRAZING * n), _TINY)
+@lane
+def _between(table: Halves, numbers: int, k: int, low: int, high: int, u: float, v: float) -> Real:
+    """Return number k of a table of `numbers` a post, linear between four posts."""
+    a, b = from_half(table[low * numbers + k]), from_half(table[(low + 1) * numbers + k])
+    c, d = from_half(table[high * numbers + k]), from_half(table[(high + 1) * numbers + k])
+    south = a + u * (b - a)
+    return south + v * (c + u * (d - c) - south)
 
 
 @kernel
 def first_hits(count: int, posts: Posts, peaks: Peaks, place: Floats, s: Floats32) -> None:
     """Move places, given as directions from the camera at `place`, to where their rays first meet the map.
 
-    Rays begin LIFTED from the camera; those below ground there begin at the camera. Half sides and sizes are multiplied
-    by the way to the hit. Rays that meet nothing get no box.
+    Rays begin LIFTED from the camera; those below ground there begin at the camera. Rays that meet nothing get TAPS 0.
     """
     per_m = 1.0 / posts.grids.unit_m
     for k in range(count):
@@ -297,8 +290,7 @@ def first_hits(count: int, posts: Posts, peaks: Peaks, place: Floats, s: Floats3
             along = _way(ray, 0.0, posts, peaks)
         s[t.TAPS * TILE + k] = 1.0 if along < _FAR else 0.0
         along = along if along < _FAR else 1.0
-        for field in (t.X, t.Y, t.Z, t.HALF_X, t.HALF_Y, t.SIZE):
-            s[field * TILE + k] *= along
+        set_triple(s, t.X, k, x * along, y * along, z * along)
 
 
 @lane

@@ -45,15 +45,15 @@ __all__ = ["LINE_FIELDS", "ROW_FIELDS", "shade_doubtful", "shade_rows"]
 _PIXELS = TILE - 1
 _STEEPEST = 10.0
 _TINY = 1e-9
+_LEAST_SHARE, _MOST_SHARE = 0.5, 2.0  # of the light of the footprint, that of its parts, for the rate
 
 _MU0, _MU, _CHORD2, _SUNLIGHT, _AROUND = range(5)
 _LOW, _HIGH, _TOTAL, _RANGE, _MEAN, _VALUE, _LEAST = range(5, 12)
 ROW_FIELDS = 12
-LONGEST = MOST_POSTS - 2.0
 
 
 class Smooth(NamedTuple):
-    """Pictures from footprints, (height, width): light of the ground, 1 for doubtful pixels, rate of light or empty."""
+    """Pictures from footprints, (height, width): light of the ground, 1 for doubtful pixels, rate of light."""
 
     light: Float32s
     doubtful: Bytes
@@ -77,7 +77,6 @@ def shade_rows(
 
     `motion` is that of `footprint_moves`.
     """
-    moving = out.rate.size > 0
     s, places, unit_m = tile.fields, tile.places, posts.grids.unit_m
     top = top_level(posts.levels)
     for first in range(0, sight.owner.shape[1], _PIXELS):
@@ -89,12 +88,10 @@ def shade_rows(
             corner_hits(row + 1, first, sight, posts, s, places)
             footprints(row, first, sight.projection, sight.turn, unit_m, s)
             mismatches(sight.projection.focal_px, s)
-            if moving:
-                footprint_moves(motion, s)
-            box_means(columns, posts, top, sight.place, LONGEST, moving, tile)
+            footprint_moves(motion, s)
+            box_means(columns, posts, top, sight.place, tile)
             mean_light(sun, tile)
-            if moving:
-                light_rate(sun, tile)
+            light_rate(sun, tile)
             _keep(row, first, columns, sight.owner, s, out)
 
 
@@ -106,8 +103,7 @@ def _keep(row: int, first: int, columns: int, owner: Ints, s: Floats32, out: Smo
         doubtful = seen and s[t.DOUBT * TILE + k] > 0.0
         out.light[row, first + k] = s[t.FAST * TILE + k] if seen else np.float32(0.0)
         out.doubtful[row, first + k] = doubtful
-        if out.rate.size > 0:
-            out.rate[row, first + k] = s[t.RATE * TILE + k] if seen and not doubtful else np.float32(0.0)
+        out.rate[row, first + k] = s[t.RATE * TILE + k] if seen and not doubtful else np.float32(0.0)
 
 
 @entry
@@ -127,7 +123,6 @@ def shade_doubtful(
     s, line : (ROW_FIELDS, width + 2), (LINE_FIELDS, width + 2), room.
     smooth : from `shade_rows`.
     """
-    top = top_level(posts.levels)
     for row in range(rows[0], rows[1]):
         _changes(row, smooth.light, s)
         _add_outlines(row, coverage, s[_LEAST], smooth.doubtful[row])
@@ -136,7 +131,7 @@ def shade_doubtful(
         # Elsewhere the first hit of a ray is the one near the facet.
         for first, last in ((NONE, doubtful), (doubtful, count)):
             by_rays = first < doubtful
-            part_means(row, first, last, by_rays, sight, posts, peaks, top, samples, sun.towards, tile, line)
+            part_means(row, first, last, by_rays, sight, posts, peaks, samples, sun.towards, tile, line)
         _angles(row, count, sight, sun, line, s)
         reflect(sun.law, sun.law_parameters, s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
@@ -144,8 +139,9 @@ def shade_doubtful(
         for column in range(sight.owner.shape[1]):
             if sight.owner[row, column] >= 0 or smooth.doubtful[row, column] > 0:
                 light[row, column] = s[_VALUE, column]
-            if smooth.rate.size > 0:
-                rate[row, column] = smooth.rate[row, column]
+            # The rate of the logarithm is that of the footprint's light.
+            change = s[_VALUE, column] / max(smooth.light[row, column], _TINY)
+            rate[row, column] = min(max(change, _LEAST_SHARE), _MOST_SHARE) * smooth.rate[row, column]
 
 
 @vector_kernel

@@ -164,7 +164,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._lines = [(np.zeros((ROW_FIELDS, width + 2)), np.zeros((LINE_FIELDS, width + 2))) for _ in range(threads)]
         pyramid, ground = self._pyramid, world.ground
         grids = Grids(ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2)
-        self._posts = Posts(pyramid.heights, pyramid.moments, pyramid.levels, grids)
+        self._posts = Posts(pyramid.heights, pyramid.moments, pyramid.levels, grids, pyramid.shadows)
         light, rate = (np.zeros((height, width), np.float32) for _ in range(2))
         self._smooth = Smooth(light, np.zeros((height, width), np.uint8), rate)
         self._owners = Owners.of(width, height)
@@ -185,18 +185,14 @@ class RasterTerrain(WorldScene[TerrainWorld]):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
-        self._draw(t_ns, out, self._spare, with_rate=False)
+        self.light_and_rate(t_ns, out, self._spare)
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its rate, a second, both (height, width) float32."""
-        self._draw(t_ns, light, rate, with_rate=True)
-
-    def _draw(self, t_ns: int, light: Light, rate: Light, *, with_rate: bool) -> None:
-        """Write the light, and its rate if wanted."""
-        before = self._drawn if self._arrays.are(light, rate if with_rate else None) else None
+        before = self._drawn if self._arrays.are(light, rate) else None
         motion = camera_motion(t_ns, self._world.camera, self._world.time)
         self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
-        self._shade(motion, light, rate, with_rate=with_rate)
+        self._shade(motion, light, rate)
         self._frame_ns = t_ns
         self.changed = None if before is None else self._drawn.union(before)
 
@@ -206,13 +202,12 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._pool.close()
         super().close()
 
-    def _shade(self, motion: CameraMotion, light: Light, rate: Light, *, with_rate: bool) -> None:
-        """Write the fine map's light into the light frame, and its rate if wanted."""
+    def _shade(self, motion: CameraMotion, light: Light, rate: Light) -> None:
+        """Write the fine map's light into the light frame, and its rate."""
         height, width = light.shape
         projection = Projection(self._world.pinhole.focal_px, width / 2, height / 2)
         sight = Sight(self._owners.facets, self._renderer.facets, projection, motion.camera.place, motion.turn)
-        smooth = self._smooth if with_rate else self._smooth._replace(rate=np.zeros((0, 0), np.float32))
-        samples, posts, sun = float(self._world.parameters.samples), self._posts, self._sun
+        samples, posts, sun, smooth = float(self._world.parameters.samples), self._posts, self._sun, self._smooth
         # Velocities of places by where they are: in the world, of those that turn with the camera, and in its axes, of
         # the ground.
         of_directions = Motion(motion.turning.T @ motion.turn, motion.velocity_m_s)
@@ -235,7 +230,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         def follow(band: int, thread: int) -> None:
             rate_of_doubtful(_rows(band, height), sight, of_ground, smooth.doubtful, light, rate)
 
-        for work in (refine, follow) if with_rate else (refine,):
+        for work in (refine, follow):
             self._pool.each(work, -(-height // _BAND))
 
     def _view(self, t_ns: int, motion: CameraMotion) -> View:

@@ -16,7 +16,9 @@ from emulator.sensor.numerics.compiled import inlined
 TILE = 64
 """Corners in a row of a tile; it has one pixel less."""
 
-RATES = 8 * TILE
+MOMENTS = 8
+B, BP, BQ, BPP, BPQ, BQQ, P, Q = range(MOMENTS)
+RATES = MOMENTS * TILE
 """Place of the moments' rates behind the moments."""
 
 Floats32 = npt.NDArray[np.float32]

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.terrain.ground import MOMENTS, B, build_pyramid, nested, share_above
+from emulator.scene.terrain.ground import build_pyramid, nested, share_above
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Ridge
+from emulator.scene.terrain.tile import MOMENTS, B
 from emulator.scene.terrain.world import horizon_slopes
 
 POSTS = 65

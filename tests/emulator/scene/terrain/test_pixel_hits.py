@@ -13,6 +13,7 @@ from emulator.scene.terrain.table import Ridge
 from emulator.scene.terrain.tile import TILE, new_tile
 
 POSTS = 41
+NONE = np.zeros(0, np.uint16)
 EYE_M = 1.0  # above the plane of the facet, at x = 0; rays descend by 0.1
 
 
@@ -32,7 +33,7 @@ def met(heights, start=10.0):
     s[tile.LIFT_Z * TILE : (tile.LIFT_Z + 1) * TILE] = 1.0
     s[tile.SIZE * TILE : (tile.SIZE + 1) * TILE] = 0.5
     eye = np.array([0.0, 0.0, EYE_M])
-    posts = Posts(heights, np.zeros(0, np.uint16), level_of(columns, rows), Grids(1.0, 1, columns // 2))
+    posts = Posts(heights, NONE, level_of(columns, rows), Grids(1.0, 1, columns // 2), NONE)
     write_levels(TILE, posts, 0, eye, Fields(tile.X, tile.Y, tile.SIZE), s, places)
     meet_map(heights.ravel().astype(np.float32), np.float32(EYE_M), s, places)
     x, z = (s[field * TILE : (field + 1) * TILE] for field in (tile.X, tile.Z))
@@ -53,7 +54,7 @@ def first_met(ground, eye, rays, start=0.0):
         rows, columns = ground.shape
         spans = (columns - 1) << grid, (rows - 1) << grid
         levels[grid, :7] = grid * rows * columns, rows, columns, *ground.first(grid), *spans
-    posts = Posts(ground.heights_m.ravel(), np.zeros(0, np.uint16), levels, Grids(ground.unit_m, ground.grids, 1.0))
+    posts = Posts(ground.heights_m.ravel(), NONE, levels, Grids(ground.unit_m, ground.grids, 1.0), NONE)
     places, ways = np.full((count, 3), np.inf), np.full(count, np.inf)
     for k in range(0, count, TILE):
         some = rays[k : k + TILE].astype(np.float32)
@@ -66,7 +67,7 @@ def first_met(ground, eye, rays, start=0.0):
         hit = s[tile.TAPS * TILE : tile.TAPS * TILE + len(some)] > 0
         at = np.stack([s[field * TILE : field * TILE + len(some)] for field in (tile.X, tile.Y, tile.Z)], axis=1)
         places[k : k + TILE][hit] = at[hit] + eye
-        ways[k : k + TILE][hit] = s[tile.SIZE * TILE : tile.SIZE * TILE + len(some)][hit]
+        ways[k : k + TILE][hit] = (np.linalg.norm(at, axis=1) / np.linalg.norm(some, axis=1))[hit]
     return places, ways
 
 

@@ -9,12 +9,14 @@ from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
 from emulator.scene.terrain import ground as of_ground
-from emulator.scene.terrain.ground import MOMENTS, build_pyramid
+from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
+from emulator.scene.terrain.tile import MOMENTS
+from emulator.scene.terrain.world import TerrainWorld
 from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
 from laboratory.accuracy.sampled_scenes import SampledTerrain
@@ -187,6 +189,34 @@ def test_parts_of_a_pixel_with_heights_of_their_own_are_nearer_to_every_facet():
         errors.append(float(np.abs(light - truth).mean() / truth.mean()))
     assert errors[1] < 0.7 * errors[0]
     assert errors[1] < 0.015
+
+
+def test_light_where_a_shadow_ends_is_that_of_the_horizon_between_posts(tmp_path, monkeypatch):
+    """A plane from straight above, 2.6 posts a pixel; the Sun sinks by 3 radii a post across a wavy border."""
+    np.save(tmp_path / "plane.npy", np.zeros((257, 257)))
+
+    def radii_at(east, north):
+        return 3 * (east - 0.4 - 3 * np.sin(north / 9))
+
+    posts = np.arange(-128.0, 129.0)
+    radii = radii_at(posts, posts[:, None]).astype(np.float32)
+    monkeypatch.setattr(TerrainWorld, "sun_radii", lambda world: radii[None])
+    height = 2.6 * CAMERA.focal_px
+    p = parameters(
+        ground=Heightmap(path=str(tmp_path / "plane.npy"), post_m=1.0), body_radius_m=0.0, ambient_w_m2=0.0,
+        camera=FixedPath((0.0, 0.0, height), DOWN), reflectance=Lambert(1.0), sun_elevation_deg=60.0,
+    )  # fmt: skip
+    light = looked_at(p, 0)
+    places = (np.arange(16) + 0.5) / 16
+    right = (np.arange(CAMERA.width)[:, None] + places - CAMERA.width / 2) * 2.6
+    down = (np.arange(CAMERA.height)[:, None] + places - CAMERA.height / 2) * 2.6
+    above = np.clip(radii_at(right, -down[:, :, None, None]), -1, 1)
+    share = 0.5 + (above * np.sqrt(1 - above**2) + np.arcsin(above)) / np.pi
+    edge = (share.min(axis=(1, 3)) < 0.9) & (share.max(axis=(1, 3)) > 0.1)
+    errors = np.abs(light / np.median(light[:, -10:]) - share.mean(axis=(1, 3)))[edge]
+    assert len(errors) > 60
+    assert errors.mean() < 0.004
+    assert errors.max() < 0.015
 
 
 def test_light_at_outlines_is_that_of_rays():
