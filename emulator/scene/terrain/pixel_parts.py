@@ -4,16 +4,18 @@ With d the pixel's direction, d = 1 along the boresight, and n . X = 1 the facet
 point is X = s d, s = 1 / (n . d). Its light is computed in these steps:
 
     footprint       the change of X within the plane for a pixel to the right and for one down
-    parts           `samples` along the footprint's shorter side, and more where it is longer: parts of the pixel, equal
-                    on the screen, so that slopes which face the camera count for their share of the light frame
+    parts           points half a post apart, from `samples` to 7 along each side of the pixel: equal on the screen, so
+                    that slopes which face the camera count for their share of the light frame
     fine height     the map's height z above a part moves it along d to the point on the plane lifted by z - X_z; a
                     secant from there, as the ground under the moved ray has another height
-    means           over a square of the ground around each part: of b, b p, b q, and of b / (mu0 + mu), mu0 and mu the
-                    cosines of incidence and emission of the square's slope
+    means           over the points: of b, b p, b q, and of b / (mu0 + mu), mu0 and mu the cosines of incidence and
+                    emission. Slopes, albedo and the height of the Sun over the horizon are linear between posts; b is
+                    not, and moments of posts, in which it is, blur the edge of a shadow by half of their distance
 
 The law of reflection is evaluated once, at the mu0 of the mean slope and the mu at which b / (mu0 + mu) has its mean.
 
-Where outlines pass, or footprints fail, parts are where rays through the pixel first meet the map. A ray crosses the
+Where outlines pass, or footprints fail, parts are where 8 x `samples` rays through the pixel first meet the map, each in
+a row of its own, a golden section of the pixel beside the one before. A ray crosses the
 blocks of a `Quadtree`. It passes one whose highest post lies below it whole, then tries a block twice as large, and
 looks into the others: down to blocks of the finest grid there, whose cells between four posts it crosses one by one.
 Heights are bilinear over a cell, so the height of the ray over the ground is quadratic along it, and its first root the

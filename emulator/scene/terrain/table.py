@@ -112,7 +112,8 @@ class TerrainParameters:
         Side of a facet in the light frame, about; slopes and shadows are those of the fine map. 0: a quarter of
         a pixel, whatever `most_facets` is.
     most_facets : facets in a large light frame are larger, so that about this many would cover it face on.
-    samples : light is averaged over samples x samples points of each pixel, 1 to 8.
+    samples : points along each side of a pixel at least where a shadow ends in it, 1 to 8; run.painter = "gl" averages light
+        over samples x samples points of each pixel.
     time_scale : speed of the camera's motion relative to reality.
     """
 
