@@ -170,7 +170,7 @@ class Pyramid:
 
 
 def build_pyramid(ground: Ground, sun_radii: Heights, sun: Vector, levels: int) -> Pyramid:
-    """Return `levels` levels of `ground`, in the light of `sun`, (3,) unit, towards it.
+    """Return `levels` levels of `ground`, in the light of `sun`, (2, 3): towards it, and from its middle to its top.
 
     `sun_radii`, (grids, rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
     """
@@ -228,13 +228,20 @@ def _table(ground: Ground, levels: int) -> Ints:
 
 
 @map_entry
-def share_above(radii: float) -> float:
-    """Return the share of a disc above a straight horizon, from the height of its middle above that in its radii."""
+def sunlit(facing: float, raised: float, radii: float) -> float:
+    """Return the mean cosine of incidence over the part of a disc above a straight horizon, times the share of that.
+
+    `facing` is the cosine at its middle, `raised` the change to its top, `radii` the height of the middle above the
+    horizon in its radii. The visible part stands higher than the middle, which counts where the Sun grazes the ground.
+    """
     if abs(radii) >= 1.0:
-        return 1.0 if radii > 0.0 else 0.0
-    return 0.5 + (radii * math.sqrt(1.0 - radii * radii) + math.asin(radii)) / math.pi
+        return max(facing, 0.0) if radii > 0.0 else 0.0
+    chord = math.sqrt(1.0 - radii * radii)
+    share = 0.5 + (radii * chord + math.asin(radii)) / math.pi
+    return max(facing * share + raised * chord**3 * _RISE, 0.0)
 
 
+_RISE = 2.0 / (3.0 * math.pi)  # share of a half disc times the height of its middle, in radii
 _FIT = np.array([-0.125, 0.25, 0.75, 0.25, -0.125], np.float32)
 _LIT = 6  # moments that light weights: the first ones
 _BAND = 64  # rows that a thread takes at a time
@@ -283,8 +290,10 @@ def _write_light(posts: Heights, sun: Vector, out: _Moments) -> None:
             n = min(j + after, last)
             p, q = np.float32(0.5) * (posts[0, j] + posts[0, n]), np.float32(0.5) * (posts[1, j] + posts[1, n])
             radii, albedo = 0.5 * (posts[2, j] + posts[2, n]), 0.5 * (posts[3, j] + posts[3, n])
-            facing = max(sun[2] - p * sun[0] - q * sun[1], 0.0) / math.sqrt(1.0 + p * p + q * q)
-            b = np.float32(albedo * facing * share_above(radii))
+            per_n = 1.0 / math.sqrt(1.0 + p * p + q * q)
+            facing = (sun[0, 2] - p * sun[0, 0] - q * sun[0, 1]) * per_n
+            raised = (sun[1, 2] - p * sun[1, 0] - q * sun[1, 1]) * per_n
+            b = np.float32(albedo * sunlit(facing, raised, radii))
             out[after, B, j], out[after, BP, j], out[after, BQ, j] = b, b * p, b * q
             out[after, BPP, j], out[after, BPQ, j], out[after, BQQ, j] = b * p * p, b * p * q, b * q * q
 

@@ -73,13 +73,13 @@ class Sunlight(NamedTuple):
 
     Attributes
     ----------
-    towards : the Sun, (3,) unit.
+    disc : of the Sun, (2, 3): towards its middle, unit, and from there to its top.
     irradiance_w_m2 : on a surface that faces it.
     law, law_parameters : a `reflection_kernels.Law`.
     ambient : radiance of the ambient light by the height of the eye's direction.
     """
 
-    towards: Floats
+    disc: Floats
     irradiance_w_m2: float
     law: int
     law_parameters: Floats
@@ -105,7 +105,7 @@ class Motion(NamedTuple):
 def mean_light(sun: Sunlight, tile: t.Tile) -> None:
     """Write the light of a row's pixels."""
     s, inputs = tile.fields, tile.inputs
-    _angles(sun.towards, s, tile.sums, inputs)
+    _angles(sun.disc[0], s, tile.sums, inputs)
     for k in range(TILE):
         inputs[t.AROUND, k] = around(sun.ambient, s[t.EYE_Z * TILE + k])
     now = inputs[t.MU0]  # written over: the law reads each place before it writes it

@@ -14,12 +14,11 @@ point is X = s d, s = 1 / (n . d). Its light is computed in these steps:
 
 The law of reflection is evaluated once, at the mu0 of the mean slope and the mu at which b / (mu0 + mu) has its mean.
 
-Where outlines pass, or footprints fail, parts are where 8 x `samples` rays through the pixel first meet the map, each in
-a row of its own, a golden section of the pixel beside the one before. A ray crosses the
-blocks of a `Quadtree`. It passes one whose highest post lies below it whole, then tries a block twice as large, and
-looks into the others: down to blocks of the finest grid there, whose cells between four posts it crosses one by one.
-Heights are bilinear over a cell, so the height of the ray over the ground is quadratic along it, and its first root the
-place.
+Where outlines pass, or footprints fail, parts are where 8 x `samples` rays through the pixel first meet the map, each
+in a row of its own, a golden section of the pixel beside the one before. A ray crosses the blocks of a `Quadtree`. It
+passes one whose highest post lies below it whole, then tries a block twice as large, and looks into the others: down to
+blocks of the finest grid there, whose cells between four posts it crosses one by one. Heights are bilinear over a cell,
+so the height of the ray over the ground is quadratic along it, and its first root the place.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ import numpy as np
 from emulator.raster.layout import Floats, W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.box_moments import from_half
-from emulator.scene.terrain.ground import ALBEDO, RADII, SHADOWS, Halves, share_above
+from emulator.scene.terrain.ground import ALBEDO, RADII, SHADOWS, Halves, sunlit
 from emulator.scene.terrain.pixel_hits import (
     Fields,
     Grids,
@@ -44,7 +43,7 @@ from emulator.scene.terrain.pixel_hits import (
     meet_map,
     write_levels,
 )
-from emulator.scene.terrain.pixel_law import GRAZING
+from emulator.scene.terrain.pixel_law import GRAZING, Sunlight
 from emulator.scene.terrain.quadtree import BLOCK
 from emulator.scene.terrain.tile import MOMENTS, TILE, Floats32, P, Q, Tile, set_triple, triple
 from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane
@@ -119,7 +118,7 @@ def into_world(turn: Floats, x: float, y: float, z: float) -> Triple:
 @kernel
 def part_means(
     row: int, first: int, last: int, by_rays: bool, sight: Sight, posts: Posts, peaks: Peaks, samples: float,
-    towards: Floats, tile: Tile, line: Floats,
+    sun: Sunlight, tile: Tile, line: Floats,
 ) -> None:  # fmt: skip
     """Write the means over the parts of a row's listed pixels, see the module docstring, and the share that is ground.
 
@@ -142,9 +141,9 @@ def part_means(
             _put(filled, k, part, parts, tile)
             filled += 1
             if filled == TILE:
-                _add_points(filled, by_rays, posts, peaks, sight.place, towards, tile, line)
+                _add_points(filled, by_rays, posts, peaks, sight.place, sun, tile, line)
                 filled = NONE
-    _add_points(filled, by_rays, posts, peaks, sight.place, towards, tile, line)
+    _add_points(filled, by_rays, posts, peaks, sight.place, sun, tile, line)
 
 
 @lane
@@ -234,7 +233,7 @@ def _put(n: int, k: int, part: int, parts: _Parts, tile: Tile) -> None:
 
 @kernel
 def _add_points(
-    count: int, by_rays: bool, posts: Posts, peaks: Peaks, place: Floats, towards: Floats, tile: Tile, line: Floats
+    count: int, by_rays: bool, posts: Posts, peaks: Peaks, place: Floats, sun: Sunlight, tile: Tile, line: Floats
 ) -> None:
     """Add b, b p, b q and b / (mu0 + mu) at the first `count` parts of a tile to their pixels."""
     s, places = tile.fields, tile.places
@@ -244,7 +243,7 @@ def _add_points(
     if not by_rays:
         meet_map(posts.heights, np.float32(place[2]), s, places)
     find_posts(s, places)
-    sx, sy, sz = np.float32(towards[0]), np.float32(towards[1]), np.float32(towards[2])
+    (sx, sy, sz), (lx, ly, lz) = sun.disc
     for n in range(count):
         k = places[t.PIXEL * TILE + n]
         seen = line[SHARE, k] * s[t.TAPS * TILE + n]
@@ -258,12 +257,12 @@ def _add_points(
         albedo = _between(posts.shadows, SHADOWS, ALBEDO, south, north, u, v)
         ex, ey, ez = triple(s, t.EYE_X, n)
         per_n = _ONE / math.sqrt(_ONE + p * p + q * q)
-        mu0 = max((sz - p * sx - q * sy) * per_n, _ZERO)
-        b = seen * albedo * mu0 * share_above(radii)
+        mu0 = (sz - p * sx - q * sy) * per_n
+        b = seen * albedo * sunlit(mu0, (lz - p * lx - q * ly) * per_n, radii)
         line[MEAN_B, k] += b
         line[MEAN_BP, k] += b * p
         line[MEAN_BQ, k] += b * q
-        line[MEAN_REFLECTED, k] += b / (mu0 + max((ez - p * ex - q * ey) * per_n, _GRAZING))
+        line[MEAN_REFLECTED, k] += b / (max(mu0, _ZERO) + max((ez - p * ex - q * ey) * per_n, _GRAZING))
         line[SEEN, k] += seen
 
 

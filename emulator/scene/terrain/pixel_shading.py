@@ -126,12 +126,11 @@ def shade_doubtful(
     for row in range(rows[0], rows[1]):
         _changes(row, smooth.light, s)
         _add_outlines(row, coverage, s[_LEAST], smooth.doubtful[row])
-        doubtful = _list_doubtful(smooth.doubtful[row], line)
-        count = _list_changing(row, doubtful, sight.owner, smooth.doubtful[row], least, s, line)
+        doubtful, count = _list_columns(row, sight.owner, smooth.doubtful[row], least, s, line)
         # Elsewhere the first hit of a ray is the one near the facet.
         for first, last in ((NONE, doubtful), (doubtful, count)):
             by_rays = first < doubtful
-            part_means(row, first, last, by_rays, sight, posts, peaks, samples, sun.towards, tile, line)
+            part_means(row, first, last, by_rays, sight, posts, peaks, samples, sun, tile, line)
         _angles(row, count, sight, sun, line, s)
         reflect(sun.law, sun.law_parameters, s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
@@ -177,29 +176,24 @@ def _add_outlines(row: int, coverage: Float32s, least: Floats, doubtful: Bytes) 
 
 
 @lane
-def _list_doubtful(doubtful: Bytes, line: Floats) -> int:
-    """List the columns of a row's doubtful pixels; return how many."""
+def _list_columns(row: int, owner: Ints, doubtful: Bytes, least: float, s: Floats, line: Floats) -> tuple[int, int]:
+    """List a row's doubtful pixels, then the others around which light changes much; return the ends of both lists."""
     count: int = NONE
     for column in range(len(doubtful)):
         line[COLUMN, count] = column
         count += doubtful[column] > 0
-    return count
-
-
-@lane
-def _list_changing(row: int, count: int, owner: Ints, doubtful: Bytes, least: float, s: Floats, line: Floats) -> int:
-    """List the columns of a row's other pixels around which light changes much, after `count` ones."""
-    for column in range(owner.shape[1]):
+    last = count
+    for column in range(len(doubtful)):
         line[COLUMN, count] = column
         changing = (doubtful[column] == 0) & (s[_RANGE, column] > max(s[_MEAN, column], least))
         count += changing & (owner[row, column] >= 0)
-    return count
+    return last, count
 
 
 @lane
 def _angles(row: int, count: int, sight: Sight, sun: Sunlight, line: Floats, s: Floats) -> None:
     """Write the inputs of the law of reflection for the listed pixels."""
-    sun_x, sun_y, sun_z = sun.towards[0], sun.towards[1], sun.towards[2]
+    sun_x, sun_y, sun_z = sun.disc[0, 0], sun.disc[0, 1], sun.disc[0, 2]
     focal, middle_column, middle_row = sight.projection
     for k in range(count):
         # The mean slope, weighted by b.

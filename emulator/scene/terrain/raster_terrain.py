@@ -144,7 +144,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         world = TerrainWorld(parameters, pinhole)
         super().__init__(world)
         self._reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX, _COARSER), LEAST_REACH)
-        self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.sun, level_count(world.ground) + 1)
+        self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.disc, level_count(world.ground) + 1)
         world.ground = dataclasses.replace(world.ground, albedo=None)  # it is part of the light now; a map is large
         world.ground = self._pyramid.shared(world.ground)
         self._tree = Quadtree(world.ground, self._reach)
@@ -152,7 +152,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         heights = np.linspace(0, 1, _HEIGHTS)
         law = parameters.reflectance
         ambient = parameters.ambient_w_m2 * law.reflect(heights, heights, 0.0)
-        self._sun = Sunlight(world.sun, world.irradiance_w_m2, *law_of(law), ambient)
+        self._sun = Sunlight(world.disc, world.irradiance_w_m2, *law_of(law), ambient)
         self._block = prepare(block_facets()[1])
         self._blocks = _Blocks(self._block, _FIRST_BLOCKS)
         width, height = pinhole.size

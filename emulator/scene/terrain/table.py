@@ -112,8 +112,7 @@ class TerrainParameters:
         Side of a facet in the light frame, about; slopes and shadows are those of the fine map. 0: a quarter of
         a pixel, whatever `most_facets` is.
     most_facets : facets in a large light frame are larger, so that about this many would cover it face on.
-    samples : points along each side of a pixel at least where a shadow ends in it, 1 to 8; run.painter = "gl" averages light
-        over samples x samples points of each pixel.
+    samples : least points along each side of a pixel where a shadow ends, with run.painter = "gl" of all, 1 to 8.
     time_scale : speed of the camera's motion relative to reality.
     """
 

@@ -12,7 +12,7 @@ the horizon in its radii,
 
     1/2 + (x sqrt(1 - x^2) + asin x) / pi        -1 <= x <= 1
 
-which is the penumbra: behind a 10 m rock under a Sun 2 degrees high it is about 80 m wide.
+which is the penumbra: behind a 10 m rock under a Sun 2 degrees high it is about 80 m wide (`ground.sunlit`).
 """
 
 from __future__ import annotations
@@ -172,6 +172,7 @@ class TerrainWorld:
     Attributes
     ----------
     sun : (3,) unit, towards it.
+    disc : (2, 3), `sun` and from the middle of its disc to its top.
     irradiance_w_m2 : sunlight on a surface that faces the Sun, times the albedo of the brightest ground.
     motion_bound_px_s : from the path's speed, turning and height, sampled over the whole path.
     distance_m : the least sampled height over the ground beneath.
@@ -192,6 +193,8 @@ class TerrainWorld:
         azimuth, elevation = math.radians(p.sun_azimuth_deg), math.radians(p.sun_elevation_deg)
         flat = math.cos(elevation)
         self.sun = np.array([flat * math.sin(azimuth), flat * math.cos(azimuth), math.sin(elevation)])
+        up = np.array([-math.sin(elevation) * math.sin(azimuth), -math.sin(elevation) * math.cos(azimuth), flat])
+        self.disc = np.stack([self.sun, self._sun.radius_rad * up])
         albedo = self.ground.albedo
         brightest = 1.0 if albedo is None else float(albedo.max())
         self.irradiance_w_m2 = self._sun.irradiance_w_m2 * brightest

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.terrain.ground import build_pyramid, nested, share_above
+from emulator.scene.terrain.ground import build_pyramid, nested, sunlit
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Ridge
 from emulator.scene.terrain.tile import MOMENTS, B
@@ -16,7 +16,7 @@ POSTS = 65
 
 
 def sunlit_share(slopes, elevation_rad, radius_rad):
-    return np.vectorize(share_above)((elevation_rad - np.arctan(slopes.astype(float))) / radius_rad)
+    return np.vectorize(sunlit)(1.0, 0.0, (elevation_rad - np.arctan(slopes.astype(float))) / radius_rad)
 
 
 def wall(side):
@@ -102,6 +102,16 @@ def test_the_sun_s_disc_rises_over_the_horizon_by_its_area():
     np.testing.assert_allclose(share, [1, 0.5, 0, 0, 1, expected], atol=1e-3)
 
 
+@pytest.mark.parametrize("facing", [-0.002, 0.0, 0.003, 0.05])
+@pytest.mark.parametrize("radii", [-1.2, -0.9, -0.4, 0.0, 0.7, 1.5])
+def test_light_of_a_disc_over_a_horizon_is_that_of_its_points(facing, radii):
+    """The cosine of incidence is linear over the disc; points below the horizon send nothing."""
+    y, x = np.meshgrid(*[(np.arange(1500) + 0.5) / 750 - 1] * 2, indexing="ij")
+    on_disc = x * x + y * y < 1
+    cosines = np.where(y > -radii, facing + 0.00465 * y, 0.0)[on_disc]
+    assert sunlit(facing, 0.00465, radii) == pytest.approx(max(cosines.mean(), 0.0), abs=2e-6)
+
+
 def test_a_rock_s_penumbra_is_as_wide_as_the_reference_says():
     """A 10 m rock under a Sun 2 degrees high: the shadow ends some 286 m away, its edge is about 78 m wide."""
     heights = np.zeros((3, 1001))
@@ -118,7 +128,7 @@ def test_a_rock_s_penumbra_is_as_wide_as_the_reference_says():
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_shadow_s_edge_between_posts_is_where_the_sun_crosses_the_horizon(edge, axis):
     """Level ground, lit beyond a straight edge with a penumbra of one post: the lit posts have its sunlight in all."""
-    ground, sun = nested(1.0, [np.zeros((41, 41))]), np.array([0.6, 0.0, 0.8])
+    ground, sun = nested(1.0, [np.zeros((41, 41))]), np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 0.0]])
     place = np.arange(41.0)[:, None] if axis == 0 else np.arange(41.0)
     radii = np.broadcast_to(2 * (place - edge), (41, 41)).astype(np.float32)
     b = build_pyramid(ground, radii[None], sun, 1).moments.view(np.float16)[B : 41 * 41 * MOMENTS : MOMENTS]
@@ -132,7 +142,7 @@ def test_light_between_posts_is_that_of_the_horizon_there():
     """A Sun smaller than the change of the horizon between posts: light at the posts alone misses half of the edge."""
     rows, columns = np.mgrid[:65, :65].astype(float)
     radii = (6 * (columns - 30.3 - 4 * np.sin(rows / 7))).astype(np.float32)
-    ground, sun = nested(1.0, [np.zeros((65, 65))]), np.array([0.6, 0.0, 0.8])
+    ground, sun = nested(1.0, [np.zeros((65, 65))]), np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 0.0]])
     b = build_pyramid(ground, radii[None], sun, 1).moments.view(np.float16)[B : 65 * 65 * MOMENTS : MOMENTS]
     lit = b.reshape(65, 65)[:, :-1].astype(float).sum(axis=1) / 0.8 + 0.5
     edges = 64 - lit

@@ -280,7 +280,7 @@ def light_at_one_au(p):
 
 def test_levels_have_the_ground_s_heights_and_keep_means():
     ground = make_ridge(RIDGE)
-    sun = np.array([0.6, 0.0, 0.8])
+    sun = np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 0.0]])
     pyramid = build_pyramid(ground, np.ones_like(ground.heights_m), sun, ground.grids + 3)
     moments = pyramid.moments.view(np.float16).reshape(-1, MOMENTS).astype(np.float64)
     coarser = None
@@ -302,7 +302,7 @@ def test_moments_do_not_depend_on_bands_and_threads(monkeypatch):
     albedo = rng.uniform(0.1, 1.0, ridge.heights_m.shape).astype(np.float32)
     uneven = dataclasses.replace(ridge, albedo=albedo)
     radii = rng.normal(0.0, 1.0, ridge.heights_m.shape).astype(np.float32)
-    sun = np.array([0.6, 0.0, 0.8])
+    sun = np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 0.0]])
     at_once = build_pyramid(uneven, radii, sun, ridge.grids + 3).moments
     monkeypatch.setattr(of_ground, "_BAND", 5)
     monkeypatch.setattr(of_ground, "available_threads", lambda: 3)
