@@ -180,9 +180,8 @@ def _windows(s: Floats32) -> None:
         s[t.HALF_U * TILE + k], s[t.HALF_V * TILE + k] = half_u, half_v
         s[t.STEP_U * TILE + k], s[t.STEP_V * TILE + k] = step_u, step_v
         # The sums over boxes are taken with the weight half_u half_v times the mean (`add_box`).
-        part = min(
-            max(max(s[t.HALF_X * TILE + k], s[t.HALF_Y * TILE + k]) * per_m * _PER_BLEND - _BLENDED, _ZERO), _ONE
-        )
+        longer = max(s[t.HALF_X * TILE + k], s[t.HALF_Y * TILE + k])
+        part = min(max(longer * per_m * _PER_BLEND - _BLENDED, _ZERO), _ONE)
         s[t.NEXT * TILE + k] = part
         s[t.WEIGHT * TILE + k] = (_ONE - part) / (n * half_u * half_v)
         s[t.LAST_X * TILE + k] = max(s[t.LAST_X * TILE + k] - half_u, half_u)

@@ -59,7 +59,7 @@ class Grids(NamedTuple):
 
 
 class Posts(NamedTuple):
-    """The fine map: heights, moments and table of a `Pyramid`, and its grids."""
+    """The fine map: heights, moments, table and shadows of a `Pyramid`, and its grids."""
 
     heights: Floats32
     moments: Halves

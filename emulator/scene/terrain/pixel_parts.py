@@ -126,7 +126,7 @@ def part_means(
     ----------
     first, last : of the columns listed in `line`, and the one after the last.
     by_rays : parts are where rays through the pixel first meet the map; else near its facet.
-    samples : parts of a pixel along the shorter side of its footprint.
+    samples : least parts along each side of a pixel, and an eighth of its rays.
     """
     filled: int = NONE
     for k in range(first, last):
