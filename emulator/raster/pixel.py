@@ -73,6 +73,12 @@ def less(plane: Plane, share: float, other: Plane) -> Plane:
 
 
 @lane
+def is_zero(plane: Plane) -> bool:
+    """Return whether a plane is 0 everywhere: half of a body's facets are black."""
+    return plane.origin == 0.0 and plane.right == 0.0 and plane.down == 0.0
+
+
+@lane
 def is_still(data: Data, f: int, side: int) -> bool:
     """Return whether light is continuous across a side, so that no flux passes: the neighbour shares its radiance."""
     g = data.across[f, side]
@@ -228,14 +234,18 @@ def pixel_light(data: Data, column: int, row: int, listed: Ints, scratch: Scratc
     """Return light and rate of a pixel; the facets that touch it, `listed`, (n,), are sorted in place."""
     facets, over, keys = data.facets, data.over, scratch.keys
     n = len(listed)
+    is_black = True
     for i in range(n):
         f = listed[i]
+        is_black = is_black and is_zero(plane_of(facets, f, L)) and is_zero(plane_of(facets, f, G))
         if over[f] >= 0:  # before its facet
             keys[i] = depth_range(facets, over[f], column, row)[1] * _BEFORE
         else:
             keys[i] = depth_range(facets, f, column, row)[1]
-    _sort(listed, keys, n)
     area = light = rate = 0.0
+    if is_black:
+        return light, rate
+    _sort(listed, keys, n)
     farthest = 1e300  # the least 1 / depth of the facets that fill the pixel so far
     for i in range(n):
         if area >= 1.0 - TOLERANCE and keys[i] < farthest:

@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from emulator.raster.layout import Band, Data, Floats, G, Ints, L, Plane, Sign
-from emulator.raster.pixel import flux, is_still, less, piece, plane_of
+from emulator.raster.pixel import flux, is_still, is_zero, less, piece, plane_of
 from emulator.sensor.numerics.compiled import lane, vector_kernel
 
 
@@ -161,6 +161,8 @@ def add_facet(acc: Floats, f: int, shows: Ints, data: Data, band: Band, width: i
             area -= other_sign
             light = less(light, other_sign, plane_of(facets, g, L))
             rate = less(rate, other_sign, plane_of(facets, g, G))
+        if area == 0.0 and is_zero(light) and is_zero(rate):
+            continue  # between two black facets
         qa = qb = 0.0
         dx, dy = bx - ax, by - ay
         if not still:

@@ -120,11 +120,10 @@ def build_tree(triangles: Floats) -> TriangleTree:
     starts = np.array([round(k * len(triangles) / 2**depth) for k in range(2**depth + 1)], np.int32)
     order = np.arange(len(triangles))
     sort_by_leaves(triangles.mean(axis=1), starts, depth, order)
-    ordered, sizes = triangles[order], np.diff(starts)
-    corners = np.zeros((len(sizes), 9, int(sizes.max())))
-    for k in range(corners.shape[2]):
-        corners[sizes > k, :, k] = ordered[starts[:-1][sizes > k] + k].reshape(-1, 9)
-    return TriangleTree(_boxes(ordered, starts), sizes, corners)
+    sizes = np.diff(starts)
+    boxes, corners = np.zeros((2 * len(sizes), 6)), np.zeros((len(sizes), 9, int(sizes.max())))
+    _fill(triangles, starts, order, boxes, corners)
+    return TriangleTree(boxes, sizes, corners)
 
 
 @kernel
@@ -179,19 +178,31 @@ def sort_by_leaves(middles: Floats, starts: npt.NDArray[np.int32], depth: int, o
                 _select(middles, axis, order, low, high, split)
 
 
-def _boxes(triangles: Floats, starts: npt.NDArray[np.int32]) -> Floats:
-    leaves = len(starts) - 1
-    low, high = np.empty((2 * leaves, 3)), np.empty((2 * leaves, 3))
-    low[0] = high[0] = 0.0
-    low[leaves:] = np.minimum.reduceat(triangles.min(axis=1), starts[:-1])
-    high[leaves:] = np.maximum.reduceat(triangles.max(axis=1), starts[:-1])
-    first = leaves
-    while first > 1:  # the nodes above those from `first` on
-        parents, below = slice(first // 2, first), slice(first, 2 * first)
-        low[parents] = low[below].reshape(-1, 2, 3).min(axis=1)
-        high[parents] = high[below].reshape(-1, 2, 3).max(axis=1)
-        first //= 2
-    return np.hstack([(low + high) / 2, (high - low) / 2])
+@entry
+def _fill(
+    triangles: Floats, starts: npt.NDArray[np.int32], order: npt.NDArray[np.int64], boxes: Floats, corners: Floats
+) -> None:
+    """Write `boxes` and `corners` of a `TriangleTree`, from the leaves upwards."""
+    leaves = len(corners)
+    for node in range(2 * leaves - 1, 0, -1):
+        box = boxes[node]  # the least coordinates and the greatest ones
+        box[:3], box[3:] = np.inf, -np.inf
+        if node >= leaves:
+            first = starts[node - leaves]
+            for k in range(first, starts[node - leaves + 1]):
+                for i in range(9):
+                    x = triangles[order[k], i // 3, i % 3]
+                    corners[node - leaves, i, k - first] = x
+                    box[i % 3], box[3 + i % 3] = min(box[i % 3], x), max(box[3 + i % 3], x)
+        else:
+            for child in (2 * node, 2 * node + 1):
+                for i in range(3):
+                    box[i], box[3 + i] = min(box[i], boxes[child, i]), max(box[3 + i], boxes[child, 3 + i])
+    for node in range(1, 2 * leaves):
+        box = boxes[node]
+        for i in range(3):
+            low, high = box[i], box[3 + i]
+            box[i], box[3 + i] = (low + high) / 2, (high - low) / 2
 
 
 @kernel
