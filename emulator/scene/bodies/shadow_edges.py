@@ -35,7 +35,7 @@ import numpy.typing as npt
 from emulator.scene.bodies.cast_shadow import TriangleTree
 from emulator.scene.bodies.compiled import Point, cross, dot, entry, kernel, minus, plus, row
 from emulator.scene.bodies.shadow_polygons import Polygons, Triangles
-from emulator.scene.bodies.sun_rays import RayTree, Verdicts, Window, corner, depth_in, first_met, look_to_sun
+from emulator.scene.bodies.sun_rays import RayTree, Verdicts, Window, corner, depth_in, first_met, look_to_sun, next_met
 from emulator.threads import ThreadPool
 
 Floats = npt.NDArray[np.float64]
@@ -227,7 +227,7 @@ def _cross(tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, n
         if at <= 0.0:
             return _Crossing(_PAST, 0.0, _PAST, 0.0)
         before = triangle
-        triangle = first_met(tree, plus(q, at, d), suns.now)
+        triangle = next_met(tree, before, plus(q, at, d), suns.now)
         if triangle < 0 and edge < 3:
             return _rims(_forms(tree.binary.corners, before, edge, q, d), s, suns, narrow)
     return _Crossing(at, rate, at, rate)

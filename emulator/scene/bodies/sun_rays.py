@@ -129,6 +129,15 @@ def first_met(tree: RayTree, point: Point, sun: Point) -> int:
     return SUNLIT
 
 
+@kernel
+def next_met(tree: RayTree, before: int, point: Point, sun: Point) -> int:
+    """Return `first_met`, or a triangle of the leaf of triangle `before` that is met, for which no tree is searched."""
+    corners = tree.binary.corners
+    leaf = before // corners.shape[2]
+    triangles = _triangles_met(corners, leaf, point, sun)
+    return int(corners.shape[2] * leaf + _LOWEST[triangles]) if triangles else first_met(tree, point, sun)
+
+
 class Verdicts(NamedTuple):
     """Results for the points of a surface, and until when they are certain.
 
