@@ -117,7 +117,7 @@ class TriangleTree(NamedTuple):
 def build_tree(triangles: Floats) -> TriangleTree:
     """Return the tree of (m, 3, 3) corners, m; at least one."""
     depth = max(0, math.ceil(math.log2(max(len(triangles) / LEAF, 1.0))))
-    starts = np.array([round(k * len(triangles) / 2**depth) for k in range(2**depth + 1)], np.int32)
+    starts = np.rint(np.arange(2**depth + 1) * (len(triangles) / 2**depth)).astype(np.int32)
     order = np.arange(len(triangles))
     sort_by_leaves(triangles.mean(axis=1), starts, depth, order)
     sizes = np.diff(starts)

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.topology import PARTS
-from emulator.scene.bodies.compiled import cross, dot, entry, minus, row
+from emulator.scene.bodies.compiled import ZERO, cross, dot, entry, minus, plus, row
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.sun_rays import Window, depth_in
@@ -106,26 +106,12 @@ _SHARES = np.array([(2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0
 
 def _with_points(mesh: Mesh, between: Numbers, split: Bools) -> Mesh:
     """Return the mesh cut at the points of `between`, (m, 7), on the sides of `split`, (m, 3), and within facets."""
-    corners, normals = mesh.vertices[mesh.faces], mesh.normals[mesh.faces]
-    a, b, c = _SHARES.T[:, :, None]
-    middle = -corners.sum(axis=1) / 6
-    places = a**3 * corners[:, None, 0] + b**3 * corners[:, None, 1] + c**3 * corners[:, None, 2]
-    for i in range(3):
-        for j in (i - 2, i - 1):
-            along = corners[:, j] - corners[:, i]
-            # The control point on the way from corner i to j, in the tangent plane at i.
-            control = corners[:, i] + (along - (along * normals[:, i]).sum(axis=1, keepdims=True) * normals[:, i]) / 3
-            middle += control / 4
-            places += 3 * (_SHARES[:, i] ** 2 * _SHARES[:, j])[:, None] * control[:, None]
-    places += 6 * a * b * c * middle[:, None]
     points = np.column_stack([mesh.faces, between])
-    is_cut = between >= 0
     cuts = split @ np.array([1, 2, 4])
     vertices, upright = (
-        np.concatenate([old, np.zeros((points.max() + 1 - len(old), 3))]) for old in (mesh.vertices, mesh.normals)
+        np.concatenate([old, np.empty((points.max() + 1 - len(old), 3))]) for old in (mesh.vertices, mesh.normals)
     )
-    vertices[between[is_cut]], upright[between[is_cut]] = places[is_cut], (_SHARES @ normals)[is_cut]
-    upright /= np.maximum(np.linalg.norm(upright, axis=1, keepdims=True), 1e-300)
+    _write_points(mesh.faces, between, _SHARES, vertices, upright)
 
     def of_parts(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return values at the corners of parts, (n, 3), from those at the points of facets, (m, 10)."""
@@ -135,6 +121,32 @@ def _with_points(mesh: Mesh, between: Numbers, split: Bools) -> Mesh:
     return dataclasses.replace(
         mesh, vertices=vertices, faces=of_parts(points), normals=upright, albedo=albedo, water=water
     )
+
+
+@entry
+def _write_points(faces: Numbers, between: Numbers, shares: Floats, vertices: Floats, normals: Floats) -> None:
+    """Write the vertices `between`, (m, 7), of facets, and their normals: points of a cubic over each facet."""
+    for f in range(len(faces)):
+        for point in range(7):
+            if between[f, point] < 0:
+                continue
+            place, normal = ZERO, ZERO
+            inside = 6.0 * shares[point, 0] * shares[point, 1] * shares[point, 2]
+            # Weights of the corners, and of a control point on the way from each corner to each other one, in the
+            # tangent plane there. The one within is the mean of these six and half of what they are above the corners.
+            for i in range(3):
+                corner, upright = row(vertices, faces[f, i]), row(normals, faces[f, i])
+                share = shares[point, i]
+                normal = plus(normal, share, upright)
+                place = plus(place, share**3 - inside / 6.0, corner)
+                for j in (i - 2, i - 1):
+                    along = minus(row(vertices, faces[f, j]), corner)
+                    control = plus(corner, 1.0 / 3.0, plus(along, -dot(along, upright), upright))
+                    place = plus(place, 3.0 * share * share * shares[point, j] + inside / 4.0, control)
+            length = math.sqrt(max(dot(normal, normal), 1e-300))
+            for j in range(3):
+                vertices[between[f, point], j] = place[j]
+                normals[between[f, point], j] = normal[j] / length
 
 
 @entry

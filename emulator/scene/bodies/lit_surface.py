@@ -9,6 +9,7 @@ on flat ones inside their plane's facets, so that at the foot of a wall each cor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.bodies.compiled import cross, dot, entry, minus, row
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
 
 _LIFT = 1e-4  # of the mean length of sides
@@ -64,18 +66,31 @@ def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:
 
 
 def _smooth(mesh: Mesh) -> Surface:
-    cosines = (_facet_normals(mesh)[:, None] * mesh.normals[mesh.faces]).sum(axis=2)
     least = np.ones(len(mesh.vertices))
-    np.minimum.at(least, mesh.faces, cosines)
+    _lower_to_facets(mesh.vertices, mesh.faces, mesh.normals, least)
     lean = np.where(least > 0, np.sqrt(np.maximum(1 - least * least, 0)), 1.0) + 1e-9
     points = mesh.vertices + _LIFT * mean_side_m(mesh.vertices, mesh.faces) * mesh.normals
     tints = mesh.tints(mesh.at_vertices)
     return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True, *tints)
 
 
+@entry
+def _lower_to_facets(vertices: Floats, faces: Faces, normals: Floats, least: Floats) -> None:
+    """Lower `least`, (n,), to the cosine between a vertex's normal and that of each facet that meets there."""
+    for f in range(len(faces)):
+        first = row(vertices, faces[f, 0])
+        plane = cross(minus(row(vertices, faces[f, 1]), first), minus(row(vertices, faces[f, 2]), first))
+        length = math.sqrt(max(dot(plane, plane), 1e-300))
+        for k in range(3):
+            v = faces[f, k]
+            least[v] = min(least[v], dot(plane, row(normals, v)) / length)
+
+
 def _flat(mesh: Mesh) -> Surface:
     """Merge corners at one vertex whose normals round to the same value; rounding may split some, which is harmless."""
-    normals = np.repeat(_facet_normals(mesh), 3, axis=0)
+    planes = facet_vectors(mesh.vertices, mesh.faces)
+    planes /= np.maximum(np.linalg.norm(planes, axis=1, keepdims=True), 1e-300)
+    normals = np.repeat(planes, 3, axis=0)
     tints = [values.ravel() for values in (mesh.albedo, mesh.water) if values is not None]
     key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE), *tints])
     _, first, shade = np.unique(key, axis=0, return_index=True, return_inverse=True)
@@ -209,12 +224,12 @@ def _cut(faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools, count:
     return np.concatenate([np.column_stack(part) for part in parts])
 
 
-def _facet_normals(mesh: Mesh) -> Floats:
-    normals = facet_vectors(mesh.vertices, mesh.faces)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
-
-
+@entry
 def mean_side_m(vertices: Floats, faces: Faces) -> float:
     """Return the mean length of the sides of facets."""
-    sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
-    return float(np.linalg.norm(sides, axis=2).mean())
+    total = 0.0
+    for f in range(len(faces)):
+        for k in range(3):
+            side = minus(row(vertices, faces[f, k]), row(vertices, faces[f, k - 1]))
+            total += math.sqrt(dot(side, side))
+    return total / (3 * len(faces))
