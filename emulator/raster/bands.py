@@ -363,15 +363,9 @@ def _mark_hidden_samples(data: Data, listed: Ints, band: Band, scratch: Scratch)
 
 @entry
 def draw_bands(
-    data: Data,
-    bands: tuple[int, int],
-    lists: Lists,
-    window: tuple[int, int],
-    scratch: Scratch,
-    owners: Owners,
-    light: Float32s,
-    rate: Float32s,
-) -> tuple[int, int]:
+    data: Data, bands: tuple[int, int], lists: Lists, window: tuple[int, int], scratch: Scratch, owners: Owners,
+    light: Float32s, rate: Float32s
+) -> tuple[int, int]:  # fmt: skip
     """Draw the bands from the first to before the last; return the one that needs more room and how much, or (-1, 0).
 
     Parameters

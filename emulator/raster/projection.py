@@ -96,19 +96,9 @@ def _write_plane(facets: Floats, f: int, at: int, e: _Edges, a: float, b: float,
 
 @entry
 def set_up(
-    vertices: Floats,
-    faces: Ints,
-    shades: Ints,
-    two_sided: Bytes,
-    over: Ints,
-    radiance: Floats,
-    rates: Floats,
-    shape: tuple[int, int],
-    facets: Floats,
-    kinds: Bytes,
-    spans: Ints,
-    touched: Ints,
-) -> int:
+    vertices: Floats, faces: Ints, shades: Ints, two_sided: Bytes, over: Ints, radiance: Floats, rates: Floats,
+    shape: tuple[int, int], facets: Floats, kinds: Bytes, spans: Ints, touched: Ints
+) -> int:  # fmt: skip
     """Write facets (m, 16), kinds (m,), the bands of each (m, 2), and the touched rows and columns (4,).
 
     Return the entries in all bands' lists. `spans` are the first band and the one after the last; equal where the facet

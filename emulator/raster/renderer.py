@@ -172,19 +172,9 @@ class Renderer:
             t, view = clip(t, view, screen.nearest_m)
             self._project(t, view)
         entries = set_up(
-            self._vertices,
-            t.faces,
-            t.shades,
-            t.two_sided,
-            t.over,
-            view.radiance,
-            view.radiance_rate,
-            (screen.height, screen.width),
-            self._facets,
-            self._kinds,
-            self._spans,
-            self._touched,
-        )
+            self._vertices, t.faces, t.shades, t.two_sided, t.over, view.radiance, view.radiance_rate,
+            (screen.height, screen.width), self._facets, self._kinds, self._spans, self._touched
+        )  # fmt: skip
         if entries > len(self._listed):
             self._listed = np.zeros(2 * entries, np.int32)
         bucket(self._spans[: len(t.faces)], self._starts, self._listed)

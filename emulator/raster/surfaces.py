@@ -68,13 +68,9 @@ class NearestSurface:
 
 
 def nearest_along(
-    nearest: Ints,
-    facets: Floats,
-    label: npt.NDArray[np.uint16],
-    rays: Rays,
-    labels: npt.NDArray[np.uint16],
-    inverse_depth: Floats,
-) -> None:
+    nearest: Ints, facets: Floats, label: npt.NDArray[np.uint16], rays: Rays, labels: npt.NDArray[np.uint16],
+    inverse_depth: Floats
+) -> None:  # fmt: skip
     """Write `labels` and `inverse_depth`, 1 / depth, along `rays`.
 
     Parameters
@@ -88,14 +84,9 @@ def nearest_along(
 
 @entry
 def _along(
-    nearest: Ints,
-    facets: Floats,
-    label: npt.NDArray[np.uint16],
-    columns: Floats,
-    rows: Floats,
-    labels: npt.NDArray[np.uint16],
-    inverse_depth: Floats,
-) -> None:
+    nearest: Ints, facets: Floats, label: npt.NDArray[np.uint16], columns: Floats, rows: Floats,
+    labels: npt.NDArray[np.uint16], inverse_depth: Floats
+) -> None:  # fmt: skip
     for r in range(labels.shape[0]):
         for c in range(labels.shape[1]):
             x, y = columns[r, c], rows[r, c]
@@ -167,15 +158,9 @@ def write_depth_and_flow(inverse_depth: Floats, motions: Floats, camera: Pinhole
 
 @entry
 def _write(
-    inverse_depth: Floats,
-    motions: Floats,
-    figures: Floats,
-    columns: Floats,
-    rows: Floats,
-    labels: npt.NDArray[np.uint16],
-    depth: npt.NDArray[np.float32],
-    flow: npt.NDArray[np.float32],
-) -> None:
+    inverse_depth: Floats, motions: Floats, figures: Floats, columns: Floats, rows: Floats,
+    labels: npt.NDArray[np.uint16], depth: npt.NDArray[np.float32], flow: npt.NDArray[np.float32]
+) -> None:  # fmt: skip
     focal, x0, y0 = figures
     for r in range(labels.shape[0]):
         for c in range(labels.shape[1]):

@@ -21,10 +21,6 @@ class SceneParameters(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-def _nothing(_: SceneParameters) -> tuple[Need, ...]:
-    return ()
-
-
 @dataclass(frozen=True)
 class SceneKind:
     """One kind of scene.
@@ -57,7 +53,7 @@ class SceneKind:
     kernels: bool = True
     gl: str = ""
     threads: bool = False
-    needs: Callable[[Any], tuple[Need, ...]] = _nothing
+    needs: Callable[[Any], tuple[Need, ...]] = lambda _: ()
 
     def __post_init__(self) -> None:
         if not isinstance(getattr(self.parameters, "kind", None), str):

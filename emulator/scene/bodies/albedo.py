@@ -29,7 +29,6 @@ Means come from a pyramid of images, each half as large as the one before.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -50,8 +49,8 @@ Floats = npt.NDArray[np.float64]
 
 def with_albedo(mesh: Mesh, albedo: Floats) -> Mesh:
     """Return a mesh with the albedo of its vertices, (n,) of any scale: its mean over the area becomes 1."""
-    tinted = dataclasses.replace(mesh, albedo=np.ascontiguousarray(albedo[mesh.faces]))
-    return dataclasses.replace(mesh, albedo=albedo[mesh.faces] / mean_albedo(tinted))
+    tinted = replace(mesh, albedo=np.ascontiguousarray(albedo[mesh.faces]))
+    return replace(mesh, albedo=albedo[mesh.faces] / mean_albedo(tinted))
 
 
 def mean_albedo(mesh: Mesh) -> float:
@@ -282,12 +281,12 @@ def clouded(mesh: Mesh, p: Clouds, facet_m: float) -> Mesh:
     while facet_m**2 < _TOO_LARGE * round_.area_m2 / len(round_.faces) and 4 * len(round_.faces) <= _MOST_FACETS:
         round_ = _round(split_sides(round_, np.ones(round_.faces.shape, bool)), radius_m)
     albedo, water = _albedo_and_water(round_.vertices / radius_m, p)
-    return dataclasses.replace(with_albedo(round_, albedo), water=water[round_.faces])
+    return replace(with_albedo(round_, albedo), water=water[round_.faces])
 
 
 def _round(mesh: Mesh, radius_m: float) -> Mesh:
     normals = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
-    return dataclasses.replace(mesh, vertices=radius_m * normals, normals=normals)
+    return replace(mesh, vertices=radius_m * normals, normals=normals)
 
 
 def _albedo_and_water(places: Floats, p: Clouds) -> tuple[Floats, Floats]:

@@ -280,7 +280,11 @@ class Lighting:
         self._cut_sides(seen)
         cut: list[Polygons] = []
         radiances = [self._body_light(body, seen, step_s, cut) for body in self._bodies]
-        cut += [self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp]
+        for g, shadows in self._sharp:
+            group = seen[g]
+            around = Surroundings(group.suns[0], (group.suns[1] - group.suns[0]) / step_s, group.eyes_m[0])
+            members = [radiances[k] for k in self._groups[g].members if self._bodies[k].sharp]
+            cut.append(shadows.cast([Dark(light.dark, light.dark_rate) for light in members], around))
         return radiances, cut
 
     def _cut_sides(self, seen: Sequence[_Seen]) -> None:
@@ -297,13 +301,6 @@ class Lighting:
                 room = self._angles[:3]
                 mark(body.points, body.normals, body.sides, group.suns[0], window, hidden, room, body.marked)
         self.facets.cut(np.concatenate(self.marked))
-
-    def _polygons(
-        self, g: int, shadows: SharpShadows, seen: _Seen, radiances: Sequence[Radiance], step_s: float
-    ) -> Polygons:
-        around = Surroundings(seen.suns[0], (seen.suns[1] - seen.suns[0]) / step_s, seen.eyes_m[0])
-        members = [radiances[k] for k in self._groups[g].members if self._bodies[k].sharp]
-        return shadows.cast([Dark(light.dark, light.dark_rate) for light in members], around)
 
     def _lit(
         self, parameters: BodiesParameters, surfaces: Sequence[Surface], sharp: Collection[int],
@@ -339,7 +336,8 @@ class Lighting:
         """Return a time in which no body turns, appears to turn, or moves relative to its size, by more than 1e-7."""
         roots = [group.members[0] for group in self._groups]
         least_m = max(min(body.radius_m for body in self._bodies), 1e-9)
-        fastest = max(_turned(motion, k) for k in roots)
+        before, after = ({k: poses.bodies[k].world_from_body for k in roots} for poses in (motion.before, motion.after))
+        fastest = max(float(np.linalg.norm(after[k] - before[k])) for k in roots)
         fastest = max(fastest, *(_moved_m(motion, k, roots[0]) / least_m for k in roots))
         for body in self._bodies:
             root = motion.now.bodies[roots[body.group]]
@@ -471,11 +469,6 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) ->
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     return _Lit(points, normals, surface.lean, law, surface.albedo, surface.water, group, middle, radius_m, marked)
-
-
-def _turned(motion: Motion, k: int) -> float:
-    turn = motion.after.bodies[k].world_from_body - motion.before.bodies[k].world_from_body
-    return float(np.linalg.norm(turn))
 
 
 def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:

@@ -9,6 +9,7 @@ on flat ones inside their plane's facets, so that at the foot of a wall each cor
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -136,7 +137,10 @@ def near_in_memory(mesh: Mesh) -> Mesh:
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     low = middles.min(axis=0)
     cells = ((middles - low) * (_CELLS / max(float(np.ptp(middles, axis=0).max()), 1e-300))).astype(np.int64)
-    order = np.argsort(_interleaved(cells), kind="stable")
+    along = np.zeros(len(cells), np.int64)  # the bits of three whole numbers in turns
+    for bit, axis in itertools.product(range(_CELLS.bit_length()), range(3)):
+        along |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    order = np.argsort(along, kind="stable")
     faces = mesh.faces[order]
     _, first = np.unique(faces, return_index=True)
     vertices = faces.ravel()[np.sort(first)]
@@ -145,15 +149,6 @@ def near_in_memory(mesh: Mesh) -> Mesh:
     albedo, water = mesh.tints(lambda values: values[order])
     places, normals = mesh.vertices[vertices], mesh.normals[vertices]
     return replace(mesh, vertices=places, faces=number[faces], normals=normals, albedo=albedo, water=water)
-
-
-def _interleaved(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the bits of three whole numbers, (n, 3), in turns."""
-    out = np.zeros(len(cells), np.int64)
-    for bit in range(_CELLS.bit_length()):
-        for axis in range(3):
-            out |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
-    return out
 
 
 def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> Bools:

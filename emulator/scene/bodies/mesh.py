@@ -146,7 +146,9 @@ def build_mesh(
     corners = np.asarray(faces, np.int64).reshape(-1, 3)
     _require_sound(points, corners)
     points, corners = _join_equal_vertices(points, corners)
-    valid = _with_area(points, corners)
+    sides = points[corners] - points[np.roll(corners, 1, axis=1)]
+    longest2 = (sides**2).sum(axis=2).max(axis=1)
+    valid = np.linalg.norm(facet_vectors(points, corners), axis=1) > 1e-12 * longest2  # less is rounding
     if not valid.any():
         raise SceneError("no facet has any area: nothing to draw")
     dropped, corners = int((~valid).sum()), corners[valid]
@@ -223,13 +225,6 @@ def facet_vectors(points: _Points, corners: npt.NDArray[np.integer]) -> _Points:
     """Outward normals as long as the facets' areas, (m, 3)."""
     a, b, c = (points[corners[:, i]] for i in range(3))
     return np.asarray(np.cross(b - a, c - a) / 2)
-
-
-def _with_area(points: _Points, corners: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Return the mask of facets with an area above rounding, relative to their longest side."""
-    sides = points[corners] - points[np.roll(corners, 1, axis=1)]
-    longest2 = (sides**2).sum(axis=2).max(axis=1)
-    return np.asarray(np.linalg.norm(facet_vectors(points, corners), axis=1) > 1e-12 * longest2)
 
 
 def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:

@@ -61,7 +61,11 @@ class BodiesGeometry(SceneGeometry):
         """Write depth, flow and labels at `t_ns`."""
         motion = motion_at(t_ns, self._world.camera, self._world.arrangement.poses, self._world.time)
         self._surfaces.look(self._vertices(motion), self._rays, out.labels, self._inverse_depth)
-        write_depth_and_flow(self._inverse_depth, _motions(motion), self._world.pinhole, self._rays, out)
+        now, before, after = motion.now, motion.before, motion.after
+        camera = now.camera, before.camera, after.camera
+        bodies = [None, *zip(_in_order(now), _in_order(before), _in_order(after), strict=True)]  # None: the sky
+        motions = np.array([motion_of(camera, body, motion.between_s) for body in bodies])
+        write_depth_and_flow(self._inverse_depth, motions, self._world.pinhole, self._rays, out)
 
     def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
@@ -83,14 +87,6 @@ class BodiesGeometry(SceneGeometry):
                 for mesh, pose in zip(self._meshes, _in_order(motion.now), strict=True)
             ]
         )
-
-
-def _motions(motion: Motion) -> np.ndarray:
-    """Return M and c of the sky and of each body, (bodies + 1, 3, 4)."""
-    now, before, after = motion.now, motion.before, motion.after
-    camera = now.camera, before.camera, after.camera
-    bodies = [None, *zip(_in_order(now), _in_order(before), _in_order(after), strict=True)]
-    return np.array([motion_of(camera, body, motion.between_s) for body in bodies])
 
 
 def _in_order(poses: Poses) -> list[Pose]:

@@ -155,7 +155,9 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     _, first, cell, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
     corners = cell[mesh.faces]
     a, b, c = corners.T
-    kept = _distinct(corners[(a != b) & (b != c) & (c != a)])
+    corners = corners[(a != b) & (b != c) & (c != a)]
+    turned = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3  # which corner comes first does not matter
+    kept = np.unique(np.take_along_axis(corners, turned, axis=1), axis=0)
     tints = mesh.tints(lambda values: _mean(mesh.at_vertices(values)[:, None], cell, count)[kept, 0])
     if len(kept) > 0.9 * len(mesh.faces) or not len(kept):
         return mesh
@@ -173,14 +175,6 @@ def _mean(
 ) -> npt.NDArray[np.float64]:
     sums = np.column_stack([np.bincount(cell, column, len(count)) for column in values.T])
     return np.asarray(sums / count[:, None])
-
-
-def _distinct(corners: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Return the facets without repetitions; which corner comes first does not matter."""
-    turn = corners.argmin(axis=1)
-    rows = np.arange(len(corners))
-    turned = np.column_stack([corners[rows, (turn + k) % 3] for k in range(3)])
-    return np.asarray(np.unique(turned, axis=0))
 
 
 Numbers = npt.NDArray[np.int64]
@@ -213,25 +207,21 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
         for kind, law in _laws(p).items()
         if smallest_m < largest_m
     }
+    smooth = smooth_ground(mesh, coarser(mesh, mesh.radius_m / _GRAVITY_CELLS), p.smooth_share)
     if _BOULDER in kinds:
-        kinds[_BOULDER] = _without(kinds[_BOULDER], _smooth(mesh, p, kinds[_BOULDER].places))
+        kinds[_BOULDER] = _without(kinds[_BOULDER], smooth(kinds[_BOULDER].places))
     even = _evenly_divided(mesh, p, pixel_m)
     fine = _divided(even, kinds)
     if _CRATER in kinds:
         fine = _with_rims(fine, kinds[_CRATER])
     moved, tint = _shaped(fine, kinds, p)
-    rough = 1 - _SMOOTHED * _smooth(mesh, p, fine.vertices)
+    rough = 1 - _SMOOTHED * smooth(fine.vertices)
     rough_m = math.tan(math.radians(p.slope_deg)) * size_m / _steepness(mesh, p, size_m)
     noise = rough_m * rough * _roughness(fine.vertices, p, size_m, facet_size_m(even))
     vertices = fine.vertices + moved + noise[:, None] * fine.normals
     pushed = dataclasses.replace(fine, vertices=vertices, normals=vertex_normals(vertices, fine.faces))
     mottled = fractal_noise(fine.vertices, mesh.radius_m, 1.5 * size_m, 0.85, 4 * p.seed + _ALBEDO)
     return with_albedo(pushed, np.maximum(1 + p.albedo_rms * rough * mottled, 0.1) * tint)
-
-
-def _smooth(mesh: Mesh, p: Regolith, places: Floats) -> Floats:
-    """Return 1 at places on smooth ground, 0 on rough ground."""
-    return smooth_ground(mesh, coarser(mesh, mesh.radius_m / _GRAVITY_CELLS), places, p.smooth_share)
 
 
 def _without(group: Features, smooth: Floats) -> Features:
@@ -297,10 +287,12 @@ def _divided(mesh: Mesh, kinds: dict[int, Features]) -> Mesh:
     """Return the body with facets as small under features as they need."""
     from scipy.spatial import cKDTree  # loaded where it is used: it takes longer than the rest of a short run's imports
 
-    fine = mesh
+    fine, first = mesh, 0
     for _ in range(12):
-        wanted_m = np.full(fine.faces.shape, np.inf)
-        ends = fine.vertices[np.sort(np.stack([fine.faces, np.roll(fine.faces, -1, axis=1)], axis=2), axis=2)]
+        # Facets before `first` were left whole before, and would be again.
+        faces = fine.faces[first:]
+        wanted_m = np.full(faces.shape, np.inf)
+        ends = fine.vertices[np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)]
         sides_m = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
         middles = ends.mean(axis=2).reshape(-1, 3)
         tree = cKDTree(middles)
@@ -309,9 +301,11 @@ def _divided(mesh: Mesh, kinds: dict[int, Features]) -> Mesh:
             gap_m = np.linalg.norm(middles[where] - group.places[feature], axis=1) - 0.5 * sides_m.ravel()[where]
             over = gap_m < _REACH[kind] * group.diameters_m[feature] / 2
             np.minimum.at(wanted_m.reshape(-1), where[over], group.diameters_m[feature[over]] / _SIDES[kind])
-        split = sides_m > wanted_m
+        split = np.zeros(fine.faces.shape, np.bool_)
+        split[first:] = sides_m > wanted_m
         if not split.any():
             break
+        first = int((~split.any(axis=1)).sum())
         fine = split_round(fine, split)
     return fine
 
@@ -429,7 +423,11 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
     points, faces, albedo, water = cached_arrays(
         "detail",
         made_from,
-        lambda: _arrays_of(_with_detail(mesh, detail, pixel_m)),
+        lambda: _arrays_of(
+            weathered(mesh, detail, pixel_m)
+            if isinstance(detail, Regolith)
+            else clouded(mesh, detail, detail.facet_px * pixel_m)
+        ),
         (Kind(np.float64, 2), Kind(np.int32, 2), Kind(np.float64, 2), Kind(np.float64, 2)),
     )
     return dataclasses.replace(
@@ -446,12 +444,3 @@ def _arrays_of(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int32], Floats, Float
     """Return vertices beside normals (n, 6), facets, albedo and water; these are empty where the mesh has none."""
     albedo, water = (_NOTHING if values is None else values for values in (mesh.albedo, mesh.water))
     return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, albedo, water
-
-
-def _with_detail(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
-    match detail:
-        case Regolith():
-            return weathered(mesh, detail, pixel_m)
-        case Clouds():
-            return clouded(mesh, detail, detail.facet_px * pixel_m)
-    return mesh

@@ -15,34 +15,41 @@ Itokawa, and the sources and paths of the material.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.bodies.compiled import dot, entry, minus, row
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
 
 Floats = npt.NDArray[np.float64]
 
 _SHELLS = 6  # point masses along each cone from the origin to a facet
-_AT_ONCE = 500  # places of one array operation
 _SHORE = 0.01  # of the surface, the part over which smooth ground passes into rough ground, on either side
 _RINGS = 8  # times that normals, and then their spread, are averaged with the vertices around
 
 
-def smooth_ground(mesh: Mesh, coarse: Mesh, places: Floats, share: float) -> Floats:
-    """Return 1 on smooth ground, 0 on rough ground, a short ramp between, for places (n, 3) m on the surface.
+def smooth_ground(mesh: Mesh, coarse: Mesh, share: float) -> Callable[[Floats], Floats]:
+    """Return the function that gives 1 on smooth ground, 0 on rough ground, a short ramp between, for places (n, 3) m.
 
     `coarse` is the body with at most some thousand facets, for its gravity; `share` of the surface is smooth.
     """
     if share <= 0:
-        return np.zeros(len(places))
-    areas = _areas(mesh)
+        return lambda places: np.zeros(len(places))
+    sizes = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
+    areas: Floats = np.bincount(mesh.faces.ravel(), np.repeat(sizes, 3), len(mesh.vertices)).astype(np.float64)
     height = _between(coarse.vertices, potential(coarse, coarse.vertices), mesh.vertices, 1e-3 * coarse.radius_m)
     order = _rank(_rank(height, areas) + _rank(_unevenness(mesh), areas), areas)
-    rank = _between(mesh.vertices, order, places, 1e-6 * mesh.radius_m)
-    x = np.clip((share + _SHORE - rank) / (2 * _SHORE), 0, 1)
-    return np.asarray(x * x * (3 - 2 * x))
+
+    def smoothness(places: Floats) -> Floats:
+        rank = _between(mesh.vertices, order, places, 1e-6 * mesh.radius_m)
+        x = np.clip((share + _SHORE - rank) / (2 * _SHORE), 0, 1)
+        return np.asarray(x * x * (3 - 2 * x))
+
+    return smoothness
 
 
 def _between(points: Floats, values: Floats, places: Floats, soft_m: float) -> Floats:
@@ -52,12 +59,6 @@ def _between(points: Floats, values: Floats, places: Floats, soft_m: float) -> F
     distance, nearest = cKDTree(points).query(places, 6)
     weights = 1 / (distance + soft_m) ** 2
     return np.asarray((weights * values[nearest]).sum(axis=1) / weights.sum(axis=1))
-
-
-def _areas(mesh: Mesh) -> Floats:
-    """Return the area that belongs to each vertex, (n,), of any scale."""
-    sizes = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
-    return np.asarray(np.bincount(mesh.faces.ravel(), np.repeat(sizes, 3), len(mesh.vertices)), np.float64)
 
 
 def _rank(values: Floats, areas: Floats) -> Floats:
@@ -112,8 +113,16 @@ def potential(body: Mesh, places: Floats) -> Floats:
     points = (middles[:, None, None] * corners.mean(axis=1)).reshape(-1, 3)
     soft = np.tile(np.linalg.norm(np.ptp(corners, axis=1), axis=1) ** 2 / 16, _SHELLS)
     out = np.empty(len(places))
-    for k in range(0, len(places), _AT_ONCE):
-        part = places[k : k + _AT_ONCE]
-        squares = (part**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2 * part @ points.T
-        out[k : k + _AT_ONCE] = -(masses / np.sqrt(np.maximum(squares, 0) + soft)).sum(axis=1)
+    _add_up(points, masses, soft, places, out)
     return out
+
+
+@entry
+def _add_up(points: Floats, masses: Floats, soft: Floats, places: Floats, out: Floats) -> None:
+    """Write the potential of masses at points, each spread over an area `soft`, m2, at places."""
+    for k in range(len(places)):
+        total = 0.0
+        for i in range(len(points)):
+            away = minus(row(points, i), row(places, k))
+            total -= masses[i] / math.sqrt(dot(away, away) + soft[i])
+        out[k] = total

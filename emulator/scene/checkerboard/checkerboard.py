@@ -124,7 +124,8 @@ class Checkerboard(Scene):
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, both in closed form."""
-        if self._rests_in(light, rate):
+        self.changed = NOTHING if self._arrays.are(light, rate) and self.parameters.speed_px_s == 0 else None
+        if self.changed is not None:
             return
         board = self._board(t_ns)
         if self._sin == 0.0:
@@ -136,12 +137,6 @@ class Checkerboard(Scene):
             _outer_and_rate(wave_x, slope_x, wave_y * half, by_slope, by_wave, self._middle, light, rate)
         else:
             _turned(board, light, rate)
-
-    def _rests_in(self, light: Light, rate: Light) -> bool:
-        """Return whether the board does not move and these are the arrays of the last call."""
-        rests = self._arrays.are(light, rate) and self.parameters.speed_px_s == 0
-        self.changed = NOTHING if rests else None
-        return rests
 
     def geometry(self, rays: Rays | None = None) -> BoardGeometry:
         """Return the flow of the board."""

@@ -128,7 +128,10 @@ class Joined:
 
     def write(self, pair: Pair, t_ns: int, light: Light, rate: Light | None = None) -> None:
         """Write the light at `t_ns`, and its derivative, (height, width) each; outside the images, the nearest one."""
-        planes, terms = _planes(pair), self._terms(pair, t_ns)
+        planes = _planes(pair)
+        # Seconds from the first image to `t_ns`, and to the second one, both 0 at a standstill; and white.
+        apart_ns = max(pair[1].t_ns - pair[0].t_ns, 0)
+        terms = min(max(t_ns - pair[0].t_ns, 0), apart_ns) * 1e-9, apart_ns * 1e-9, self._white
         rates, write = _NONE if rate is None else rate, _write_moved if _moves(pair) else _write_standing
 
         def share(k: int, _: int) -> None:
@@ -139,12 +142,6 @@ class Joined:
     def close(self) -> None:
         """End the threads; a second call does nothing."""
         self._pool.close()
-
-    def _terms(self, pair: Pair, t_ns: int) -> tuple[float, float, float]:
-        """Return seconds from the first image to `t_ns`, and to the second one, both 0 at a standstill; and white."""
-        apart_ns = pair[1].t_ns - pair[0].t_ns
-        t_ns = min(max(t_ns - pair[0].t_ns, 0), max(apart_ns, 0))
-        return t_ns * 1e-9, max(apart_ns, 0) * 1e-9, self._white
 
 
 def _moves(pair: Pair) -> bool:

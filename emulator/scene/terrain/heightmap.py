@@ -112,9 +112,18 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
-    heights = _numbers(arrays["heights"])
+    array = arrays["heights"]
+    if array.ndim != 2 or array.dtype.kind not in "fiu":
+        raise SceneError(f"holds {array.dtype} of shape {array.shape}: heights are numbers in rows and columns")
+    with np.errstate(invalid="ignore"):  # signalling NaN become holes like the others
+        heights = np.asarray(array, np.float64)
     if "nodata" in arrays:
-        _mark_nodata(heights, str(arrays["nodata"]))
+        text = str(arrays["nodata"])
+        try:
+            nothing = float(text.strip("\0 \n") or "nan")
+        except ValueError as error:
+            raise SceneError(f"its GDAL_NODATA tag is {text!r}, which is no number") from error
+        heights[np.isclose(heights, nothing, rtol=1e-6)] = np.nan
     highest = float(np.abs(heights[np.isfinite(heights)]).max(initial=0.0))
     if highest > _HIGHEST:
         raise SceneError(
@@ -128,31 +137,12 @@ def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
     post_m = float(scale[0])
     if not 1e-6 <= post_m <= 1e9:
         raise SceneError(f"its posts are {post_m:g} apart: 1e-6 to 1e9 are drawn")
-    return _Map(heights, post_m, _centre(heights.shape, post_m, arrays["tie"]))
-
-
-def _numbers(array: npt.NDArray[np.generic]) -> Floats:
-    if array.ndim != 2 or array.dtype.kind not in "fiu":
-        raise SceneError(f"holds {array.dtype} of shape {array.shape}: heights are numbers in rows and columns")
-    with np.errstate(invalid="ignore"):  # signalling NaN become holes like the others
-        return np.asarray(array, np.float64)
-
-
-def _mark_nodata(heights: Floats, text: str) -> None:
-    """Set what the file calls no data to NaN."""
-    try:
-        nothing = float(text.strip("\0 \n") or "nan")
-    except ValueError as error:
-        raise SceneError(f"its GDAL_NODATA tag is {text!r}, which is no number") from error
-    heights[np.isclose(heights, nothing, rtol=1e-6)] = np.nan
-
-
-def _centre(shape: tuple[int, ...], post_m: float, tie: Floats) -> tuple[float, float] | None:
-    """Return the place of the map's middle in the projection, from the tie of one pixel."""
+    tie = arrays["tie"]
     if len(tie) < 6 or not np.isfinite(tie[:5]).all():
-        return None
-    column, row, _, x, y = (float(v) for v in tie[:5])
-    return x + (shape[1] / 2 - column) * post_m, y - (shape[0] / 2 - row) * post_m
+        return _Map(heights, post_m)
+    column, row, _, x, y = (float(v) for v in tie[:5])  # a pixel, and its place in the projection
+    rows, columns = heights.shape
+    return _Map(heights, post_m, (x + (columns / 2 - column) * post_m, y - (rows / 2 - row) * post_m))
 
 
 def _post_m(p: Heightmap, file_map: _Map, body_radius_m: float) -> tuple[float, list[str]]:

@@ -127,8 +127,8 @@ def test_each_line_of_progress_in_a_pipe_has_the_time_left(monkeypatch, capsys):
 def test_the_detail_of_bodies_is_in_the_cache_for_the_run(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     rig, made = load_rig("eros"), []
-    detail = regolith._with_detail
-    monkeypatch.setattr(regolith, "_with_detail", lambda *inputs: (made.append(inputs), detail(*inputs))[1])
+    weathered = regolith.weathered
+    monkeypatch.setattr(regolith, "weathered", lambda *inputs: (made.append(inputs), weathered(*inputs))[1])
     next(part for part in parts_of(rig) if part.name == "scene bodies").compile()
     with build_scene(rig):
         assert len(made) == 1

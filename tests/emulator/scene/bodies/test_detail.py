@@ -190,7 +190,7 @@ def test_smooth_ground_of_a_long_body_is_its_waist():
     """On an ellipsoid of 3 : 1 : 1 the potential rises with the distance from the middle (MacCullagh)."""
     solid = trimesh.creation.icosphere(4, 100.0)
     mesh = build_mesh(solid.vertices * (3.0, 1.0, 1.0), solid.faces)
-    smooth = smooth_ground(mesh, mesh, mesh.vertices, 0.2)
+    smooth = smooth_ground(mesh, mesh, 0.2)(mesh.vertices)
     along = np.abs(mesh.vertices[:, 0])
     assert smooth[along < 25].mean() > 0.9
     assert smooth[along > 75].max() == 0
@@ -206,7 +206,7 @@ def test_smooth_ground_of_a_round_body_is_its_even_part():
     up = mesh.vertices[:, 2]
     rough = 1 + 0.01 * np.random.default_rng(4).normal(size=len(up)) * (up < -60)
     mesh = build_mesh(mesh.vertices * rough[:, None], mesh.faces)
-    smooth = smooth_ground(mesh, mesh, mesh.vertices, 0.2)
+    smooth = smooth_ground(mesh, mesh, 0.2)(mesh.vertices)
     assert smooth[up < -40].mean() < 0.03 < 0.3 < smooth[up > 0].mean()
     assert smooth.mean() == pytest.approx(0.2, abs=0.02)
 
@@ -232,7 +232,7 @@ def towards(mesh, place):
 
 def test_smooth_ground_of_itokawa_is_where_hayabusa_saw_it():
     mesh = itokawa()
-    smooth = smooth_ground(mesh, coarser(mesh, 20.0), mesh.vertices, 0.2)
+    smooth = smooth_ground(mesh, coarser(mesh, 20.0), 0.2)(mesh.vertices)
     for place in (_MUSES_C, _SAGAMIHARA, _TOUCHDOWN, _KAMISUNAGAWA):
         assert smooth[towards(mesh, place)] > 0.9, place
     for place in (_KOMABA, _CATALINA, _LAUREL, _KAMOI, _HAMMAGUIRA):
@@ -255,7 +255,7 @@ def test_smooth_ground_of_itokawa_stays_even_and_rough_ground_becomes_rough():
     body = weathered(mesh, p, 2.0)
     before, after = (facet_vectors(m.vertices, m.faces) for m in (mesh, body))
     slopes = np.linalg.norm(np.cross(before, after), axis=1) / (before * after).sum(axis=1)
-    smooth = smooth_ground(mesh, coarser(mesh, 20.0), mesh.vertices, 0.2)[mesh.faces].mean(axis=1)
+    smooth = smooth_ground(mesh, coarser(mesh, 20.0), 0.2)(mesh.vertices)[mesh.faces].mean(axis=1)
     x, y, z = mesh.vertices[mesh.faces].mean(axis=1).T > 0
 
     def degrees(part):
@@ -300,7 +300,7 @@ def test_detail_is_made_once_for_the_same_body(monkeypatch, tmp_path, albedo_rms
     def fail(*_):
         raise AssertionError("made again")
 
-    monkeypatch.setattr("emulator.scene.bodies.regolith._with_detail", fail)
+    monkeypatch.setattr("emulator.scene.bodies.regolith.weathered", fail)
     for one in (made, detailed(mesh, detail, 1.0)):
         for field in dataclasses.fields(expected):
             found, wanted = getattr(one, field.name), getattr(expected, field.name)

@@ -218,6 +218,6 @@ def test_water_comes_from_the_cache_too(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     globe = load_mesh(find_shape("globe"), RADIUS_M)
     made = detailed(globe, Clouds(), 1e5)
-    monkeypatch.setattr("emulator.scene.bodies.regolith._with_detail", None)
+    monkeypatch.setattr("emulator.scene.bodies.regolith.clouded", None)
     np.testing.assert_array_equal(detailed(globe, Clouds(), 1e5).water, made.water)
     assert 0 < made.water.mean() < 1
