@@ -35,7 +35,6 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.render_target import RenderTarget, depth_terms
-from emulator.scene.terrain.ground import Ground
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.raster_terrain import RasterTerrain, TerrainGeometry, facet_px
 from emulator.scene.terrain.table import TerrainParameters
@@ -92,7 +91,7 @@ uniform sampler2D heights, posts;
 uniform int pitch;
 uniform float unit, irradiance;
 uniform vec3 rest;
-uniform vec3 sun;            // towards it, world
+uniform vec3 sun, top;       // towards the middle of its disc, and from there to its top, world
 in vec2 at;
 in vec3 ray;
 in float around;
@@ -115,13 +114,17 @@ void main() {
     float cells = abs(determinant(mat2(dFdx(at), dFdy(at))));
     vec4 ground = textureLod(posts, on_map(at + lifted * move), 0.5 * log2(max(cells, 1e-12)));
     vec3 normal = normalize(vec3(-ground.rg, 1.0)), eye = -normalize(ray + lifted * lift);
-    float x = clamp(ground.b, -1.0, 1.0);
-    float share = 0.5 + (x * sqrt(1.0 - x * x) + asin(x)) / radians(180.0);
-    float mu0 = max(dot(normal, sun), 0.0), mu = max(dot(normal, eye), 0.02);
+    float x = clamp(ground.b, -1.0, 1.0), chord = sqrt(1.0 - x * x);
+    float share = 0.5 + (x * chord + asin(x)) / radians(180.0);
+    float rise = chord * chord * chord / max(1.5 * radians(180.0) * share, 1e-6);  // of the part above the horizon
+    float mu0 = max(dot(normal, sun + rise * top), 0.0), mu = max(dot(normal, eye), 0.02);
     float phase = atan(length(cross(sun, eye)), dot(sun, eye));
     radiance = irradiance * reflect_sun(mu0, mu, phase) * share * ground.a + around;
 }
 """
+
+
+_MOST_RADII = 6e4  # a 16-bit float ends at 65504; a distant Sun is small
 
 
 class GroundMesh:
@@ -133,13 +136,17 @@ class GroundMesh:
         law = {"reflectance": p.reflectance.glsl()}
         self._program = gl.program(vertex_shader=_VERTEX % law, fragment_shader=_FRAGMENT % law)
         self._set(heights=0, posts=1, unit=ground.unit_m, reach=reach, crowd=crowd, zoom=world.pinhole.zoom)
-        self._set(sun=tuple(world.sun), irradiance=world.irradiance_w_m2, ambient=p.ambient_w_m2)
+        sun, top = map(tuple, world.disc)
+        self._set(sun=sun, top=top, irradiance=world.irradiance_w_m2, ambient=p.ambient_w_m2)
         size = ground.shape[::-1]
         self._heights = [gl.texture(size, 1, z.tobytes(), dtype="f4") for z in ground.heights_m]
         self._posts = [gl.texture(size, 4, dtype="f2") for _ in ground.heights_m]
         sun_radii = world.sun_radii()
         for grid, texture in enumerate(self._posts):
-            light = light_of_posts(ground, grid, sun_radii[grid])
+            north, east = np.gradient(ground.heights_m[grid], ground.post_m(grid))
+            albedo = np.ones_like(east) if ground.albedo is None else ground.albedo[grid] / ground.albedo.max()
+            radii = np.clip(sun_radii[grid], -_MOST_RADII, _MOST_RADII)
+            light = np.stack([east, north, radii, albedo], axis=-1, dtype=np.float16)
             bounded = light.copy()
             np.clip(light[..., 2], -1, 1, out=bounded[..., 2])
             texture.write(bounded.tobytes())
@@ -188,19 +195,6 @@ class GroundMesh:
         for name, value in values.items():
             if name in self._program:  # GL drops what a shader does not use
                 self._program[name] = value
-
-
-_MOST_RADII = 6e4  # a 16-bit float ends at 65504; a distant Sun is small
-
-
-def light_of_posts(ground: Ground, grid: int, sun_radii: npt.NDArray[np.float32]) -> npt.NDArray[np.float16]:
-    """Return the texture of a grid's posts, (rows, columns, 4), see the module docstring.
-
-    `sun_radii`, (rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
-    """
-    north, east = np.gradient(ground.heights_m[grid], ground.post_m(grid))
-    albedo = np.ones_like(east) if ground.albedo is None else ground.albedo[grid] / ground.albedo.max()
-    return np.stack([east, north, np.clip(sun_radii, -_MOST_RADII, _MOST_RADII), albedo], axis=-1, dtype=np.float16)
 
 
 _FINEST_PX = 0.25

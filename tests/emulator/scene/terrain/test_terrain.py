@@ -190,6 +190,20 @@ def test_a_shadow_ends_between_posts_with_the_whole_penumbra(tmp_path, beyond_m)
     np.testing.assert_allclose(light, np.tile(expected, (64, 1)), atol=0.05 * expected.max())
 
 
+@pytest.mark.parametrize("radii", [-0.5, 0.0, 0.3])
+def test_a_rising_sun_lights_level_ground_from_the_part_of_its_disc_above_the_horizon(terrain, tmp_path, radii):
+    radius = Sun().radius_rad
+    p = parameters(
+        ground=flat_map(tmp_path),
+        reflectance=Lambert(1.0),
+        body_radius_m=0.0,
+        sun_elevation_deg=math.degrees(radii * radius),
+    )
+    heights = (np.arange(20000) + 0.5) / 10000 - 1  # of lines across the disc, in radii
+    mean = np.average(np.maximum(radii + heights, 0), weights=np.sqrt(1 - heights**2)) * radius
+    np.testing.assert_allclose(drawn(terrain, p)[16:48, 24:72], SUN_W_M2 / math.pi * mean, rtol=0.01)
+
+
 @pytest.mark.gl
 def test_light_seen_at_a_slant_is_that_of_the_map_and_not_of_coarse_facets(tmp_path):
     """Waves with flat sides, a quarter steep, seen 22 degrees and more from above, so that none hides another."""
