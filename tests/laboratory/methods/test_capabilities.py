@@ -87,8 +87,8 @@ def test_single_pixels_are_requested_where_that_is_stated(method):
 @ALL
 def test_resting_pixels_outside_the_changed_region_are_skipped_where_that_is_stated(method):
     nothing = Region(0, 0, 0, 0)
-    still = [LightFrame(k * 100 * MS, level(1.0), level(0.0), changed=nothing if k else None) for k in range(40)]
-    later = [LightFrame((4000 + 10 * k) * MS, level(3.0), level(0.0), changed=nothing) for k in range(5)]
+    still = [LightFrame(k * 100 * MS, level(1.0), level(0.0), changed=nothing if k else None) for k in range(15)]
+    later = [LightFrame((1500 + 10 * k) * MS, level(3.0), level(0.0), changed=nothing) for k in range(5)]
     pixels = made(method)
     assert bool(crossings(pixels, [*still, *later])) != pixels.capabilities.skips_unchanged
 
