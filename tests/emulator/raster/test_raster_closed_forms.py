@@ -57,9 +57,11 @@ def test_the_area_of_a_moving_triangle_and_its_rate(picture):
     assert rate.sum() == pytest.approx(growth * radiance.mean() + area * rates.mean(), rel=1e-5)
 
 
-def test_a_square_in_front_of_a_square(picture):
+@pytest.mark.parametrize(("front", "behind"), [(3.0, 1.0), (0.0, 1.0), (3.0, 0.0), (0.0, 0.0)])
+def test_a_square_in_front_of_a_square(picture, front, behind):
+    """Black squares hide what is behind them and add no light, as others do."""
     near, far, v_near, v_far = (4.3, 3.6, 7.5, 6.2), (6.1, 1.7, 12.4, 11.9), (2.0, -3.0), (-1.5, 0.5)
-    topology, view = stack(quad(*near, v_near, 5.0, 3.0), quad(*far, v_far, 50.0, 1.0))
+    topology, view = stack(quad(*near, v_near, 5.0, front), quad(*far, v_far, 50.0, behind))
     light, rate, _ = picture(Renderer(topology, SCREEN), view)
 
     def sides(box, velocity):
@@ -78,12 +80,14 @@ def test_a_square_in_front_of_a_square(picture):
     k = np.arange(24)
     d_both_x = v_near[0] * ((right > k) & (right < k + 1)) - v_far[0] * ((left > k) & (left < k + 1))
     d_both_y = dny
-    truth = 3 * np.outer(ny, nx) + np.outer(fy, fx) - np.outer(both_y, both_x)
-    d_truth = 3 * (np.outer(dny, nx) + np.outer(ny, dnx)) + np.outer(dfy, fx) + np.outer(fy, dfx)
-    d_truth -= np.outer(d_both_y, both_x) + np.outer(both_y, d_both_x)
+    truth = front * np.outer(ny, nx) + behind * (np.outer(fy, fx) - np.outer(both_y, both_x))
+    d_both = np.outer(d_both_y, both_x) + np.outer(both_y, d_both_x)
+    d_truth = front * (np.outer(dny, nx) + np.outer(ny, dnx)) + behind * (
+        np.outer(dfy, fx) + np.outer(fy, dfx) - d_both
+    )
     exact = np.isclose(light, truth, atol=2e-6)
     np.testing.assert_allclose(light, truth, atol=3 / (2 * LINES))  # half a line's share of the brightest
-    assert not exact[3, 6], "the test means to meet pixels with corners"
+    assert exact[3, 6] == (front == behind == 0), "the test means to meet pixels with corners"
     assert (~exact).sum() <= 4  # only those with a corner of one before or behind the other
     np.testing.assert_allclose(rate[exact], d_truth[exact], atol=2e-5)
 
