@@ -75,7 +75,7 @@ def vcan(guest: Guest) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def seen(guest: Guest, vcan: str) -> Seen:
-    """Run the link for some seconds; cansend says SYNC twice, then stop."""
+    """Run the link for some seconds; cansend says SYNC twice, then stop. Link and listener start at the same time."""
     events = stream()
     np.save(guest.results / "events.npy", events)
     at = guest.path_in_guest
@@ -83,11 +83,10 @@ def seen(guest: Guest, vcan: str) -> Seen:
     dump = guest.start(["sh", "-c", f"candump -L {vcan} > {at('log')} & {until_done}"], TIMEOUT_S)
     listening = f"{LISTEN} --json > {at('heard')} 2> {at('listening')} &"
     listener = guest.start(["sh", "-c", f"{listening} {until_done}"], TIMEOUT_S)
-    guest.check(
-        ["sh", "-c", f"until grep -q 'CAN bus\\|Error' {at('listening')}; do sleep 0.2; done; sleep 3"], TIMEOUT_S
-    )
-    run = f"{PYTHON} {CLIENT} {vcan} raw {at('events.npy')} {at('report')} {SECONDS}"
+    run = f"{PYTHON} {CLIENT} {vcan} raw {at('events.npy')} {at('report')} {SECONDS} {at('begin')}"
     link = guest.start(["sh", "-c", f"{run} || {{ touch {at('failed')}; exit 1; }}"], TIMEOUT_S)
+    is_open = f"until grep -q 'CAN bus\\|Error' {at('listening')}; do sleep 0.2; done; sleep 3; touch {at('begin')}"
+    guest.check(["sh", "-c", is_open], TIMEOUT_S)
     lives = f"until [ -e {at('failed')} ] || candump -n 1 -T 500 {vcan},{IDS.heartbeat:X}:7FF | grep -q .; do :; done"
     # The epoch frames count the events sent.
     all_sent = f"until grep -q '{IDS.epoch:03X}#.\\{{8\\}}{EARLY:02X}00' {at('log')}; do sleep 0.2; done"

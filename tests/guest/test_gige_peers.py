@@ -109,6 +109,7 @@ def test_aravis_has_lost_packets_sent_again(network, camera, tmp_path):
     assert len(np.setdiff1d(events, delivered)) == 0
 
 
+@pytest.mark.long  # the Aravis of this file shows the same in a fifth of the time
 @pytest.mark.shows("triton2", "viva", "opens", "events", "triggers")
 def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
     try:

@@ -1,6 +1,8 @@
 """evstim's CAN link on a bus of this machine's kernel, without a session: it sends what a file holds and tells of it.
 
-python can_link.py CHANNEL CARRIAGE EVENTS.npy REPORT.json SECONDS
+python can_link.py CHANNEL CARRIAGE EVENTS.npy REPORT.json SECONDS [BEGIN]
+
+It begins when the file BEGIN is there: its imports take half a minute on a processor that QEMU translates.
 """
 
 import asyncio
@@ -24,7 +26,9 @@ from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
 
 
-async def main(channel, carriage, events_file, report_file, seconds):
+async def main(channel, carriage, events_file, report_file, seconds, begin=None):
+    while begin and not Path(begin).exists():
+        await asyncio.sleep(0.05)
     events = np.load(events_file)
     clock, ring, syncs = MonotonicClock(), EventRing(), []
     device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000, housekeeping_s=0))
@@ -85,4 +89,4 @@ def tapped_packets():
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4], float(sys.argv[5])))
+    asyncio.run(main(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4], float(sys.argv[5]), *sys.argv[6:]))
