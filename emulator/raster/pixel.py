@@ -74,7 +74,7 @@ def less(plane: Plane, share: float, other: Plane) -> Plane:
 
 @lane
 def is_zero(plane: Plane) -> bool:
-    """Return whether a plane is 0 everywhere: half of a body's facets are black."""
+    """Return whether a plane is 0 everywhere."""
     return plane.origin == 0.0 and plane.right == 0.0 and plane.down == 0.0
 
 

@@ -162,7 +162,7 @@ def add_facet(acc: Floats, f: int, shows: Ints, data: Data, band: Band, width: i
             light = less(light, other_sign, plane_of(facets, g, L))
             rate = less(rate, other_sign, plane_of(facets, g, G))
         if area == 0.0 and is_zero(light) and is_zero(rate):
-            continue  # between two black facets
+            continue  # between two black facets, as half of a body's are
         qa = qb = 0.0
         dx, dy = bx - ax, by - ay
         if not still:

@@ -22,7 +22,8 @@ facets. The radiance is
 
     L = E_sun r(mu0, mu, g) s a + ambient r(u, u, 0)
 
-where u is the height of the eye's direction over level ground: light from all around does not depend on slopes.
+where mu0 is taken towards the mean height of the part of the disc above the horizon (`ground.sunlit`), and u is the
+height of the eye's direction over level ground: light from all around does not depend on slopes.
 """
 
 from __future__ import annotations

@@ -141,8 +141,7 @@ def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
     if len(tie) < 6 or not np.isfinite(tie[:5]).all():
         return _Map(heights, post_m)
     column, row, _, x, y = (float(v) for v in tie[:5])  # a pixel, and its place in the projection
-    rows, columns = heights.shape
-    return _Map(heights, post_m, (x + (columns / 2 - column) * post_m, y - (rows / 2 - row) * post_m))
+    return _Map(heights, post_m, (x + (array.shape[1] / 2 - column) * post_m, y - (array.shape[0] / 2 - row) * post_m))
 
 
 def _post_m(p: Heightmap, file_map: _Map, body_radius_m: float) -> tuple[float, list[str]]:
