@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
+import numpy as np
+
 from emulator.light import NOTHING, LastArrays, Light, Scene
 from transports.needs import Need
 
@@ -65,10 +67,13 @@ class SceneKind:
         return self.parameters.kind
 
 
-class Blank(Scene):
-    """Darkness."""
+NO_RATE = np.zeros((0, 0), np.float32)
+"""In place of a rate that is not needed."""
 
-    motion_bound_px_s = 0.0
+
+class SizedScene(Scene):
+    """A scene of `size` = (width, height) pixels with a rate; its `_arrays` are for what it draws."""
+
     has_rate = True
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -81,21 +86,20 @@ class Blank(Scene):
         return self._size
 
     def light(self, t_ns: int, out: Light) -> None:
-        """Write zeros."""
-        self._clear(out, None)
+        """Write the light at `t_ns`: `light_and_rate` gets NO_RATE."""
+        self.light_and_rate(t_ns, out, NO_RATE)
+
+
+class Blank(SizedScene):
+    """Darkness."""
+
+    motion_bound_px_s = 0.0
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write zeros."""
-        self._clear(light, rate)
-
-    def _clear(self, light: Light, rate: Light | None) -> None:
         """Write zeros, unless these are the arrays of the last call."""
-        are_black = self._arrays.are(light, rate)
-        self.changed = NOTHING if are_black else None
-        if are_black:
-            return
-        light.fill(0)
-        if rate is not None:
+        self.changed = NOTHING if self._arrays.are(light, rate) else None
+        if self.changed is None:
+            light.fill(0)
             rate.fill(0)
 
     def close(self) -> None:

@@ -58,6 +58,7 @@ class WorldScene(Scene, Generic[W]):
 
     def __init__(self, world: W) -> None:
         self._world = world
+        self.camera_path, self.path_time = world.camera, world.time
 
     @property
     def size(self) -> tuple[int, int]:
@@ -68,16 +69,6 @@ class WorldScene(Scene, Generic[W]):
     def renderer(self) -> str:
         """The name of what draws."""
         return "the CPU, exact coverage"
-
-    @property
-    def camera_path(self) -> Trajectory:
-        """The camera's path, on the scene's time."""
-        return self._world.camera
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
-        return self._world.time
 
     @property
     def motion_bound_px_s(self) -> float:

@@ -31,8 +31,9 @@ import numpy.typing as npt
 from numba import njit
 
 from emulator.geometry.camera import Cycle, Given, Rays, SceneGeometry, Seen
-from emulator.light import NOTHING, LastArrays, Light, PixelLight, Scene
+from emulator.light import NOTHING, Light, PixelLight
 from emulator.scene.checkerboard.table import CheckerboardParameters
+from emulator.scene.kind import SizedScene
 from firmware_protocol.compiled import entry_of
 
 
@@ -75,16 +76,14 @@ class _Board(NamedTuple):
     middle: np.float32
 
 
-class Checkerboard(Scene):
+class Checkerboard(SizedScene):
     """The board of `parameters` on light frames of `size` = (width, height) pixels."""
-
-    has_rate = True
 
     def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int]) -> None:
         if min(size) < 1:
             raise ValueError(f"size is {size[0]} x {size[1]}: a light frame needs at least one pixel")
+        super().__init__(size)
         self.parameters = parameters
-        self._size = size
         self._cos, self._sin = _cos_sin(parameters.rotation_deg)
         # The motion along the board's own axes, in periods of two squares.
         cos, sin = _cos_sin(parameters.direction_deg - parameters.rotation_deg)
@@ -92,13 +91,7 @@ class Checkerboard(Scene):
         self._u, self._v = Cycle(periods_s * Fraction(cos)), Cycle(periods_s * Fraction(sin))
         self._middle = np.float32((parameters.bright + parameters.dark) / 2)
         self._half = np.float32((parameters.bright - parameters.dark) / 2)
-        self._arrays = LastArrays()
         self._spare = np.zeros(size[::-1], np.float32)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
 
     @property
     def motion_bound_px_s(self) -> float:

@@ -23,9 +23,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole
-from emulator.light import Light, Scene, SceneEnded, SceneError
+from emulator.light import Light, SceneEnded, SceneError
 from emulator.scene.external.joining import Joined, Pair, TimedImage, compile_kernels, front_motion
 from emulator.scene.external.table import ExternalParameters
+from emulator.scene.kind import SizedScene
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Timescale, Trajectory, TrajectoryError
@@ -202,22 +203,16 @@ class ImageQueue:
         return image.head.t_ns - self._zero_ns
 
 
-class External(Scene):
+class External(SizedScene):
     """The images of a renderer through `pinhole`, in units of radiance; made by `open_external`.
 
     `white_w_m2_sr` is the radiance of the value 1, `threads` the number of threads that draw, 0: by the machine.
     """
 
-    has_rate = True
-
     def __init__(self, images: ImageQueue, pinhole: Pinhole, white_w_m2_sr: float, threads: int = 0) -> None:
-        self._pinhole, self._images = pinhole, images
+        super().__init__(pinhole.size)
+        self._images = images
         self._joined = Joined(pinhole.size, white_w_m2_sr, threads)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._pinhole.size
 
     @property
     def motion_bound_px_s(self) -> float:
@@ -237,10 +232,6 @@ class External(Scene):
     def stop(self) -> None:
         """Limit the wait for images of the present light frame."""
         self._images.stop()
-
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the light at `t_ns`; raises SceneError."""
-        self._joined.write(self._images.around(t_ns), t_ns, out)
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative; raises SceneError."""

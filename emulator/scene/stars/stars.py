@@ -18,16 +18,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import LastArrays, Light, Region, Scene, SceneError
+from emulator.light import Light, Region, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
+from emulator.scene.kind import SizedScene
 from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
@@ -38,30 +38,26 @@ from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryErro
 _REACH = 2.0  # standard deviations
 
 
-@dataclass(frozen=True, eq=False)
-class Sky:
-    """The camera's path and those of the moving points."""
-
-    camera: Trajectory
-    points: Sequence[Trajectory]
-    time: Timescale
-
-
 class StarsGeometry(SceneGeometry):
-    """The geometry of a sky with a blur of standard deviation `sigma_px`; label k is the k-th moving point."""
+    """The geometry of a sky with a blur of standard deviation `sigma_px`; label k is the k-th moving point.
+
+    `paths` are those of the camera and of the points.
+    """
 
     gives: frozenset[Given] = frozenset({"poses", "depth", "flow", "labels"})
 
-    def __init__(self, sky: Sky, camera: Pinhole, sigma_px: float, rays: Rays) -> None:
-        self._sky = sky
+    def __init__(
+        self, paths: Sequence[Trajectory], time: Timescale, camera: Pinhole, sigma_px: float, rays: Rays
+    ) -> None:
+        self._paths, self._time = paths, time
         self._camera, self._rays = camera, rays
-        self.names = tuple(f"point {k + 1}" for k in range(len(sky.points)))
+        self.names = tuple(f"point {k}" for k in range(1, len(paths)))
         self._reach_px = max(1.0, _REACH * sigma_px)
         self._inverse_depth = np.zeros_like(rays.columns)
 
     def look(self, t_ns: int, out: Seen) -> None:
         """Write depth, flow and labels at `t_ns`."""
-        (camera, *points), between_s = instants(t_ns, [self._sky.camera, *self._sky.points], self._sky.time)
+        (camera, *points), between_s = instants(t_ns, self._paths, self._time)
         out.labels.fill(0)
         for k, point in enumerate(points):
             self._mark(k + 1, camera, point, out)
@@ -81,8 +77,8 @@ class StarsGeometry(SceneGeometry):
 
     def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
-        scene_ns = self._sky.time.scene_ns(t_ns)
-        camera, points = self._sky.camera.pose(scene_ns), [path.pose(scene_ns) for path in self._sky.points]
+        scene_ns = self._time.scene_ns(t_ns)
+        camera, *points = (path.pose(scene_ns) for path in self._paths)
         return ScenePoses(
             camera.position_m,
             camera.q_world_from_body,
@@ -93,22 +89,19 @@ class StarsGeometry(SceneGeometry):
 
 _SHARPEST_PX = 0.3  # no lens is sharper; a blur of nothing would make light jump from pixel to pixel
 _APART_NS = 1_000_000  # poses from which velocities are taken
-_NO_RATE = np.zeros((0, 0), np.float32)
 
 Floats = npt.NDArray[np.float64]
 
 
-class StarField(Scene):
+class StarField(SizedScene):
     """The sky of `parameters` through `lens` on `chip`, in light relative to the sensor's reference.
 
     Raises SceneError where a path cannot be used.
     """
 
-    has_rate = True
-
     def __init__(self, parameters: StarsParameters, size: tuple[int, int], lens: LensParameters, chip: Chip) -> None:
-        self._p = parameters
-        self._size, self._lens = size, lens
+        super().__init__(size)
+        self._p, self._lens = parameters, lens
         self._pinhole = lens.pinhole(size)
         self._sigma_px = max(_SHARPEST_PX, lens.blur_sigma_px(chip, self._pinhole.focal_px))
         self._bend = Distortion.of(lens)
@@ -124,14 +117,8 @@ class StarField(Scene):
         self._magnitudes = stars.magnitudes
         self._irradiance = stars.irradiance_w_m2
         self._sun = unit(parameters.sun.direction)
-        self._arrays = LastArrays()
         self._boxes: Boxes = np.empty((0, 4), np.int64)
         self._cone_cosine = max(0.05, math.cos(min(math.pi, 1.2 * self._pinhole.widest_rad + 0.02)))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
 
     @property
     def motion_bound_px_s(self) -> float:
@@ -151,15 +138,8 @@ class StarField(Scene):
         if rays is None:
             columns, rows = straight_columns_and_rows(self._bend, self._pinhole)
             rays = bent_rays(self._bend, columns, rows, self._pinhole)
-        return StarsGeometry(Sky(self.camera_path, self._paths, self.path_time), self._pinhole, self._sigma_px, rays)
-
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the light at `t_ns`."""
-        self._draw(t_ns, out, _NO_RATE)
-
-    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write the light and its time derivative, both in closed form."""
-        self._draw(t_ns, light, rate)
+        paths = self.camera_path, *self._paths
+        return StarsGeometry(paths, self.path_time, self._pinhole, self._sigma_px, rays)
 
     def stars_at(self, t_ns: int) -> tuple[Floats, Floats]:
         """Return columns and rows, (n, 2), and magnitudes, (n,), of the stars in or near the light frame of `t_ns`."""
@@ -172,8 +152,8 @@ class StarField(Scene):
         """Close the sockets of live poses."""
         close_receivers(self.camera_path, *self._paths)
 
-    def _draw(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write light and rate: only the boxes of points, if they are the arrays of the last call."""
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write light and rate in closed form: only the boxes of points, if they are the arrays of the last call."""
         points = self._points(t_ns)
         sky = np.float32(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
         hold_last = self._arrays.are(light, rate)

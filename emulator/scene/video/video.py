@@ -33,9 +33,9 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Light, Scene, SceneError
+from emulator.light import Light, SceneError
 from emulator.scene.files import read_array, read_in_child
-from emulator.scene.kind import SceneKind
+from emulator.scene.kind import SceneKind, SizedScene
 from emulator.tables.toml_text import shortened
 from emulator.tables.typed_table import NO_FILE, RigFile
 from transports.guarded_reader import Limits
@@ -254,23 +254,14 @@ class Around:
         np.exp((1 - self.share) * self.before + self.share * self.after, out=out)
 
 
-class JoinedFrames(Scene):
+class JoinedFrames(SizedScene):
     """Frames with times on a sensor of `size` = (width, height), joined by straight lines in log light."""
 
     motion_bound_px_s = math.inf
-    has_rate = True
-
-    def __init__(self, size: tuple[int, int]) -> None:
-        self._size = size
 
     @abstractmethod
     def _around(self, t_ns: int) -> Around:
         """Return the frames around `t_ns`."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns`."""
