@@ -24,14 +24,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from emulator.light import MachineLacks
 from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
 from emulator.scene.stars.catalogue import Stars, moved
+from firmware_protocol.bounds import check_bounds
 from transports.needs import install_command
 
 SUN_G = -26.90
@@ -84,26 +86,23 @@ class DrawnField:
     seed : fixes places and magnitudes.
     """
 
-    ra_deg: float = 0.0
-    dec_deg: float = 0.0
-    radius_deg: float = 5.0
+    ra_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
+    dec_deg: Annotated[float, Meta(ge=-90, le=90)] = 0.0
+    radius_deg: Annotated[float, Meta(gt=0, le=90)] = 5.0
     numbers: Literal["sky", "ladder"] = "sky"
-    per_deg2: float = 0.0
+    per_deg2: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
     brightest_g: float = 4.0
     faintest_g: float = 12.0
     seed: int = 1
 
     def __post_init__(self) -> None:
-        if not (-360 <= self.ra_deg <= 360 and -90 <= self.dec_deg <= 90):
-            raise ValueError(f"ra_deg, dec_deg are {self.ra_deg}, {self.dec_deg}: must be -360 to 360, -90 to 90")
-        if not 0 < self.radius_deg <= 90:
-            raise ValueError(f"radius_deg is {self.radius_deg}: it must be above 0 and at most 90")
+        check_bounds(self)
         if not -2 <= self.brightest_g < self.faintest_g <= 15:
             raise ValueError(
                 f"brightest_g, faintest_g are {self.brightest_g}, {self.faintest_g}: must be -2 to 15 and rise"
             )
-        if not 0 <= self.per_deg2 <= 1e5 or (self.numbers == "ladder" and not self.per_deg2):
-            raise ValueError(f"per_deg2 is {self.per_deg2}: it must be 0 to 1e5, of a ladder above 0")
+        if self.numbers == "ladder" and not self.per_deg2:
+            raise ValueError("per_deg2 is 0: of a ladder it must be above 0")
         if self.expected > _MOST:
             raise ValueError(f"radius_deg, per_deg2, faintest_g make {self.expected:.0f} stars: at most {_MOST}")
 

@@ -36,6 +36,7 @@ _STEEPEST_DEG = 75.0
 _FARTHEST = 100.0  # tangent of half the angle from the projection's pole: 1 is the equator
 _HIGHEST = 1e12
 _LEAST_POSTS, _MOST_POSTS = 3, 1 << 14
+_AROUND = [[1, 1, 1], [1, 0, 1], [1, 1, 1]]  # the eight neighbours of a post
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,11 @@ def load_heightmap(p: Heightmap, body_radius_m: float) -> Ground:
         heights, holes = filled(file_map.heights * p.units_m, p.fill_share)
         if holes:
             notes.append(f"{holes} of {heights.size} posts are holes, filled from their neighbours")
-        _require_slopes(heights, post_m)
+        rise = float(np.sqrt((np.diff(heights, axis=1) ** 2).mean()))
+        if (slope_deg := math.degrees(math.atan(rise / post_m))) > _STEEPEST_DEG:
+            raise SceneError(
+                f"its slopes are {slope_deg:.0f} degrees, root mean square: look at units_m and post_m ({post_m:g} m)"
+            )
     except SceneError as error:
         raise type(error)(f"{p.path}: {error}") from error
     return nested(post_m, [heights[::-1]], tuple(notes))
@@ -73,6 +78,8 @@ def filled(heights: Floats, most_share: float) -> tuple[Floats, int]:
 
     Raises SceneError when more than `most_share` of the posts are holes.
     """
+    from scipy import ndimage  # loaded where it is used
+
     holes = ~np.isfinite(heights)
     count = int(holes.sum())
     if count > most_share * heights.size:
@@ -82,23 +89,12 @@ def filled(heights: Floats, most_share: float) -> tuple[Floats, int]:
         )
     out = np.where(holes, 0.0, heights)
     while holes.any():
-        around = _sum_around(np.pad((~holes).astype(np.float64), 1))
-        total = _sum_around(np.pad(np.where(holes, 0.0, out), 1))
+        around = ndimage.correlate((~holes).astype(np.float64), _AROUND, mode="constant")
+        total = ndimage.correlate(np.where(holes, 0.0, out), _AROUND, mode="constant")
         ready = holes & (around > 0)
         out[ready] = total[ready] / around[ready]
         holes = holes & ~ready
     return out, count
-
-
-def _sum_around(a: Floats) -> Floats:
-    """Return the sum of the eight neighbours of all but the border."""
-    rows, columns = a.shape[0] - 2, a.shape[1] - 2
-    total = np.zeros((rows, columns))
-    for i in range(3):
-        for j in range(3):
-            if (i, j) != (1, 1):
-                total += a[i : i + rows, j : j + columns]
-    return total
 
 
 def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -157,15 +153,6 @@ def _post_m(p: Heightmap, file_map: _Map, body_radius_m: float) -> tuple[float, 
         raise SceneError(f"its middle is {math.hypot(*centre_m):.3g} m from its projection's pole: beyond the body")
     latitude = 90 - math.degrees(2 * math.atan(tangent))
     return post_m / (1 + tangent**2), [f"its middle is {latitude:.2f} degrees from the equator"]
-
-
-def _require_slopes(heights: Floats, post_m: float) -> None:
-    rise = np.abs(np.diff(heights, axis=1))
-    typical = math.degrees(math.atan(float(np.sqrt((rise**2).mean())) / post_m))
-    if typical > _STEEPEST_DEG:
-        raise SceneError(
-            f"its slopes are {typical:.0f} degrees, root mean square: look at units_m and post_m ({post_m:g} m)"
-        )
 
 
 _NUMBER_TAGS = {"scale": 33550, "tie": 33922}

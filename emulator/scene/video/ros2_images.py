@@ -37,7 +37,7 @@ from transports.needs import Need, install_command, package
 from transports.ros2.kind import DdsNetwork, check_topic
 
 if TYPE_CHECKING:
-    from transports.ros2.dds import Message
+    from transports.ros2.dds import DdsParticipant, Message, TopicReader
 
 
 _Float32s = npt.NDArray[np.float32]
@@ -47,26 +47,14 @@ _LEAST_APART_NS = 1000
 _MOST_ASTRAY_NS = 1_000_000_000
 
 
-@dataclass
-class ImageCounters:
-    """Counts of images.
-
-    Attributes
-    ----------
-    taken : images used.
-    repeated : images at the time of the one before them, refused.
-    clock_jumps : stamps that did not continue those before.
-    late_pictures : light frames drawn with an old image because no newer one was received.
-    """
-
-    taken: int = 0
-    repeated: int = 0
-    clock_jumps: int = 0
-    late_pictures: int = 0
+_USED = "images"
+_REPEATED = "images at the time of the one before"  # refused
+_CLOCK_JUMPS = "jumps of the images' clock"  # stamps that did not continue those before
+_LATE = "pictures without a new image"  # light frames drawn with an old image because no newer one was received
 
 
 class LiveImages:
-    """The images received so far.
+    """The images received so far, and `counts` of them.
 
     Parameters
     ----------
@@ -80,16 +68,16 @@ class LiveImages:
         self._delay_ns, self._by_stamp = delay_ns, by_stamp
         self._known: deque[tuple[int, _Float32s]] = deque(maxlen=_KNOWN)
         self._ahead_ns: int | None = None  # of the stamps, beyond the scene's time
-        self.counters = ImageCounters()
+        self.counts = Counter({_USED: 0, _REPEATED: 0, _CLOCK_JUMPS: 0, _LATE: 0})
 
     def add(self, log_light: _Float32s, stamp_ns: int, arrival_ns: int) -> None:
         """Add an image, (height, width) log light, that arrived at the scene's time `arrival_ns`."""
         t_ns = self._time_ns(stamp_ns, arrival_ns)
         if self._known and t_ns < self._known[-1][0] + _LEAST_APART_NS:
-            self.counters.repeated += 1
+            self.counts[_REPEATED] += 1
             return
         self._known.append((t_ns, log_light))
-        self.counters.taken += 1
+        self.counts[_USED] += 1
 
     def restart(self, t_ns: int) -> None:
         """Go back to time `t_ns`: the newest image stays from there."""
@@ -105,7 +93,7 @@ class LiveImages:
         if not images or shown_ns <= images[0][0]:
             return Around.still(images[0][1] if images else self._grey)
         if shown_ns >= images[-1][0]:
-            self.counters.late_pictures += shown_ns > images[-1][0]
+            self.counts[_LATE] += shown_ns > images[-1][0]
             return Around.still(images[-1][1])
         after = next(k for k, (time_ns, _) in enumerate(images) if time_ns > shown_ns)
         (start_ns, before), (end_ns, end) = images[after - 1], images[after]
@@ -119,7 +107,7 @@ class LiveImages:
             t_ns = stamp_ns - self._ahead_ns
             if abs(t_ns - arrival_ns) <= _MOST_ASTRAY_NS and not (self._known and t_ns < self._known[-1][0]):
                 return t_ns
-            self.counters.clock_jumps += 1
+            self.counts[_CLOCK_JUMPS] += 1
         self._ahead_ns = stamp_ns - arrival_ns
         return arrival_ns
 
@@ -189,32 +177,26 @@ ROS2_IMAGES = SceneKind(
 
 
 class Ros2Images(JoinedFrames):
-    """The images of `source` on a sensor of `size` = (width, height); `clock` is the wall's, ns."""
+    """The images of `source` on a sensor of `size` = (width, height).
+
+    `clock` is the wall's, ns; `participant`, of this process, is closed with the scene.
+    """
 
     def __init__(
-        self, parameters: Ros2ImageParameters, size: tuple[int, int], source: _Topic,
-        clock: Callable[[], int] = time.time_ns,
+        self, parameters: Ros2ImageParameters, size: tuple[int, int], source: TopicReader,
+        clock: Callable[[], int] = time.time_ns, participant: DdsParticipant | None = None,
     ) -> None:  # fmt: skip
         super().__init__(size)
         self._p = parameters
-        self._source, self._clock = source, clock
-        self._scene_clock = SceneClock()
+        self._source, self._participant = source, participant
+        self._clock, self._scene_clock = clock, SceneClock()
         grey = np.full(size[::-1], self._log_light(np.float32(_GREY)), np.float32)
         self._images = LiveImages(grey, round(parameters.delay_ms * 1e6), by_stamp=parameters.stamps == "header")
-        self._refused: Counter[str] = Counter()
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Images that were used and refused, and light frames without a new one."""
-        counters = self._images.counters
-        used = {
-            "images": counters.taken,
-            "images at the time of the one before": counters.repeated,
-            "jumps of the images' clock": counters.clock_jumps,
-            "pictures without a new image": counters.late_pictures,
-        }
-        refused = {f"images refused: {reason}": count for reason, count in self._refused.items()}
-        return {name: count for name, count in (used | refused).items() if count}
+        return {name: count for name, count in self._images.counts.items() if count}
 
     def _around(self, t_ns: int) -> Around:
         """Read the received images, and return those around `t_ns`."""
@@ -225,14 +207,16 @@ class Ros2Images(JoinedFrames):
         """Wait for the first image; False where none has come."""
         until = time.monotonic() + seconds
         self._receive(0)
-        while not self._images.counters.taken and time.monotonic() < until:
+        while not self._images.counts[_USED] and time.monotonic() < until:
             time.sleep(_LOOK_S)
             self._receive(0)
-        return self._images.counters.taken > 0
+        return self._images.counts[_USED] > 0
 
     def close(self) -> None:
         """Leave the topic."""
         self._source.close()
+        if self._participant is not None:
+            self._participant.close()
 
     def _receive(self, t_ns: int) -> None:
         if self._scene_clock.draw(t_ns, self._clock()):
@@ -245,7 +229,7 @@ class Ros2Images(JoinedFrames):
             image = parse_image(message.data)
             levels = levels_of(image)
         except (CdrError, ImageError) as error:
-            self._refused[str(error)] += 1
+            self._images.counts[f"images refused: {error}"] += 1
             return
         is_float = levels.dtype.kind == "f"
         scale = 1.0 if is_float else float(np.iinfo(levels.dtype).max)
@@ -257,38 +241,18 @@ class Ros2Images(JoinedFrames):
         return np.asarray(np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white)), np.float32)
 
 
-class _Topic:
-    """A topic of the one participant of this process."""
-
-    def __init__(self, p: Ros2ImageParameters) -> None:
-        from transports.ros2.dds import DdsParticipant, TopicQos
-
-        self._participant = DdsParticipant(p.network)
-        self._reader = self._participant.reader(p.topic, IMAGE, TopicQos(p.reliable, _DEPTH))
-
-    @property
-    def writers(self) -> int:
-        return self._reader.writers
-
-    def take(self) -> list[Message]:
-        """Return the messages received so far, without waiting."""
-        return self._reader.take()
-
-    def close(self) -> None:
-        """Leave the topic."""
-        self._reader.close()
-        self._participant.close()
-
-
 def open_ros2_images(parameters: Ros2ImageParameters, size: tuple[int, int]) -> Ros2Images:
     """Return the scene, with its first image if one comes in time; raises SceneError."""
     try:
-        topic = _Topic(parameters)
+        from transports.ros2.dds import DdsParticipant, TopicQos
+
+        participant = DdsParticipant(parameters.network)
+        topic = participant.reader(parameters.topic, IMAGE, TopicQos(parameters.reliable, _DEPTH))
     except ImportError as error:
         raise MachineLacks(f"a topic of ROS 2 needs cyclonedds ({error}): {install_command('ros2')}") from error
     except OSError as error:
         raise SceneError(str(error)) from error
-    scene = Ros2Images(parameters, size, topic)
+    scene = Ros2Images(parameters, size, topic, participant=participant)
     if parameters.wait_s and not scene.wait(parameters.wait_s):
         refused, writers = dict(scene.counts), topic.writers
         scene.close()

@@ -28,16 +28,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from emulator.light import Light, SceneError
 from emulator.scene.files import read_array, read_in_child
 from emulator.scene.kind import SceneKind, SizedScene
 from emulator.tables.toml_text import shortened
 from emulator.tables.typed_table import NO_FILE, RigFile
+from firmware_protocol.bounds import check_bounds
 from transports.guarded_reader import Limits
 from transports.needs import Need, package
 
@@ -201,25 +203,17 @@ class VideoParameters:
 
     kind: ClassVar[str] = "video"
     path: RigFile = NO_FILE
-    frames_per_s: float = 30.0
+    frames_per_s: Annotated[float, Meta(ge=1e-3, le=1e6)] = 30.0
     levels: Literal["srgb", "linear"] = "srgb"
-    light_at_white: float = 1.0
-    floor: float = 1e-3
-    time_scale: float = 1.0
+    light_at_white: Annotated[float, Meta(ge=1e-9, le=1e9)] = 1.0
+    floor: Annotated[float, Meta(ge=1e-6, le=1)] = 1e-3
+    time_scale: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
     loop: bool = True
 
     def __post_init__(self) -> None:
         if not self.path:
             raise ValueError("path is missing: name a folder of images, a .npy file or a video")
-        bounds = {
-            "frames_per_s": (1e-3, 1e6),
-            "light_at_white": (1e-9, 1e9),
-            "floor": (1e-6, 1.0),
-            "time_scale": (1e-6, 1e6),
-        }
-        for name, (low, high) in bounds.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be {low:g} to {high:g}")
+        check_bounds(self)
 
 
 def coarsest_level(full_scale: float, floor: float, *, is_linear: bool, threshold: float) -> int:
