@@ -44,8 +44,8 @@ def terrain(*times_s: int, check: bool = False) -> None:
 
 
 def shading_ns(scene: RasterTerrain, t_s: int, light: np.ndarray, *, with_rate: bool) -> float:
-    motion, rate = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time), np.zeros_like(light)
-    shade = partial(scene._shade, motion, light, rate, with_rate=with_rate)
+    (_, camera), rate = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time), np.zeros_like(light)
+    shade = partial(scene._shade, camera, light, rate, with_rate=with_rate)
     return min(seconds(shade) for _ in range(9)) / light.size * 1e9
 
 

@@ -1,16 +1,11 @@
 """Ground under a low Sun drawn by GL, by points in each pixel: for a quick look, and as a check of the CPU painter.
 
-Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
-ground casts on itself and their penumbra, and an even light from all around. The ground curves with the body. Not
-modelled: light from slope to slope, and ground beyond the map, where the light frame is black.
+Light is that of `raster_terrain`. Blocks of facets come from a `Quadtree`, as fine as they are visible, and their
+vertices slide as described in `quadtree`. The position of a vertex is whole lattice units from the camera plus the
+camera's rest, the same float32 on every grid: neighbours share their vertices to the last bit, and there are no cracks.
 
-Blocks of facets come from a `Quadtree`, as fine as they are visible. A vertex is a post; in the last third of its
-level's range it slides along its facet's side to the neighbour that the next coarser level has too, so that the change
-of levels is continuous. Its position is whole lattice units from the camera plus the camera's rest, the same float32 on
-every grid: neighbours share their vertices to the last bit, and there are no cracks.
-
-Light is that of the fine map, however coarse the facets. A sample is moved along its ray from its facet to the map by
-a secant, as `pixel_hits` does for the CPU. There a texture of the posts gives
+The detail is that of the fine map, however coarse the facets. A sample is moved along its ray from its facet to the map
+by a secant, as `pixel_hits` does for the CPU. There a texture of the posts gives
 
     r, g    slopes east and north       b    height of the Sun's middle over the horizon, in its radii
                                         a    albedo, 1 for the brightest ground
@@ -133,7 +128,7 @@ class GroundMesh:
 
     def __init__(self, context: moderngl.Context, world: TerrainWorld, reach: float, crowd: float) -> None:
         gl, ground, p = context, world.ground, world.parameters
-        self._context, self._ground = context, ground
+        self._ground = ground
         law = {"reflectance": p.reflectance.glsl()}
         self._program = gl.program(vertex_shader=_VERTEX % law, fragment_shader=_FRAGMENT % law)
         self._set(heights=0, posts=1, unit=ground.unit_m, reach=reach, crowd=crowd, zoom=world.pinhole.zoom)
@@ -156,10 +151,12 @@ class GroundMesh:
             texture.filter = gl.LINEAR_MIPMAP_NEAREST, gl.LINEAR  # b with and without bounds cannot be mixed
         for texture in (*self._heights, *self._posts):
             texture.repeat_x = texture.repeat_y = False
-        corners, facets = block_facets()
-        self._corners, self._facets = gl.buffer(corners), gl.buffer(facets)
+        corners, facets = map(gl.buffer, block_facets())
         self._blocks = [gl.buffer(reserve=12 * 64) for _ in ground.heights_m]
-        self._arrays = [self._array(blocks) for blocks in self._blocks]
+        self._arrays = [
+            gl.vertex_array(self._program, [(corners, "2i4", "corner"), (blocks, "3i4/i", "block")], facets)
+            for blocks in self._blocks
+        ]
 
     def render(self, pose: Pose, near_m: float, far_m: float, blocks: list[npt.NDArray[np.int32]]) -> None:
         """Draw the blocks of each grid as the camera at `pose` sees them, from `near_m` to `far_m`."""
@@ -174,23 +171,12 @@ class GroundMesh:
         for grid, chosen in enumerate(blocks):
             if len(chosen):
                 self._set(first=tuple(int(c) for c in np.array(ground.first(grid)) - units), pitch=1 << grid)
-                self._render_grid(grid, chosen)
-
-    def _render_grid(self, grid: int, chosen: npt.NDArray[np.int32]) -> None:
-        if chosen.nbytes > self._blocks[grid].size:
-            self._blocks[grid].release()
-            self._arrays[grid].release()
-            self._blocks[grid] = self._context.buffer(reserve=2 * chosen.nbytes)
-            self._arrays[grid] = self._array(self._blocks[grid])
-        self._blocks[grid].write(chosen)
-        self._heights[grid].use(0)
-        self._posts[grid].use(1)
-        self._arrays[grid].render(instances=len(chosen))
-
-    def _array(self, blocks: moderngl.Buffer) -> moderngl.VertexArray:
-        return self._context.vertex_array(
-            self._program, [(self._corners, "2i4", "corner"), (blocks, "3i4/i", "block")], index_buffer=self._facets
-        )
+                if chosen.nbytes > self._blocks[grid].size:
+                    self._blocks[grid].orphan(2 * chosen.nbytes)
+                self._blocks[grid].write(chosen)
+                self._heights[grid].use(0)
+                self._posts[grid].use(1)
+                self._arrays[grid].render(instances=len(chosen))
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():

@@ -19,7 +19,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -83,39 +82,18 @@ class TerrainGeometry(SceneGeometry):
         )
 
 
-Floats = npt.NDArray[np.float64]
+def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> tuple[Pose, Camera]:
+    """Return the pose at stream time `t_ns` and the motion then, as kernels take it, a second of stream time.
 
-
-@dataclass(frozen=True, eq=False)
-class CameraMotion:
-    """A pose and its rates, a second of stream time.
-
-    Attributes
-    ----------
-    velocity_m_s : (3,) in the world.
-    turn, turning : camera_from_world, (3, 3), and its rate.
+    At the start, where a path may begin, the motion is from poses after it only.
     """
-
-    pose: Pose
-    velocity_m_s: Floats
-    turn: Floats
-    turning: Floats
-
-    @property
-    def camera(self) -> Camera:
-        """Place and motion, as kernels take them."""
-        place = np.asarray(self.pose.position_m, np.float64)
-        return Camera(place, self.velocity_m_s, self.turn, self.turning)
-
-
-def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotion:
-    """Return the motion at stream time `t_ns`; at the start, where a path may begin, from poses after it only."""
     ((now, before, after),), between_s = instants(t_ns, [camera], time)
     turn, turning = (
         np.ascontiguousarray(m.T)
         for m in (now.world_from_body, (after.world_from_body - before.world_from_body) / between_s)
     )
-    return CameraMotion(now, (after.position_m - before.position_m) / between_s, turn, turning)
+    velocity = (after.position_m - before.position_m) / between_s
+    return now, Camera(np.asarray(now.position_m, np.float64), velocity, turn, turning)
 
 
 _NEAREST_SHARE = 1e-3  # of the least height of the camera: facets are cut this near
@@ -190,9 +168,9 @@ class RasterTerrain(WorldScene[TerrainWorld]):
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its rate, a second, both (height, width) float32."""
         before = self._drawn if self._arrays.are(light, rate) else None
-        motion = camera_motion(t_ns, self._world.camera, self._world.time)
-        self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
-        self._shade(motion, light, rate)
+        pose, camera = camera_motion(t_ns, self._world.camera, self._world.time)
+        self._drawn = self._renderer.draw(self._view(t_ns, pose, camera), light, rate, None, self._owners)
+        self._shade(camera, light, rate)
         self._frame_ns = t_ns
         self.changed = None if before is None else self._drawn.union(before)
 
@@ -202,16 +180,16 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._pool.close()
         super().close()
 
-    def _shade(self, motion: CameraMotion, light: Light, rate: Light) -> None:
+    def _shade(self, camera: Camera, light: Light, rate: Light) -> None:
         """Write the fine map's light into the light frame, and its rate."""
         height, width = light.shape
         projection = Projection(self._world.pinhole.focal_px, width / 2, height / 2)
-        sight = Sight(self._owners.facets, self._renderer.facets, projection, motion.camera.place, motion.turn)
+        sight = Sight(self._owners.facets, self._renderer.facets, projection, camera.place, camera.turn)
         samples, posts, sun, smooth = float(self._world.parameters.samples), self._posts, self._sun, self._smooth
         # Velocities of places by where they are: in the world, of those that turn with the camera, and in its axes, of
         # the ground.
-        of_directions = Motion(motion.turning.T @ motion.turn, motion.velocity_m_s)
-        of_ground = Motion(motion.turning @ motion.turn.T, -motion.turn @ motion.velocity_m_s)
+        of_directions = Motion(camera.turning.T @ camera.turn, camera.velocity)
+        of_ground = Motion(camera.turning @ camera.turn.T, -camera.turn @ camera.velocity)
 
         def shade(band: int, thread: int) -> None:
             shade_rows(_rows(band, height), sight, of_directions, posts, sun, self._tiles[thread], smooth)
@@ -233,16 +211,16 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         for work in (refine, follow):
             self._pool.each(work, -(-height // _BAND))
 
-    def _view(self, t_ns: int, motion: CameraMotion) -> View:
+    def _view(self, t_ns: int, pose: Pose, camera: Camera) -> View:
         """Return the vertices in view, and give the renderer their topology."""
         world = self._world
-        world.height_m(world.time.scene_ns(t_ns), motion.pose)
-        chosen = self._tree.by_level(motion.pose.position_m, world.planes(motion.pose))
+        world.height_m(world.time.scene_ns(t_ns), pose)
+        chosen = self._tree.by_level(pose.position_m, world.planes(pose))
         self._renderer.topology = self._blocks.topology(len(chosen))
-        self._fill(chosen, motion)
+        self._fill(chosen, camera)
         return self._blocks.view(len(chosen))
 
-    def _fill(self, chosen: npt.NDArray[np.int64], motion: CameraMotion) -> None:
+    def _fill(self, chosen: npt.NDArray[np.int64], camera: Camera) -> None:
         """Write the vertices of the chosen blocks."""
         share = -(-len(chosen) // self._threads)
         unit_m, posts = self._world.ground.unit_m, self._posts
@@ -250,9 +228,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         def fill(k: int, _: int) -> None:
             first, last = k * share, min((k + 1) * share, len(chosen))
             reach_m, crowd, room = self._reach * unit_m, self._tree.crowd, self._blocks.vertices
-            block_vertices(
-                chosen, first, last, posts.heights, posts.levels, unit_m, reach_m, crowd, motion.camera, room
-            )
+            block_vertices(chosen, first, last, posts.heights, posts.levels, unit_m, reach_m, crowd, camera, room)
 
         self._pool.each(fill, self._threads)
 
