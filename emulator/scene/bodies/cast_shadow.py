@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, entry, kernel, minus, plus, row, vertex
+from emulator.scene.bodies.compiled import ZERO, Floats, Point, cross, dot, entry, kernel, minus, plus, row, vertex
 
 
 @kernel
@@ -84,8 +84,6 @@ def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
 
 
 LEAF = 8  # most triangles of a leaf: with 4 boxes take twice the memory, and rays as much time
-
-Floats = npt.NDArray[np.float64]
 
 
 class TriangleTree(NamedTuple):

@@ -18,6 +18,7 @@ entry = entry_of(*_SOURCES, _nrt=False)
 """Compile a function for calls from Python; it releases the GIL."""
 
 Floats = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.int32]
 Point = tuple[float, float, float]
 """A place, m, or a direction."""
 ZERO: Point = (0.0, 0.0, 0.0)

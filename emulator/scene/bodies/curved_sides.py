@@ -26,15 +26,13 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.topology import PARTS
-from emulator.scene.bodies.compiled import ZERO, cross, dot, entry, minus, plus, row
+from emulator.scene.bodies.compiled import ZERO, Floats, Numbers, cross, dot, entry, minus, plus, row
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.sun_rays import Window, depth_in
 
-Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Bytes = npt.NDArray[np.uint8]
-Numbers = npt.NDArray[np.int32]
 Hidden = npt.NDArray[np.int8]
 
 BEND_PX = 0.02  # of a side that is not seen; what casts shadows is cut from there on

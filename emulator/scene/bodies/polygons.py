@@ -12,18 +12,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after, outward_of
-from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, kernel, minus, row, vertex
+from emulator.scene.bodies.compiled import ZERO, Floats, Numbers, Point, cross, dot, kernel, minus, row, vertex
 
 ROOM = 24
 """Corners of a polygon; a cut adds one."""
 MOST_PIECES = 64
-
-Floats = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.int32]
 
 
 class Cutter(NamedTuple):

@@ -33,13 +33,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import TriangleTree
-from emulator.scene.bodies.compiled import Point, cross, dot, entry, kernel, minus, plus, row
-from emulator.scene.bodies.shadow_polygons import Polygons, Triangles
+from emulator.scene.bodies.compiled import Floats, Numbers, Point, cross, dot, entry, kernel, minus, plus, row
+from emulator.scene.bodies.shadow_polygons import Polygons, Triangles, add_triangle
 from emulator.scene.bodies.sun_rays import RayTree, Verdicts, Window, corner, depth_in, first_met, look_to_sun, next_met
 from emulator.threads import ThreadPool
 
-Floats = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.int32]
 Longs = npt.NDArray[np.int64]
 
 _LIFT = 0.002  # of the mean length of sides: rays begin as high above the surface; .005 loses low shadows
@@ -268,14 +266,6 @@ def _put(  # noqa: PLR0913, PLR0917
 
 
 @kernel
-def _add_triangle(out: Triangles, number: int, a: int, b: int, c: int, facet: int) -> None:
-    out.faces[number, 0] = a
-    out.faces[number, 1] = b
-    out.faces[number, 2] = c
-    out.over[number] = facet
-
-
-@kernel
 def _corners(corners: Numbers, f: int, receiver: Receiver) -> tuple[int, int, int]:
     """Return the vertices at the corners of a facet."""
     return corners[f, 0] - receiver.first, corners[f, 1] - receiver.first, corners[f, 2] - receiver.first
@@ -379,12 +369,12 @@ def cut_facets(  # noqa: PLR0913, PLR0917
             at_other = _light_of(of_others, other)
             _put(receiver, other, other, 0.0, 0.0, at_other, at_other, out, row + 5 + k)
         # Rows: o; near it, on both sides; beyond the penumbra, on both sides; p; q.
-        _add_triangle(out, number, row, row + 1, row + 2, f)
-        _add_triangle(out, number + 1, row + 3, row + 5, row + 6, f)
-        _add_triangle(out, number + 2, row + 3, row + 6, row + 4, f)
+        add_triangle(out, number, row, row + 1, row + 2, f)
+        add_triangle(out, number + 1, row + 3, row + 5, row + 6, f)
+        add_triangle(out, number + 2, row + 3, row + 6, row + 4, f)
         if is_wide:
-            _add_triangle(out, number + 3, row + 1, row + 3, row + 4, f)
-            _add_triangle(out, number + 4, row + 1, row + 4, row + 2, f)
+            add_triangle(out, number + 3, row + 1, row + 3, row + 4, f)
+            add_triangle(out, number + 4, row + 1, row + 4, row + 2, f)
 
 
 class ShadowEdges:

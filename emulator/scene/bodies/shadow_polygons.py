@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import TriangleTree, after, axes_around
-from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, entry, kernel, minus, plus, row, vertex
+from emulator.scene.bodies.compiled import ZERO, Floats, Point, cross, dot, entry, kernel, minus, plus, row, vertex
 from emulator.scene.bodies.lit_surface import Surface
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.polygons import (
@@ -61,8 +61,8 @@ _WHOLE = 1.0 - 1e-6  # of a facet's area: all of it is covered
 _MOST_LISTED = 95  # triangles that may cover a facet; where there are more, all are tested
 _MOST_EARLIER = 2048
 _WIDE_RAD = 0.05
+_NO_CONE = 2.0  # a cosine that none exceeds
 
-Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
 
 
@@ -199,20 +199,19 @@ def _write(polygon: Floats, n: int, receivers: Receivers, f: int, dark: Dark, ou
 
 
 @kernel
+def add_triangle(out: Triangles, number: int, a: int, b: int, c: int, facet: int) -> None:
+    """Write a triangle over a facet, from the corners in rows a, b and c."""
+    out.faces[number, 0] = a
+    out.faces[number, 1] = b
+    out.faces[number, 2] = c
+    out.over[number] = facet
+
+
+@kernel
 def _fan(out: Triangles, row: int, n: int, first: int, facet: int) -> None:
     """Write the triangles of a polygon of n corners from `row` on."""
     for i in range(n - 2):
-        out.faces[first + i, 0] = row
-        out.faces[first + i, 1] = row + i + 1
-        out.faces[first + i, 2] = row + i + 2
-        out.over[first + i] = facet
-
-
-def blank_memories(facets: int) -> Memory:
-    """Return empty memories of facets."""
-    suns = np.zeros((facets, 4))
-    suns[:, 3] = 2.0
-    return Memory(suns, np.zeros((facets, 1 + _MOST_LISTED), np.int32))
+        add_triangle(out, first + i, row, row + i + 1, row + i + 2, facet)
 
 
 def blank_room(shadows: int) -> Room:
@@ -267,16 +266,6 @@ def _gather(
 
 
 @kernel
-def _largest(values: Floats, n: int) -> int:
-    """Return the place of the largest of the first n values, the first of equal ones."""
-    best = 0
-    for k in range(1, n):
-        if values[k] > values[best]:
-            best = k
-    return best
-
-
-@kernel
 def _lay(
     receivers: Receivers, f: int, shadows: int, dark: Dark, near_m: float, room: Room, out: Triangles,
     first: tuple[int, int]
@@ -291,7 +280,7 @@ def _lay(
     listed, covered = 0, 0.0
     area = _double_facet(corners, plane)
     for _ in range(shadows):
-        k = _largest(room.areas, shadows)
+        k = int(np.argmax(room.areas[:shadows]))
         room.areas[k] = 0.0
         n = room.sizes[k]
         copy_corners(room.shadows[k], n, pieces[0, 0])
@@ -394,8 +383,8 @@ class Polygons:
     corners: Floats
     radiance: Floats
     rate: Floats
-    faces: npt.NDArray[np.int32]
-    over: npt.NDArray[np.int32]
+    faces: Numbers
+    over: Numbers
 
     @property
     def places_m(self) -> Floats:
@@ -483,7 +472,9 @@ class _Share:
 
     def __init__(self, body: int, receivers: Receivers) -> None:
         self.body, self._receivers = body, receivers
-        self._memory = blank_memories(len(receivers.corners))
+        facets = len(receivers.corners)
+        suns, listed = np.tile([0.0, 0.0, 0.0, _NO_CONE], (facets, 1)), np.zeros((facets, 1 + _MOST_LISTED), np.int32)
+        self._memory = Memory(suns, listed)
         self.rows = self._count = self.shadows = 0
         self._make_room(_FIRST_ROWS)
 

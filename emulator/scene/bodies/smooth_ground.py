@@ -20,12 +20,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import dot, entry, minus, row
+from emulator.scene.bodies.compiled import Floats, dot, entry, minus, row
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
-
-Floats = npt.NDArray[np.float64]
 
 _SHELLS = 6  # point masses along each cone from the origin to a facet
 _SHORE = 0.01  # of the surface, the part over which smooth ground passes into rough ground, on either side

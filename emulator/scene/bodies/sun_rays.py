@@ -18,10 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import DUST, TriangleTree, covered, inverse_of, seen_above
-from emulator.scene.bodies.compiled import Point, cross, dot, entry, kernel, minus, plus, row
-
-Floats = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.int32]
+from emulator.scene.bodies.compiled import Floats, Numbers, Point, cross, dot, entry, kernel, minus, plus, row
 
 SUNLIT, UNKNOWN = -1, -2
 _WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
@@ -153,9 +150,7 @@ class Verdicts(NamedTuple):
     @classmethod
     def unknown(cls, points: int) -> Verdicts:
         """Return room for the results of `points` points."""
-        suns = np.zeros((points, 4))
-        suns[:, 3] = _NO_CONE
-        return cls(np.full(points, UNKNOWN, np.int64), suns)
+        return cls(np.full(points, UNKNOWN, np.int64), np.tile([0.0, 0.0, 0.0, _NO_CONE], (points, 1)))
 
 
 class Window(NamedTuple):
