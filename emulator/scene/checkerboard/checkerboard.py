@@ -53,6 +53,7 @@ class BoardGeometry(SceneGeometry):
 
 
 _entry = entry_of(__name__, error_model="python")
+_Floats = npt.NDArray[np.float32]
 
 
 class _Board(NamedTuple):
@@ -123,8 +124,8 @@ class Checkerboard(SizedScene):
         board = self._board(t_ns)
         if self._sin == 0.0:
             (width, height), half = self._size, self._half
-            wave_x, wave_y = _box_wave(width, board.cos, board.u), _box_wave(height, board.cos, board.v)
-            slope_x, slope_y = _box_slope(width, board.cos, board.u), _box_slope(height, board.cos, board.v)
+            wave_x, slope_x = _box_waves(width, board.cos, board.u)
+            wave_y, slope_y = _box_waves(height, board.cos, board.v)
             by_slope = wave_y * (half * np.float32(-float(self._u.rate_hz)))
             by_wave = slope_y * (half * np.float32(-float(self._v.rate_hz)))
             _outer_and_rate(wave_x, slope_x, wave_y * half, by_slope, by_wave, self._middle, light, rate)
@@ -141,9 +142,7 @@ class Checkerboard(SizedScene):
         """Function that gives the light of single pixels, in closed form."""
         return self._light_of
 
-    def _light_of(
-        self, t_ns: int, pixels: npt.NDArray[np.int64]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def _light_of(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Floats, _Floats]:
         light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
         _listed(pixels, self._size, self._board(t_ns), light, rate)
         return light, rate
@@ -167,16 +166,6 @@ def _mean(turns: float, half_box: float) -> float:
     return rise / (2.0 * half_box)
 
 
-@_entry
-def _box_wave(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
-    """Means of the square wave over n pixels, (n,) float32; `start` is the phase in the middle of the light frame."""
-    wave = np.empty(n, np.float32)
-    for i in range(n):
-        mean = _mean(start + (i + 0.5 - 0.5 * n) * step, 0.5 * abs(step))
-        wave[i] = min(1.0, max(-1.0, mean))  # rounding must not make light below the dark squares
-    return wave
-
-
 @njit(inline="always")
 def _slope(turns: float, half_box: float) -> float:
     """Derivative of `_mean` by the phase: the square wave's values at both ends over the box."""
@@ -187,19 +176,23 @@ def _slope(turns: float, half_box: float) -> float:
 
 
 @_entry
-def _box_slope(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
-    """Derivatives of `_box_wave` by the phase, (n,) float32."""
-    slope = np.empty(n, np.float32)
+def _box_waves(n: int, step: float, start: float) -> tuple[_Floats, _Floats]:
+    """Means of the square wave over n pixels and their derivatives by the phase, (n,) float32 each.
+
+    `start` is the phase in the middle of the light frame.
+    """
+    wave, slope = np.empty(n, np.float32), np.empty(n, np.float32)
     for i in range(n):
-        slope[i] = _slope(start + (i + 0.5 - 0.5 * n) * step, 0.5 * abs(step))
-    return slope
+        turns, half_box = start + (i + 0.5 - 0.5 * n) * step, 0.5 * abs(step)
+        wave[i] = min(1.0, max(-1.0, _mean(turns, half_box)))  # rounding must not make light below the dark squares
+        slope[i] = _slope(turns, half_box)
+    return wave, slope
 
 
 @_entry
 def _outer_and_rate(  # noqa: PLR0913, PLR0917
-    wave: npt.NDArray[np.float32], slope: npt.NDArray[np.float32], scale: npt.NDArray[np.float32],
-    by_slope: npt.NDArray[np.float32], by_wave: npt.NDArray[np.float32], middle: np.float32, light: Light,
-    rate: Light
+    wave: _Floats, slope: _Floats, scale: _Floats, by_slope: _Floats, by_wave: _Floats, middle: np.float32,
+    light: Light, rate: Light
 ) -> None:  # fmt: skip
     """Fill light, middle + wave[x] scale[y], and its time derivative in the same pass: both rows stay in the cache.
 
@@ -237,13 +230,7 @@ def _turned(board: _Board, light: Light, rate: Light) -> None:
 
 
 @_entry
-def _listed(
-    pixels: npt.NDArray[np.int64],
-    size: tuple[int, int],
-    board: _Board,
-    light: npt.NDArray[np.float32],
-    rate: npt.NDArray[np.float32],
-) -> None:
+def _listed(pixels: npt.NDArray[np.int64], size: tuple[int, int], board: _Board, light: _Floats, rate: _Floats) -> None:
     """Compute `_turned` for some pixels of a frame of `size`."""
     width, height = size
     for k in range(pixels.size):

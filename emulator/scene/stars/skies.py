@@ -27,12 +27,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from emulator.light import MachineLacks
 from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
-from emulator.scene.stars.catalogue import Stars, moved
+from emulator.scene.stars.catalogue import Floats, Stars, moved
 from firmware_protocol.bounds import check_bounds
 from transports.needs import install_command
 
@@ -51,8 +50,6 @@ _COUNTED_PER_DEG2 = np.array(
     [0.00158, 0.00533, 0.0171, 0.0543, 0.1657, 0.5187, 1.522, 4.303, 11.69, 31.99, 90.23, 224.2]
 )
 """Stars a square degree brighter than `_COUNTED_G`."""
-
-Floats = npt.NDArray[np.float64]
 
 
 def stars_per_deg2(g_mag: float | Floats) -> Floats:

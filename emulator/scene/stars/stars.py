@@ -28,7 +28,7 @@ from emulator.light import Light, Region, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
 from emulator.scene.kind import SizedScene
-from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, load_stars, splat
+from emulator.scene.stars.catalogue import Boxes, Floats, Stars, boxes_of, clear, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
@@ -89,8 +89,6 @@ class StarsGeometry(SceneGeometry):
 
 _SHARPEST_PX = 0.3  # no lens is sharper; a blur of nothing would make light jump from pixel to pixel
 _APART_NS = 1_000_000  # poses from which velocities are taken
-
-Floats = npt.NDArray[np.float64]
 
 
 class StarField(SizedScene):

@@ -25,12 +25,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
+from emulator.raster.layout import Floats
 from emulator.scene.files import read_array, read_in_child
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
 from emulator.tables.toml_text import shortened
-
-Floats = npt.NDArray[np.float64]
 
 _STEEPEST_DEG = 75.0
 _FARTHEST = 100.0  # tangent of half the angle from the projection's pole: 1 is the equator

@@ -40,10 +40,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Bytes, Float32s, W, WHighest, WLowest
+from emulator.raster.layout import Bytes, Float32s, Floats, W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.ground import entry
 from emulator.scene.terrain.pixel_hits import Sight
@@ -58,9 +57,6 @@ _SHARE = _f(1.0 / 16.0)  # of the footprint's shorter side, moved in the moment
 _SLOWEST = _f(1e-20)  # m/s
 _LONGEST_S = _f(0.01)
 _NEAR, _NEXT, _FAR = 3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0  # differences over 2, 4 and 6 pixels
-
-Floats = npt.NDArray[np.float64]
-
 
 GRAZING = 0.02
 """Least cosine of emission: the laws of reflection are not valid for smaller ones."""

@@ -28,7 +28,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.terrain.ground import Ground, Heights, entry, map_entry
+from emulator.raster.layout import Floats
+from emulator.scene.terrain.ground import Ground, Heights, Ints, entry, map_entry
 
 BLOCK = 8
 LEAST_REACH = 80.0
@@ -38,10 +39,6 @@ SIDE = BLOCK + 1
 CORNERS = SIDE * SIDE
 _FIRST, _SPAN = 0.7, 0.29  # of a level's range: where the slide begins, and how long it is
 _MOST_BLOCKS = 1 << 16
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
-Float32s = npt.NDArray[np.float32]
 
 
 class _Split(NamedTuple):
@@ -268,7 +265,7 @@ class Vertices(NamedTuple):
 
 @entry
 def block_vertices(  # noqa: PLR0913, PLR0917
-    blocks: Ints, begin: int, end: int, heights: Float32s, levels: Ints, unit_m: float, reach_m: float, crowd: float,
+    blocks: Ints, begin: int, end: int, heights: Heights, levels: Ints, unit_m: float, reach_m: float, crowd: float,
     camera: Camera, out: Vertices,
 ) -> None:  # fmt: skip
     """Write the vertices of blocks `begin` to `end`, 81 each.

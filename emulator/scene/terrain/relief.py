@@ -37,12 +37,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.scene.terrain.ground import Ground, map_entry, nested
+from emulator.raster.layout import Floats
+from emulator.scene.terrain.ground import Ground, Heights, map_entry, nested
 from emulator.scene.terrain.table import Ridge
-
-Floats = npt.NDArray[np.float64]
 
 DEPTH, RIM, REACH = 0.2, 0.04, 3.0
 YOUNG, BRIGHTER = 0.8, 0.3  # craters younger than this are brighter, by at most this
@@ -197,7 +195,7 @@ def make_ridge(p: Ridge, progress: Callable[[int, int], None] = lambda done, of:
     return nested(post_m, grids[::-1])
 
 
-def make_albedo(p: Ridge) -> npt.NDArray[np.float32]:
+def make_albedo(p: Ridge) -> Heights:
     """Return the albedo of the posts of `make_ridge`, (grids, rows, columns), finest first; the map's mean is 1.
 
     All octaves of wavelengths have the same amplitude; young craters and their ejecta are brighter.

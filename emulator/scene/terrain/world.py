@@ -21,11 +21,11 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
+from emulator.raster.layout import Float32s, Floats
 from emulator.scene.files import Progress, cached_array
 from emulator.scene.terrain.ground import Ground, map_entry
 from emulator.scene.terrain.heightmap import load_heightmap
@@ -36,11 +36,8 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, instants_over, measured_bounds
 
-Floats = npt.NDArray[np.float64]
-Slopes = npt.NDArray[np.float32]
 
-
-def horizon_slopes(ground: Ground, azimuth_deg: float) -> Slopes:
+def horizon_slopes(ground: Ground, azimuth_deg: float) -> Float32s:
     """Return the tangent of the horizon's elevation at every post, (grids, rows, columns) float32.
 
     The azimuth is 0 along +y and 90 along +x. Posts with no ground towards the Sun have -1000.
@@ -63,7 +60,7 @@ def horizon_slopes(ground: Ground, azimuth_deg: float) -> Slopes:
 
 
 @map_entry
-def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: float, out: Slopes) -> None:
+def _sweep(heights: Float32s, grid: int, drift: float, length_m: float, out: Float32s) -> None:
     """Write the horizons' slopes on one grid, (rows, columns); the Sun is towards higher rows.
 
     Lines move towards the Sun by `drift` columns a row; between two lattice rows they are `length_m` long.
@@ -87,15 +84,9 @@ def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: 
 
 @map_entry
 def _follow(  # noqa: PLR0913, PLR0917
-    heights: npt.NDArray[np.float32],
-    grid: int,
-    column: float,
-    drift: float,
-    length_m: float,
-    place: Floats,
-    height: Floats,
-    out: Slopes,
-) -> None:
+    heights: Float32s, grid: int, column: float, drift: float, length_m: float, place: Floats, height: Floats,
+    out: Float32s
+) -> None:  # fmt: skip
     """Follow one line towards lower rows, and write the horizons at the rows of `grid`, (rows,).
 
     Parameters
@@ -135,7 +126,7 @@ def _follow(  # noqa: PLR0913, PLR0917
 
 
 @map_entry
-def _height(heights: npt.NDArray[np.float32], grid: int, x: float, y: int) -> float:
+def _height(heights: Float32s, grid: int, x: float, y: int) -> float:
     """Return the height at a lattice place on a grid, or from a coarser one where it lies beside it."""
     rows, columns = heights.shape[1], heights.shape[2]
     at = x / (1 << grid) + (columns - 1) // 2
@@ -204,7 +195,7 @@ class TerrainWorld:
         """Counts of poses received from outside."""
         return live_counts(self.camera)
 
-    def notes(self, first_frame: npt.NDArray[np.float32]) -> tuple[str, ...]:
+    def notes(self, first_frame: Float32s) -> tuple[str, ...]:
         """Return remarks on faults of the map, on views beyond it, and on a black first frame."""
         notes = list(self.ground.notes)
         if self.parameters.sun_elevation_deg < 0:
@@ -230,7 +221,7 @@ class TerrainWorld:
             )
         return z - ground_m
 
-    def sun_radii(self) -> Slopes:
+    def sun_radii(self) -> Float32s:
         """Return the height of the Sun's middle over the horizon of each post, in its radii, (grids, rows, columns).
 
         Beyond the map the body continues at the height of the map's lowest ground, which gives the least horizon.
