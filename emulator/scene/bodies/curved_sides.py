@@ -27,13 +27,9 @@ import numpy.typing as npt
 
 from emulator.raster.topology import PARTS
 from emulator.scene.bodies.compiled import ZERO, Floats, Numbers, cross, dot, entry, minus, plus, row
-from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
+from emulator.scene.bodies.lit_surface import Bools, Surface, lit_surface, middles_of, split_sides
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.sun_rays import Window, depth_in
-
-Bools = npt.NDArray[np.bool_]
-Bytes = npt.NDArray[np.uint8]
-Hidden = npt.NDArray[np.int8]
 
 BEND_PX = 0.02  # of a side that is not seen; what casts shadows is cut from there on
 _DARKEST = -0.1  # cosine of incidence: where no corner of a facet is above, its outline is black
@@ -149,8 +145,8 @@ def _write_points(faces: Numbers, between: Numbers, shares: Floats, vertices: Fl
 
 @entry
 def mark(  # noqa: PLR0913, PLR0917
-    points: Floats, normals: Floats, sides: Sides, sun: Floats, window: Window, is_hidden: Hidden, at: Floats,
-    marked: Bytes,
+    points: Floats, normals: Floats, sides: Sides, sun: Floats, window: Window,
+    is_hidden: npt.NDArray[np.int8], at: Floats, marked: npt.NDArray[np.uint8],
 ) -> None:  # fmt: skip
     """Mark the sides that are to be cut: those of facets that a shadow's edge, terminator or outline may pass through.
 

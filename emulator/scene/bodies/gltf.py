@@ -35,7 +35,7 @@ _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _KNOWN_EXTENSIONS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_transform", "KHR_lights_punctual")
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709
 _FARTHEST_UV = 1e4  # images
 _FLAT_COSINE = 0.9998  # normals within a degree of the facet's
 
@@ -190,6 +190,11 @@ class _File(ModelContents):
         ]
         return self._values(nodes, animations)
 
+    def _entry(self, owner: _Object, key: str, kind: str, where: str) -> _Object:
+        """Return the entry of the file's list `kind` whose number stands at a key."""
+        entries = _items(self._document, kind)
+        return entries[_number(owner, key, None, len(entries), where)]
+
     # --- nodes
 
     def _nodes(self) -> list[_Object]:
@@ -270,10 +275,7 @@ class _File(ModelContents):
             normals = self._accessor(attributes["NORMAL"], 3, f"{where}, NORMAL").astype(np.float64)
             if len(normals) != len(points):
                 raise SceneError(f"{where}: {len(normals)} normals for {len(points)} vertices")
-        material = None
-        if "material" in primitive:
-            materials = _items(self._document, "materials")
-            material = materials[_number(primitive, "material", None, len(materials), where)]
+        material = self._entry(primitive, "material", "materials", where) if "material" in primitive else None
         return {
             "vertices": self._keep(points),
             "faces": self._keep(faces),
@@ -293,7 +295,7 @@ class _File(ModelContents):
             self._notes["transparent materials are drawn opaque"] = None
         colour = _floats(surface, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)
         shares = {
-            "luminance": float(_LUMINANCE @ colour[:3]),
+            "luminance": float(LUMINANCE @ colour[:3]),
             "metallic": _floats({"m": [surface.get("metallicFactor", 1.0)]}, "m", [1.0], where)[0],
             "roughness": _floats({"r": [surface.get("roughnessFactor", 1.0)]}, "r", [1.0], where)[0],
         }
@@ -335,7 +337,7 @@ class _File(ModelContents):
         )
         angle = _floats({"rotation": [transform.get("rotation", 0.0)]}, "rotation", [0.0], where)[0]
         uv = transformed(uv, offset, scale, angle)
-        weights = tuple(_LUMINANCE * _floats(surface, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)[:3])
+        weights = tuple(LUMINANCE * _floats(surface, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)[:3])
         if (image, weights) not in self._luminances:
             self._luminances[image, weights] = self._keep(base_colour(self._pixels(image), weights))
         return {"luminance": self._luminances[image, weights], "uv": self._keep(uv), "wraps": wraps}
@@ -344,27 +346,24 @@ class _File(ModelContents):
         """Return the number of a texture's image and how it goes on along u and v; None: there is none."""
         if key not in surface:
             return None
-        textures, samplers = _items(self._document, "textures"), _items(self._document, "samplers")
-        texture = textures[_number(_member(surface, key), "index", None, len(textures), f"{where}, {key}")]
+        where = f"{where}, {key}"
+        texture = self._entry(_member(surface, key), "index", "textures", where)
         if "source" not in texture:
             self._notes["textures that are neither PNG nor JPEG are left out"] = None
             return None
-        image = _number(texture, "source", None, len(_items(self._document, "images")), f"{where}, {key}")
-        sampler = {}
-        if "sampler" in texture:
-            sampler = samplers[_number(texture, "sampler", None, len(samplers), f"{where}, {key}")]
-        wraps = [_number(sampler, axis, REPEAT, 1 << 16, f"{where}, {key}") for axis in ("wrapS", "wrapT")]
+        image = _number(texture, "source", None, len(_items(self._document, "images")), where)
+        sampler = self._entry(texture, "sampler", "samplers", where) if "sampler" in texture else {}
+        wraps = [_number(sampler, axis, REPEAT, 1 << 16, where) for axis in ("wrapS", "wrapT")]
         if not set(wraps) <= set(WRAPS):
-            raise SceneError(f"{where}, {key}: {wraps} is no way to go on beyond an image: {WRAPS}")
+            raise SceneError(f"{where}: {wraps} is no way to go on beyond an image: {WRAPS}")
         return image, wraps
 
     def _pixels(self, image: int) -> npt.NDArray[np.uint8]:
-        entry, views = _items(self._document, "images")[image], _items(self._document, "bufferViews")
-        where = f"image {image}"
+        entry, where = _items(self._document, "images")[image], f"image {image}"
         if "uri" in entry:
             data = self._loaded(str(entry["uri"]), where)
         else:
-            data = self._view(views[_number(entry, "bufferView", None, len(views), where)], where)
+            data = self._view(self._entry(entry, "bufferView", "bufferViews", where), where)
         pixels = decoded(data, where, self._pixels_left)
         self._pixels_left -= pixels.shape[0] * pixels.shape[1]
         return pixels
@@ -408,16 +407,13 @@ class _File(ModelContents):
 
     def _accessor(self, number: object, width: int, where: str) -> _Array:
         """Return the numbers of an accessor, (count, width); normalised ones are 0 to 1 or -1 to 1."""
-        accessors, views = _items(self._document, "accessors"), _items(self._document, "bufferViews")
-        a = accessors[_number({"accessor": number}, "accessor", None, len(accessors), where)]
+        a = self._entry({"accessor": number}, "accessor", "accessors", where)
         if "sparse" in a or "bufferView" not in a:
             raise SceneError(f"{where}: sparse or compressed data: export it without")
         kind = _TYPES.get(_number(a, "componentType", None, 1 << 16, where))
         if kind is None or _WIDTHS.get(str(a.get("type"))) != width:
-            raise SceneError(
-                f"{where}: {str(a.get('type'))[:20]} of {a.get('componentType')!s:.20} does not belong here"
-            )
-        view = views[_number(a, "bufferView", None, len(views), where)]
+            raise SceneError(f"{where}: {a.get('type')!s:.20} of {a.get('componentType')!s:.20} does not belong here")
+        view = self._entry(a, "bufferView", "bufferViews", where)
         data = self._view(view, where)
         size = np.dtype(kind).itemsize * width
         stride = _number(view, "byteStride", size, 253, where) if "byteStride" in view else size

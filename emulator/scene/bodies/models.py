@@ -28,6 +28,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, cast
 
@@ -244,10 +245,7 @@ def _ancestry(node: int, model: Model) -> list[int]:
 
 def _chain(nodes: Sequence[int], model: Model) -> _Floats:
     """Return the product of the transforms of nodes that stand still, (4, 4)."""
-    matrix = np.eye(4)
-    for k in nodes:
-        matrix = matrix @ _local(model.header["nodes"][k])
-    return matrix
+    return reduce(np.matmul, (_local(model.header["nodes"][k]) for k in nodes), np.eye(4))
 
 
 def _local(node: dict[str, Any]) -> _Floats:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import DUST, TriangleTree, covered, inverse_of, seen_above
-from emulator.scene.bodies.compiled import Floats, Numbers, Point, cross, dot, entry, kernel, minus, plus, row
+from emulator.scene.bodies.compiled import Floats, Numbers, Point, cross, dot, entry, kernel, minus, plus, row, vertex
 
 SUNLIT, UNKNOWN = -1, -2
 _WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
@@ -31,8 +31,7 @@ _LASTS = 10  # light frames, at least, for which a cone is worth its search
 @kernel
 def corner(corners: Floats, k: int, number: int) -> Point:
     """Return corner 0, 1 or 2 of triangle k of a `TriangleTree`."""
-    triangle, at = corners[k // corners.shape[2], :, k % corners.shape[2]], 3 * number
-    return triangle[at], triangle[at + 1], triangle[at + 2]
+    return vertex(corners[k // corners.shape[2], :, k % corners.shape[2]], number)
 
 
 class RayTree(NamedTuple):

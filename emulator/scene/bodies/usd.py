@@ -23,15 +23,15 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import quaternion_of
 from emulator.light import SceneError
-from emulator.scene.bodies.gltf import ModelContents, require_at_most
+from emulator.scene.bodies.gltf import LUMINANCE, ModelContents, require_at_most
 
 _WITHIN = 1e-5
 _MOST_SAMPLES = 1 << 14
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709
 
 _Array = npt.NDArray[Any]
 _Object = dict[str, Any]
 _Pose = tuple[_Array, _Array, _Array]  # translation, quaternion, scale
+_STILL: _Pose = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3)
 
 
 def read_usd(path: Path) -> dict[str, _Array]:
@@ -77,7 +77,7 @@ class _Stage(ModelContents):
         self._stage = stage
         self._start = stage.GetStartTimeCode() if stage.HasAuthoredMetadata("startTimeCode") else 0.0
         unit_m = float(UsdGeom.GetStageMetersPerUnit(stage))
-        self._nodes = [_node("stage", -1, (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(3, unit_m)))]
+        self._nodes = [_node("stage", -1, (*_STILL[:2], np.full(3, unit_m)))]
         self._channels: list[_Object] = []
 
     def contents(self) -> dict[str, _Array]:
@@ -102,7 +102,7 @@ class _Stage(ModelContents):
         from pxr import UsdGeom
 
         number, transform = len(self._nodes), UsdGeom.Xformable(prim)
-        node = _node(prim.GetName(), 0 if transform and transform.GetResetXformStack() else parent, None)
+        node = _node(prim.GetName(), 0 if transform and transform.GetResetXformStack() else parent, _STILL)
         self._nodes.append(node)
         require_at_most("nodes", len(self._nodes))
         if transform and transform.TransformMightBeTimeVarying():
@@ -159,19 +159,13 @@ class _Stage(ModelContents):
             if value and value.HasConnectedSource():
                 self._notes["textures are left out"] = None
             inputs[name] = np.array(value.Get() if value and value.Get() is not None else default, np.float64)
-        shares = [float(_LUMINANCE @ inputs["diffuseColor"]), float(inputs["metallic"]), float(inputs["roughness"])]
+        shares = [float(LUMINANCE @ inputs["diffuseColor"]), float(inputs["metallic"]), float(inputs["roughness"])]
         return dict(zip(("luminance", "metallic", "roughness"), np.clip(shares, 0, 1).tolist(), strict=True))
 
 
-def _node(name: str, parent: int, pose: _Pose | None) -> _Object:
-    place, turn, scale = pose or (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3))
-    return {
-        "name": name,
-        "parent": parent,
-        "translation": place.tolist(),
-        "rotation": turn.tolist(),
-        "scale": scale.tolist(),
-    }
+def _node(name: str, parent: int, pose: _Pose) -> _Object:
+    place, turn, scale = (values.tolist() for values in pose)
+    return {"name": name, "parent": parent, "translation": place, "rotation": turn, "scale": scale}
 
 
 def _sampled(transform: Any, name: str) -> tuple[_Array, list[_Pose]]:
