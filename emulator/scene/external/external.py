@@ -73,17 +73,18 @@ def _light_table(hello: Hello) -> npt.NDArray[np.float32] | None:
 
 
 class ImageQueue:
-    """The images of a connection, which has `p.slots` slots, in the order of their times; `path` is the camera's.
+    """The images of a connection, which has `p.slots` slots, in the order of their times.
 
     Attributes
     ----------
+    path, time : the camera's path, None where the renderer moves it, and the time on that path.
     taken : number of images received.
     bound_px_s : bound on motion of the newest one; infinite where it has none.
     """
 
     def __init__(self, connection: RendererConnection, p: ExternalParameters, path: Trajectory | None = None) -> None:
         self._connection, self._p = connection, p
-        self._path, self._time = path, Timescale(p.time_scale)
+        self.path, self.time = path, Timescale(p.time_scale)
         self._table = _light_table(connection.hello)
         self._images: deque[TimedImage] = deque(maxlen=2)  # those around the last light frame
         self._next_ns = 0
@@ -163,9 +164,9 @@ class ImageQueue:
             self._next_ns += self._p.period_ns
 
     def _pose(self, t_ns: int) -> tuple[float, ...] | None:
-        if self._path is None:
+        if self.path is None:
             return None
-        pose = self._path.pose(self._time.scene_ns(t_ns))
+        pose = self.path.pose(self.time.scene_ns(t_ns))
         return (*pose.position_m.tolist(), *pose.q_world_from_body.tolist())
 
     def _checked(self, image: Drawn) -> TimedImage:
@@ -211,7 +212,9 @@ class External(SizedScene):
 
     def __init__(self, images: ImageQueue, pinhole: Pinhole, white_w_m2_sr: float, threads: int = 0) -> None:
         super().__init__(pinhole.size)
-        self._images = images
+        self._images, self._paths = images, [] if images.path is None else [images.path]
+        if images.path is not None:  # which an inertial unit follows too
+            self.camera_path, self.path_time = images.path, images.time
         self._joined = Joined(pinhole.size, white_w_m2_sr, threads)
 
     @property
@@ -226,8 +229,8 @@ class External(SizedScene):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Images received."""
-        return {"images": self._images.taken}
+        """Images received, and poses where the path of the camera is live."""
+        return {"images": self._images.taken, **live_counts(*self._paths)}
 
     def stop(self) -> None:
         """Limit the wait for images of the present light frame."""
@@ -238,29 +241,10 @@ class External(SizedScene):
         self._joined.write(self._images.around(t_ns), t_ns, light, rate)
 
     def close(self) -> None:
-        """End the connection and the threads."""
+        """End the connection and the threads, and close the port of a live path."""
         self._images.close()
         self._joined.close()
-
-
-class ExternalOnPath(External):
-    """The same with a path of the camera, which an inertial unit follows too."""
-
-    def __init__(
-        self, images: ImageQueue, pinhole: Pinhole, p: ExternalParameters, path: Trajectory, threads: int = 0
-    ) -> None:
-        super().__init__(images, pinhole, p.white_w_m2_sr, threads)
-        self.camera_path, self.path_time = path, Timescale(p.time_scale)
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Images received, and poses where the path is live."""
-        return {**super().counts, **live_counts(self.camera_path)}
-
-    def close(self) -> None:
-        """End the connection and the threads, and close the port of a live path."""
-        super().close()
-        close_receivers(self.camera_path)
+        close_receivers(*self._paths)
 
 
 def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> External:
@@ -275,9 +259,7 @@ def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> 
     except BaseException:
         close_receivers(*([] if path is None else [path]))
         raise
-    if path is None:
-        return External(images, pinhole, p.white_w_m2_sr, threads)
-    return ExternalOnPath(images, pinhole, p, path, threads)
+    return External(images, pinhole, p.white_w_m2_sr, threads)
 
 
 def _connected(p: ExternalParameters, pinhole: Pinhole) -> RendererConnection:

@@ -132,7 +132,8 @@ class Joined:
         # Seconds from the first image to `t_ns`, and to the second one, both 0 at a standstill; and white.
         apart_ns = max(pair[1].t_ns - pair[0].t_ns, 0)
         terms = min(max(t_ns - pair[0].t_ns, 0), apart_ns) * 1e-9, apart_ns * 1e-9, self._white
-        rates, write = _NONE if rate is None else rate, _write_moved if _moves(pair) else _write_standing
+        # Without the motion of both images its plane is empty.
+        rates, write = _NONE if rate is None else rate, _write_moved if planes[2].size else _write_standing
 
         def share(k: int, _: int) -> None:
             write(planes, terms, (k * _ROWS, min((k + 1) * _ROWS, self._rows)), light, rates)
@@ -142,10 +143,6 @@ class Joined:
     def close(self) -> None:
         """End the threads; a second call does nothing."""
         self._pool.close()
-
-
-def _moves(pair: Pair) -> bool:
-    return pair[0].motion is not None and pair[1].motion is not None
 
 
 def _planes(pair: Pair) -> tuple[_Floats, ...]:
