@@ -122,13 +122,9 @@ def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:
 def _write(path: Path, array: npt.NDArray[T]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, beside = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                np.save(file, array)
-            os.replace(beside, path)
-        except OSError:
-            os.unlink(beside)
-            raise
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            beside = Path(folder) / path.name
+            np.save(beside, array)
+            beside.replace(path)
     except OSError as error:
         sys.stderr.write(f"evstim: {path.parent} cannot be written ({error.strerror}): arrays are computed anew\n")

@@ -89,6 +89,9 @@ class SizedScene(Scene):
         """Write the light at `t_ns`: `light_and_rate` gets NO_RATE."""
         self.light_and_rate(t_ns, out, NO_RATE)
 
+    def close(self) -> None:
+        """Do nothing, unless a kind of scene holds resources."""
+
 
 class Blank(SizedScene):
     """Darkness."""
@@ -101,6 +104,3 @@ class Blank(SizedScene):
         if self.changed is None:
             light.fill(0)
             rate.fill(0)
-
-    def close(self) -> None:
-        """There is nothing to give back."""

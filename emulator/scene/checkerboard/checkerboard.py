@@ -147,9 +147,6 @@ class Checkerboard(SizedScene):
         _listed(pixels, self._size, self._board(t_ns), light, rate)
         return light, rate
 
-    def close(self) -> None:
-        """Do nothing: a board holds no resources."""
-
 
 def _cos_sin(angle_deg: float) -> tuple[float, float]:
     """Return cosine and sine, exact at the quarter turns."""

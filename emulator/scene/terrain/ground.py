@@ -163,11 +163,6 @@ class Pyramid:
     levels: Ints
     shadows: Halves
 
-    def shared(self, ground: Ground) -> Ground:
-        """Return `ground`, from which this was built, with the heights that are here: its own need no memory then."""
-        shape = ground.heights_m.shape
-        return dataclasses.replace(ground, heights_m=self.heights[: math.prod(shape)].reshape(shape))
-
 
 def build_pyramid(ground: Ground, sun_radii: Heights, sun: Vector, levels: int) -> Pyramid:
     """Return `levels` levels of `ground`, in the light of `sun`, (2, 3): towards it, and from its middle to its top.

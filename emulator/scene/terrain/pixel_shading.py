@@ -19,28 +19,16 @@ import numpy as np
 
 from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import Bytes, Float32s, Floats, Ints
+from emulator.scene.terrain import pixel_parts as parts
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.box_moments import MOST_POSTS
 from emulator.scene.terrain.ground import entry
 from emulator.scene.terrain.pixel_boxes import box_means, footprints, mismatches
 from emulator.scene.terrain.pixel_hits import Posts, Sight, Table, corner_hits, keep_row
 from emulator.scene.terrain.pixel_law import GRAZING, Motion, Sunlight, around, footprint_moves, light_rate, mean_light
-from emulator.scene.terrain.pixel_parts import (
-    COLUMN,
-    LINE_FIELDS,
-    MEAN_B,
-    MEAN_BP,
-    MEAN_BQ,
-    MEAN_REFLECTED,
-    SEEN,
-    Peaks,
-    into_world,
-    part_means,
-)
+from emulator.scene.terrain.pixel_parts import Peaks, into_world, part_means
 from emulator.scene.terrain.tile import TILE, Floats32, Tile
 from emulator.sensor.numerics.compiled import NONE, lane, vector_kernel
-
-__all__ = ["LINE_FIELDS", "ROW_FIELDS", "shade_doubtful", "shade_rows"]
 
 _PIXELS = TILE - 1
 _STEEPEST = 10.0
@@ -120,7 +108,7 @@ def shade_doubtful(
     coverage : of `raster.Owners`.
     samples : parts of a pixel along the shorter side of its footprint.
     least : mean of the light frame from which changes count.
-    s, line : (ROW_FIELDS, width + 2), (LINE_FIELDS, width + 2), room.
+    s, line : (ROW_FIELDS, width + 2), (LINE_FIELDS of `pixel_parts`, width + 2), room.
     smooth : from `shade_rows`.
     """
     for row in range(rows[0], rows[1]):
@@ -134,7 +122,7 @@ def shade_doubtful(
         _angles(row, count, sight, sun, line, s)
         reflect(sun.law, sun.law_parameters, s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
-            s[_VALUE, int(line[COLUMN, k])] = s[_MU0, k] * s[_SUNLIGHT, k] + s[_AROUND, k]
+            s[_VALUE, int(line[parts.COLUMN, k])] = s[_MU0, k] * s[_SUNLIGHT, k] + s[_AROUND, k]
         for column in range(sight.owner.shape[1]):
             if sight.owner[row, column] >= 0 or smooth.doubtful[row, column] > 0:
                 light[row, column] = s[_VALUE, column]
@@ -180,11 +168,11 @@ def _list_columns(row: int, owner: Ints, doubtful: Bytes, least: float, s: Float
     """List a row's doubtful pixels, then the others around which light changes much; return the ends of both lists."""
     count: int = NONE
     for column in range(len(doubtful)):
-        line[COLUMN, count] = column
+        line[parts.COLUMN, count] = column
         count += doubtful[column] > 0
     last = count
     for column in range(len(doubtful)):
-        line[COLUMN, count] = column
+        line[parts.COLUMN, count] = column
         changing = (doubtful[column] == 0) & (s[_RANGE, column] > max(s[_MEAN, column], least))
         count += changing & (owner[row, column] >= 0)
     return last, count
@@ -197,19 +185,19 @@ def _angles(row: int, count: int, sight: Sight, sun: Sunlight, line: Floats, s: 
     focal, middle_column, middle_row = sight.projection
     for k in range(count):
         # The mean slope, weighted by b.
-        b = max(line[MEAN_B, k], 0.0)
+        b = max(line[parts.MEAN_B, k], 0.0)
         per_b = 1.0 / max(b, _TINY)
-        p = min(max(line[MEAN_BP, k] * per_b, -_STEEPEST), _STEEPEST)
-        q = min(max(line[MEAN_BQ, k] * per_b, -_STEEPEST), _STEEPEST)
+        p = min(max(line[parts.MEAN_BP, k] * per_b, -_STEEPEST), _STEEPEST)
+        q = min(max(line[parts.MEAN_BQ, k] * per_b, -_STEEPEST), _STEEPEST)
         up = 1.0 / math.sqrt(1.0 + p * p + q * q)
-        x, y = (int(line[COLUMN, k]) + 0.5 - middle_column) / focal, (row + 0.5 - middle_row) / focal
+        x, y = (int(line[parts.COLUMN, k]) + 0.5 - middle_column) / focal, (row + 0.5 - middle_row) / focal
         dx, dy, dz = into_world(sight.turn, x, y, 1.0)
         per_d = -1.0 / math.sqrt(1.0 + x * x + y * y)
         ex, ey, ez = dx * per_d, dy * per_d, dz * per_d
         mu0 = max((sun_z - p * sun_x - q * sun_y) * up, b, 1e-6)
         gx, gy, gz = ex - sun_x, ey - sun_y, ez - sun_z
         s[_MU0, k] = mu0
-        s[_MU, k] = max(b / max(line[MEAN_REFLECTED, k], _TINY) - mu0, GRAZING)
+        s[_MU, k] = max(b / max(line[parts.MEAN_REFLECTED, k], _TINY) - mu0, GRAZING)
         s[_CHORD2, k] = gx * gx + gy * gy + gz * gz
         s[_SUNLIGHT, k] = b / mu0 * sun.irradiance_w_m2
-        s[_AROUND, k] = line[SEEN, k] * around(sun.ambient, ez)
+        s[_AROUND, k] = line[parts.SEEN, k] * around(sun.ambient, ez)

@@ -31,8 +31,8 @@ from emulator.raster.surfaces import instants, motion_of, nearest_along, write_d
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, Sunlight, rate_of_doubtful
-from emulator.scene.terrain.pixel_parts import Peaks
-from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, Smooth, shade_doubtful, shade_rows
+from emulator.scene.terrain.pixel_parts import LINE_FIELDS, Peaks
+from emulator.scene.terrain.pixel_shading import ROW_FIELDS, Smooth, shade_doubtful, shade_rows
 from emulator.scene.terrain.quadtree import (
     CORNERS,
     LEAST_REACH,
@@ -123,8 +123,10 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         super().__init__(world)
         self._reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX, _COARSER), LEAST_REACH)
         self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.disc, level_count(world.ground) + 1)
-        world.ground = dataclasses.replace(world.ground, albedo=None)  # it is part of the light now; a map is large
-        world.ground = self._pyramid.shared(world.ground)
+        # A map is large: albedo is part of the light now, and the pyramid begins with the same heights.
+        shape = world.ground.heights_m.shape
+        heights_m = self._pyramid.heights[: math.prod(shape)].reshape(shape)
+        world.ground = dataclasses.replace(world.ground, heights_m=heights_m, albedo=None)
         self._tree = Quadtree(world.ground, self._reach)
         self._peaks = Peaks(self._tree.highest, self._tree.levels)
         heights = np.linspace(0, 1, _HEIGHTS)
@@ -137,7 +139,6 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         screen = Screen(width, height, pinhole.focal_px, (width / 2, height / 2), _NEAREST_SHARE * world.distance_m)
         self._renderer = Renderer(self._blocks.topology(0), screen, threads)
         self._pool = ThreadPool(threads)
-        self._threads = threads
         self._tiles = [new_tile() for _ in range(threads)]
         self._lines = [(np.zeros((ROW_FIELDS, width + 2)), np.zeros((LINE_FIELDS, width + 2))) for _ in range(threads)]
         pyramid, ground = self._pyramid, world.ground
@@ -222,7 +223,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
 
     def _fill(self, chosen: npt.NDArray[np.int64], camera: Camera) -> None:
         """Write the vertices of the chosen blocks."""
-        share = -(-len(chosen) // self._threads)
+        share = -(-len(chosen) // self._pool.threads)
         unit_m, posts = self._world.ground.unit_m, self._posts
 
         def fill(k: int, _: int) -> None:
@@ -230,7 +231,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
             reach_m, crowd, room = self._reach * unit_m, self._tree.crowd, self._blocks.vertices
             block_vertices(chosen, first, last, posts.heights, posts.levels, unit_m, reach_m, crowd, camera, room)
 
-        self._pool.each(fill, self._threads)
+        self._pool.each(fill, self._pool.threads)
 
 
 class _Blocks:

@@ -75,12 +75,8 @@ class Tile(NamedTuple):
 
 def new_tile() -> Tile:
     """Return room for a tile."""
-    return Tile(
-        np.zeros((FIELDS + 1) * TILE, np.float32),
-        np.zeros(PLACES * TILE, np.int32),
-        np.zeros(2 * RATES, np.float32),
-        np.zeros((MEANS, TILE)),
-    )
+    fields, places = np.zeros((FIELDS + 1) * TILE, np.float32), np.zeros(PLACES * TILE, np.int32)
+    return Tile(fields, places, np.zeros(2 * RATES, np.float32), np.zeros((MEANS, TILE)))
 
 
 @inlined

@@ -204,10 +204,6 @@ class TerrainWorld:
             notes.append("the first light frame is black: the camera sees no lit ground")
         return tuple(notes)
 
-    def motion_px_s(self, t_ns: int) -> float:
-        """Return the speed of the ground in the light frame at stream time `t_ns`."""
-        return self._moving_px_s(self.time.scene_ns(t_ns))
-
     def height_m(self, scene_ns: int, pose: Pose) -> float:
         """Return the camera's height over the ground beneath, or over the map's level where there is none."""
         x, y, z = (float(c) for c in pose.position_m)
