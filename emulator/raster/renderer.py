@@ -105,7 +105,7 @@ class Renderer:
         """Write the row of `facets` that is the nearest at each pixel's middle, (height, width) int32; -1 for none."""
         self._prepare(view)
         scratch = self._scratches[0]
-        nearest_facets(self._data, self._lists, scratch.depth, scratch.nearest, scratch.held, out)
+        nearest_facets(self.data, self._lists, scratch.depth, scratch.nearest, scratch.held, out)
 
     def corners(self) -> Ints:
         """Return a vertex of each of `facets`, (m,): its first that was not made by a cut at the nearest depth."""
@@ -129,14 +129,20 @@ class Renderer:
             end = min(band + run, last)
             while band >= 0:
                 scratch, columns = self._scratches[thread], (window.first_column, window.last_column)
-                band, pairs = draw_bands(self._data, (band, end), self._lists, columns, scratch, owners, light, rate)
+                band, pairs = draw_bands(self.data, (band, end), self._lists, columns, scratch, owners, light, rate)
                 if band >= 0:
                     self._scratches[thread] = scratch._replace(**_room_for(2 * pairs))
 
         self._pool.each(draw, -(-(last - first) // run))
 
     @property
-    def _data(self) -> Data:
+    def shades(self) -> Ints:
+        """Entries of the radiance at the corners of `facets`, (m, 3)."""
+        return self._drawn.shades
+
+    @property
+    def data(self) -> Data:
+        """All that was drawn last."""
         t = self._drawn
         return Data(self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds, t.over)
 

@@ -13,6 +13,7 @@ The surface of each scene, by which it is judged:
                      facet is a curved triangle (Vlachos et al. 2001, Curved PN triangles), cut into n x n flat ones
                      whose sides are a third of a pixel at the closest, n at least 4, within _MOST_FACETS. Normals are
                      interpolated over the facet of the shape, as the scene defines them, and do not depend on n
+    grain            below facets, at each point of a pixel, by scipy from the same tile of noise
     flat bodies      their facets, which are exact
     ground           the heights of the finest grid at a place, bilinear between posts; slopes are differences over two
                      posts, bilinear as well
@@ -35,11 +36,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import map_coordinates
 
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole
 from emulator.light import Light, MachineLacks, Scene, SceneError
 from emulator.photometry.reflectance import PLANET_ALBEDO, Sun, Water, air_light
+from emulator.scene.bodies.grain import TEXELS, Octaves, tile
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds
 from emulator.scene.bodies.world import BodyWorld
@@ -169,13 +172,14 @@ class _Body:
             wanted = math.ceil(_SIDES_A_PIXEL * float(side.mean()) * mesh.radius_m / pixel_m)
             self.cuts = max(min(wanted, math.isqrt(_MOST_FACETS // len(corners))), _LEAST_CUTS)
             self._lift, normals = _LIFT * side / self.cuts, mesh.normals[mesh.faces]
-            albedo, water = mesh.tints(lambda values: mesh.at_vertices(values)[mesh.faces])
+            tints = mesh.tints(lambda values: mesh.at_vertices(values)[mesh.faces])
         else:
             self.cuts, self._lift = 1, np.full(len(corners), _FLAT_LIFT)
-            albedo, water = mesh.albedo, mesh.water
+            tints = mesh.tints(lambda values: values)
             normals = np.repeat((flat / np.linalg.norm(flat, axis=1, keepdims=True))[:, None], 3, axis=1)
-        tints = [np.full(mesh.faces.shape, k) if v is None else v for k, v in ((1.0, albedo), (0.0, water))]
-        self._values = np.concatenate([normals, np.stack(tints, axis=2)], axis=2)
+        plain = {"albedo": 1.0, "water": 0.0, "rough": 0.0}
+        values = [tints.get(name, np.full(mesh.faces.shape, value)) for name, value in plain.items()]
+        self._values = np.concatenate([normals, np.stack(values, axis=2)], axis=2)
         self._shares, self._parts = _lattice(self.cuts)
         self._points = np.round(_curved(corners, normals, self._shares) * 2**22) / 2**22  # exact in float32
         faces = (self._parts + len(self._shares) * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
@@ -191,10 +195,10 @@ class _Body:
         return np.asarray(self._scene.run(starts.astype(np.float32), rays.astype(np.float32), query="OCCLUDED") >= 0)
 
     def at(self, facets: _Ints, eye: _Floats, rays: _Floats) -> _Floats:
-        """Return of each ray that meets a small facet: its length, normal, albedo, water and lift there, (n, 7)."""
-        out = np.empty((len(facets), 7))
+        """Return of each ray that meets a small facet: its length, normal, albedo, water, roughness, lift, (n, 8)."""
+        out = np.empty((len(facets), 8))
         _at_hits(facets, eye, rays, (self._points, self._shares, self._parts, self._values), out)
-        out[:, 6] = self._lift[facets // len(self._parts)]
+        out[:, 7] = self._lift[facets // len(self._parts)]
         return out
 
 
@@ -233,7 +237,7 @@ def _at_hits(
     Parameters
     ----------
     surface : points of facets, (facets, places, 3); shares of the corners at these, (places, 3); places at the corners
-        of each part, (parts, 3); normals, albedo and water at the corners of facets, (facets, 3, 5).
+        of each part, (parts, 3); normals, albedo and water at the corners of facets, (facets, 3, 6).
     """
     points, shares, parts, values = surface
     for k in range(len(facets)):
@@ -255,13 +259,25 @@ def _at_hits(
         out[k, 0] = ((ax + s * ux + r * vx) * dx + (ay + s * uy + r * vy) * dy + (az + s * uz + r * vz) * dz) / (
             dx * dx + dy * dy + dz * dz
         )
-        out[k, 1:6] = 0.0
+        out[k, 1:7] = 0.0
         for corner in range(3):
             own = shares[part[0], corner] * (1.0 - s - r) + shares[part[1], corner] * s + shares[part[2], corner] * r
-            for i in range(5):
+            for i in range(6):
                 out[k, 1 + i] += own * values[f, corner, i]
         length = math.sqrt(out[k, 1] ** 2 + out[k, 2] ** 2 + out[k, 3] ** 2)
         out[k, 1:4] /= max(length, 1e-12)
+
+
+def _grain(places_m: _Floats, o: Octaves) -> _Floats:
+    """Return slope and brightness of the grain below facets at places, (n, 4)."""
+    out, weights = np.zeros((len(places_m), 4)), (1 - o.on_facets) * o.heights_m / o.waves_m
+    fields = tile().reshape(32, 32, 32, 4)
+    for n in np.flatnonzero(weights):
+        at = TEXELS * (places_m / o.waves_m[n] + o.shifts[n]).T
+        for k in range(4):
+            height = map_coordinates(fields[..., k], at, np.float64, order=1, mode="grid-wrap")
+            out[:, k] += (weights[n] if k < 3 else o.tints[n]) * height
+    return out
 
 
 class SampledBodies(SampledScene):
@@ -308,12 +324,19 @@ class SampledBodies(SampledScene):
         toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
         mu0, mu, phase = ((normals * sun).sum(axis=1), (normals * toward).sum(axis=1), _angle(toward, sun))
         lit = mu0 > 0
-        starts = eye + there[:, :1] * rays + there[:, 6:] * normals
+        starts = eye + there[:, :1] * rays + there[:, 7:] * normals
         if self._p.shadows:
             lit[lit] = ~self._hidden(starts[lit] * body.radius_m, sun[lit], pose, poses)
+        albedo = there[:, 4]
+        if (octaves := self._world.grain[k]) is not None:
+            grain = there[:, 6:7] * _grain((eye + there[:, :1] * rays) * body.radius_m, octaves)
+            turned = normals - grain[:, :3] + (grain[:, :3] * normals).sum(axis=1, keepdims=True) * normals
+            turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+            mu0, mu = (turned * sun).sum(axis=1), np.maximum((turned * toward).sum(axis=1), _GRAZING)
+            albedo = albedo * (1 + grain[:, 3])
         law, detail, sun_w_m2 = body.table.reflectance, body.table.detail, self._p.sun.irradiance_w_m2
         direct = np.where(lit, sun_w_m2 * law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
-        radiance = there[:, 4] * (direct + self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0))
+        radiance = albedo * (direct + self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0))
         if isinstance(detail, Clouds):
             sea = there[:, 5] * Water(detail.wind_m_s).reflect(mu0, mu, phase)
             radiance += sun_w_m2 * lit * (sea + air_light(mu0, mu, phase, PLANET_ALBEDO * there[:, 4]))

@@ -111,10 +111,8 @@ def _with_points(mesh: Mesh, between: Numbers, split: Bools) -> Mesh:
         """Return values at the corners of parts, (n, 3), from those at the points of facets, (m, 10)."""
         return np.concatenate([values[cuts == cut][:, parts].reshape(-1, 3) for cut, parts in PARTS.items()])
 
-    albedo, water = mesh.tints(lambda values: of_parts(np.column_stack([values, values @ _SHARES.T])))
-    return dataclasses.replace(
-        mesh, vertices=vertices, faces=of_parts(points), normals=upright, albedo=albedo, water=water
-    )
+    tints = mesh.tints(lambda values: of_parts(np.column_stack([values, values @ _SHARES.T])))
+    return dataclasses.replace(mesh, vertices=vertices, faces=of_parts(points), normals=upright, **tints)
 
 
 @entry

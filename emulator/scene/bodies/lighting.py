@@ -34,9 +34,11 @@ from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import PLANET_ALBEDO, Water, air_light
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
 from emulator.raster import Facets, join, prepare
+from emulator.raster.surfaces import camera_from_body, motion_of
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
 from emulator.scene.bodies.compiled import entry, row
 from emulator.scene.bodies.curved_sides import Sides, mark
+from emulator.scene.bodies.grain import Ground, Octaves, Placed, tile
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_edges import MARGIN_PX, FrameFacets, Lights, ShadowEdges, Suns
@@ -268,6 +270,27 @@ class Lighting:
     def close(self) -> None:
         """End the threads; a second call does nothing."""
         self._pool.close()
+
+    def grounds(self, grain: Sequence[Octaves | None], surfaces: Sequence[Surface]) -> dict[int, list[Ground]]:
+        """Return the bodies with grain, `grain` by body, by the number of the first body of their group."""
+        grounds: dict[int, list[Ground]] = {}
+        for octaves, surface, body in zip(grain, surfaces, self._bodies, strict=True):
+            if octaves is not None and surface.rough is not None:
+                brightest = self._sun.irradiance_w_m2 * (1.0 if body.albedo is None else float(body.albedo.max()))
+                normals = np.ascontiguousarray(body.normals)
+                ground = Ground(body.first_point, normals, surface.rough, octaves, tile(), body.law, brightest)
+                grounds.setdefault(self._groups[body.group].members[0], []).append(ground)
+        return grounds
+
+    def placed(self, motion: Motion, bodies: Collection[int]) -> dict[int, Placed]:
+        """Return where some bodies are before the camera, by number."""
+        cameras, placed = (motion.now.camera, motion.before.camera, motion.after.camera), {}
+        for k in bodies:
+            poses = motion.now.bodies[k], motion.before.bodies[k], motion.after.bodies[k]
+            turn, shift = camera_from_body(cameras[0], poses[0])
+            rates, sun = motion_of(cameras, poses, motion.between_s), self._towards @ poses[0].world_from_body
+            placed[k] = Placed(np.ascontiguousarray(turn), shift, rates, sun, self._pinhole.focal_px)
+        return placed
 
     def light(self, motion: Motion) -> list[Radiance]:
         """Return the light of each body at its points."""

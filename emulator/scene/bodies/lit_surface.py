@@ -46,6 +46,7 @@ class Surface:
     smooth : True: normals are interpolated.
     albedo : (e,) of each radiance, relative to the body's law of reflection; None: 1 everywhere.
     water : (e,) share of open water; None: no water.
+    rough : (e,) of the grain, see `Mesh`; None: no grain.
     between : (m, 7) int32, vertices at which facets may be cut, see `curved_sides`; None: none.
     """
 
@@ -58,6 +59,7 @@ class Surface:
     smooth: bool
     albedo: Floats | None = None
     water: Floats | None = None
+    rough: Floats | None = None
     between: Faces | None = None
 
 
@@ -72,7 +74,7 @@ def _smooth(mesh: Mesh) -> Surface:
     lean = np.where(least > 0, np.sqrt(np.maximum(1 - least * least, 0)), 1.0) + 1e-9
     points = mesh.vertices + _LIFT * mean_side_m(mesh.vertices, mesh.faces) * mesh.normals
     tints = mesh.tints(mesh.at_vertices)
-    return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True, *tints)
+    return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True, **tints)
 
 
 @entry
@@ -92,8 +94,8 @@ def _flat(mesh: Mesh) -> Surface:
     planes = facet_vectors(mesh.vertices, mesh.faces)
     planes /= np.maximum(np.linalg.norm(planes, axis=1, keepdims=True), 1e-300)
     normals = np.repeat(planes, 3, axis=0)
-    tints = [values.ravel() for values in (mesh.albedo, mesh.water) if values is not None]
-    key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE), *tints])
+    tints = mesh.tints(np.ravel)
+    key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE), *tints.values()])
     _, first, shade = np.unique(key, axis=0, return_index=True, return_inverse=True)
     shade = shade.ravel()
     middles = np.repeat(mesh.vertices[mesh.faces].mean(axis=1), 3, axis=0)
@@ -102,8 +104,8 @@ def _flat(mesh: Mesh) -> Surface:
     points = mesh.vertices[mesh.faces.ravel()[first]] * (1 - _INWARD) + _INWARD * inside
     shades = shade.astype(np.int32).reshape(-1, 3)
     lean = np.full(len(points), 1e-9)
-    chosen = mesh.tints(lambda values: values.ravel()[first])
-    return Surface(mesh.vertices, mesh.faces, shades, points, normals[first], lean, False, *chosen)
+    chosen = {name: values[first] for name, values in tints.items()}
+    return Surface(mesh.vertices, mesh.faces, shades, points, normals[first], lean, False, **chosen)
 
 
 def shadow_triangles(mesh: Mesh) -> Floats:
@@ -146,9 +148,9 @@ def near_in_memory(mesh: Mesh) -> Mesh:
     vertices = faces.ravel()[np.sort(first)]
     number = np.empty(len(mesh.vertices), np.int32)
     number[vertices] = np.arange(len(vertices))
-    albedo, water = mesh.tints(lambda values: values[order])
+    tints = mesh.tints(lambda values: values[order])
     places, normals = mesh.vertices[vertices], mesh.normals[vertices]
-    return replace(mesh, vertices=places, faces=number[faces], normals=normals, albedo=albedo, water=water)
+    return replace(mesh, vertices=places, faces=number[faces], normals=normals, **tints)
 
 
 def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> Bools:
@@ -176,7 +178,7 @@ def middles_of(mesh: Mesh, split: Bools) -> tuple[Faces, npt.NDArray[np.intp]]:
 def split_sides(mesh: Mesh, split: Bools) -> Mesh:
     """Return a mesh with a vertex in the middle of the sides of `split`, (m, 3), and the facets cut there.
 
-    Both facets of a side must have the same value. Normals, albedo and water of new vertices are means of its ends.
+    Both facets of a side must have the same value. Normals and tints of new vertices are means of its ends.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     sides, number = middles_of(mesh, split)
@@ -185,10 +187,10 @@ def split_sides(mesh: Mesh, split: Bools) -> Mesh:
     new_normals = normals[sides].sum(axis=1)
     length = np.linalg.norm(new_normals, axis=1, keepdims=True)
     new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
-    albedo, water = mesh.tints(lambda values: cut_facets(values, (values + np.roll(values, -1, axis=1)) / 2, split))
+    tints = mesh.tints(lambda values: cut_facets(values, (values + np.roll(values, -1, axis=1)) / 2, split))
     vertices, normals = np.concatenate([vertices, vertices[sides].mean(axis=1)]), np.concatenate([normals, new_normals])
     faces = cut_facets(faces, middle, split).astype(np.int32)
-    return replace(mesh, vertices=vertices, faces=faces, normals=normals, albedo=albedo, water=water)
+    return replace(mesh, vertices=vertices, faces=faces, normals=normals, **tints)
 
 
 def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools) -> npt.NDArray[Any]:

@@ -62,6 +62,7 @@ class Mesh:
     albedo : (m, 3) float64, brightness at the corners of each facet relative to the law of reflection; None: 1
         everywhere. On a smooth surface the corners at a vertex agree.
     water : (m, 3) float64, share of open water at the corners, 0 to 1, which has the glint of the Sun; None: no water.
+    rough : (m, 3) float64, height of the grain at the corners over that of its octaves; None: no grain.
     """
 
     vertices: _Points
@@ -72,6 +73,7 @@ class Mesh:
     was_inside_out: bool = False
     albedo: _Points | None = None
     water: _Points | None = None
+    rough: _Points | None = None
 
     @cached_property
     def radius_m(self) -> float:
@@ -83,10 +85,10 @@ class Mesh:
         """The surface area."""
         return float(np.linalg.norm(facet_vectors(self.vertices, self.faces), axis=1).sum())
 
-    def tints(self, change: Callable[[_Points], _Points]) -> tuple[_Points | None, _Points | None]:
-        """Return albedo and water, each as `change` returns it; None stays None."""
-        albedo, water = (None if values is None else change(values) for values in (self.albedo, self.water))
-        return albedo, water
+    def tints(self, change: Callable[[_Points], _Points]) -> dict[str, Any]:
+        """Return those of albedo, water and roughness that there are, by name, each as `change` returns it."""
+        values = {"albedo": self.albedo, "water": self.water, "rough": self.rough}
+        return {name: change(of) for name, of in values.items() if of is not None}
 
     def at_vertices(self, values: _Points) -> _Points:
         """Return values of vertices, (n,): the mean of those at corners, (m, 3)."""

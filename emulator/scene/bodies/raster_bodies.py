@@ -2,6 +2,7 @@
 
     poses just before, at and after t --> light at the points of surfaces (`lighting`) --+
                                       --> vertices and their velocities -----------------+--> `raster` --> light, rate
+                                                                                                 `grain` below facets
 
 Light is linear over a facet. Large facets are divided:
 
@@ -18,7 +19,7 @@ facets. Facets too small to be visible are merged (see `BodyWorld.as_seen`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from emulator.raster import Renderer, Screen, View
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_thirds
+from emulator.scene.bodies.grain import GrainLayer, Ground, Placed
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.mesh import Mesh
@@ -183,7 +185,7 @@ class LitBodies:
         if self._closed:
             raise SceneError("the scene is closed: build it again")
         world = self._world
-        motion = motion_at(t_ns, world.camera, self._poses, world.time)
+        self._motion = motion = motion_at(t_ns, world.camera, self._poses, world.time)
         surface_lights, shadows = self._lighting.light_and_polygons(motion)
         bodies = [(root, vertices, 1.0) for root, vertices, _ in self._placed]
         between = [
@@ -203,6 +205,14 @@ class LitBodies:
             np.concatenate([*(light.radiance for light in surface_lights), *(shadow.radiance for shadow in shadows)]),
             np.concatenate([*(light.rate for light in surface_lights), *(shadow.rate for shadow in shadows)]),
         )
+
+    def grounds(self) -> dict[int, list[Ground]]:
+        """Return the bodies with grain, by the number of the body in whose frame they are."""
+        return self._lighting.grounds(self._world.grain, self.surfaces)
+
+    def placed(self, bodies: Collection[int]) -> dict[int, Placed]:
+        """Return where bodies are in the last view, by number."""
+        return self._lighting.placed(self._motion, bodies)
 
     def _surface(self, k: int, casters: list[Mesh]) -> Surface:
         """Return the lit surface of body k: facets that are large in the light frame are divided, within a limit.
@@ -250,6 +260,7 @@ class RasterBodies(WorldScene[BodyWorld]):
         self._renderer = Renderer(self._lit.topology, screen, threads)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
+        self._grain = GrainLayer(self._lit.grounds(), pinhole.size, threads)
         self._arrays = LastArrays()
 
     def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
@@ -268,12 +279,14 @@ class RasterBodies(WorldScene[BodyWorld]):
         before = self._drawn if self._arrays.are(light, rate) else None
         view = self._lit.view(t_ns)
         self._renderer.topology = self._lit.topology
-        self._drawn = self._renderer.draw(view, light, rate, before)
+        self._drawn = self._renderer.draw(view, light, rate, before, self._grain.owners)
+        self._grain.add(self._renderer, self._lit.placed(self._grain.bodies), self._drawn, light, rate)
         self.changed = None if before is None else self._drawn.union(before)
 
     def close(self) -> None:
         """End the threads and close the ports; a second call does nothing."""
         self._renderer.close()
+        self._grain.close()
         self._lit.close()
         super().close()
 

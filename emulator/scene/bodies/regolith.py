@@ -8,7 +8,8 @@ features costs nothing; where facets are large in the light frame all are cut in
     craters      a parabolic floor and a rim, as deep as their age leaves: depth over diameter spreads from a quarter of
                  the fresh one's to the whole, most of them old; the rims of old ones erode first; fresh craters are
                  up to a fifth brighter
-    roughness    vertices moved along their normals by noise, in patches; evenly where there is smooth ground
+    roughness    `grain`: vertices moved along their normals by noise, and slopes below facets; in patches, or evenly
+                 where there is smooth ground
 
 Boulders, roughness and the variation of albedo are missing on the share `smooth_share` of the surface that is low and
 even (`smooth_ground`).
@@ -46,8 +47,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.albedo import clouded, fractal_noise, with_albedo
+from emulator.scene.bodies.albedo import clouded, with_albedo
 from emulator.scene.bodies.curved_sides import split_round
+from emulator.scene.bodies.grain import Octaves, fractal_noise, octaves, on_facets, tile, write_heights
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
 from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
@@ -167,7 +169,7 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals serves
     normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
     facets = kept.astype(np.int32)
-    return Mesh(vertices, facets, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, *tints)
+    return dataclasses.replace(mesh, vertices=vertices, faces=facets, normals=normals, **tints)
 
 
 def _mean(
@@ -181,7 +183,7 @@ Numbers = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
 _BOULDER, _CRATER = range(2)
-_ROUGHNESS, _PATCHES, _ALBEDO = range(3)
+_PATCHES, _ALBEDO = 1, 2
 _ACROSS = 2.0  # facets across the smallest boulder or crater
 _RESOLVED = 6.0  # facets of the shape model across a feature that the model has itself; with fewer a rim is lost
 _SIDES = {_BOULDER: 1.8, _CRATER: 2.6}  # of facets across a feature, at least
@@ -194,6 +196,8 @@ _FRESH = 0.2  # by which the youngest craters are brighter
 _PLANES = 7
 _CHANCE = 3  # number of the random number of a feature that decides whether it lies beside smooth ground
 _GRAVITY_CELLS = 16  # cells of the body's radius, for its gravity
+_FINE_ALBEDO = 0.23  # of the variation of albedo, in octaves below facets
+_GAIN = 0.5  # of the height of an octave of roughness over that of the one before
 _SMOOTHED = 0.9  # of the roughness and the variation of albedo, missing on smooth ground
 
 
@@ -210,16 +214,19 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     smooth = smooth_ground(mesh, coarser(mesh, mesh.radius_m / _GRAVITY_CELLS), p.smooth_share)
     if _BOULDER in kinds:
         kinds[_BOULDER] = _without(kinds[_BOULDER], smooth(kinds[_BOULDER].places))
-    even = _evenly_divided(mesh, p, pixel_m)
+    even = mesh
+    for _ in range(_divisions(mesh, p, pixel_m)):
+        even = split_round(even, np.ones(even.faces.shape, bool))
     fine = _divided(even, kinds)
     if _CRATER in kinds:
         fine = _with_rims(fine, kinds[_CRATER])
     moved, tint = _shaped(fine, kinds, p)
     rough = 1 - _SMOOTHED * smooth(fine.vertices)
-    rough_m = math.tan(math.radians(p.slope_deg)) * size_m / _steepness(mesh, p, size_m)
-    noise = rough_m * rough * _roughness(fine.vertices, p, size_m, facet_size_m(even))
-    vertices = fine.vertices + moved + noise[:, None] * fine.normals
-    pushed = dataclasses.replace(fine, vertices=vertices, normals=vertex_normals(vertices, fine.faces))
+    in_patches, height_m = rough * _patches(fine.vertices, p, size_m), np.empty(len(fine.vertices))
+    write_heights(fine.vertices, tile(), grain_of(mesh, p, pixel_m), height_m)
+    vertices = fine.vertices + moved + (in_patches * height_m)[:, None] * fine.normals
+    normals = vertex_normals(vertices, fine.faces)
+    pushed = dataclasses.replace(fine, vertices=vertices, normals=normals, rough=in_patches[fine.faces])
     mottled = fractal_noise(fine.vertices, mesh.radius_m, 1.5 * size_m, 0.85, 4 * p.seed + _ALBEDO)
     return with_albedo(pushed, np.maximum(1 + p.albedo_rms * rough * mottled, 0.1) * tint)
 
@@ -231,39 +238,34 @@ def _without(group: Features, smooth: Floats) -> Features:
     return Features(*(part[left] for part in parts))
 
 
-def _evenly_divided(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
-    """Return the body with all facets cut in four, as often as they are large in the light frame and not too many."""
-    while 4 * len(mesh.faces) <= p.most_facets and facet_size_m(mesh) > 2 * p.facet_px * pixel_m:
-        mesh = split_round(mesh, np.ones(mesh.faces.shape, bool))
-    return mesh
+def _divisions(mesh: Mesh, p: Regolith, pixel_m: float) -> int:
+    """Return how often all facets are cut in four: while they are large in the light frame and not too many."""
+    affordable = math.log(max(p.most_facets / len(mesh.faces), 1)) / math.log(4)
+    useful = math.log2(max(facet_size_m(mesh) / (p.facet_px * pixel_m), 1))
+    return math.floor(min(affordable, useful))
 
 
-def _roughness(places: Floats, p: Regolith, size_m: float, finest_m: float) -> Floats:
-    """Return the noise of roughness, (n,): wavelengths of 8 facets of the shape model down to facets of `finest_m`.
+def grain_of(mesh: Mesh, p: Regolith, pixel_m: float) -> Octaves:
+    """Return the octaves of roughness that `weathered` gives a shape model, and those below its facets."""
+    size_m = facet_size_m(mesh)
+    finest_m = size_m / 2 ** _divisions(mesh, p, pixel_m)
+    whole = octaves(8 * size_m, min(_ACROSS * p.facet_px * pixel_m, 2 * finest_m), _GAIN, p.seed)
+    return on_facets(whole, math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms, size_m, finest_m)
 
-    It is in patches of its own where the body has no smooth ground.
-    """
-    rough = fractal_noise(places, 8 * size_m, finest_m, 0.6, 4 * p.seed + _ROUGHNESS)
+
+def _patches(places: Floats, p: Regolith, size_m: float) -> Floats:
+    """Return the share of roughness, (n,) of mean square 1: in patches where the body has no smooth ground."""
     if p.smooth_share > 0:
-        return rough
-    patches = fractal_noise(places, 60 * size_m, 10 * size_m, 0.5, 4 * p.seed + _PATCHES)
-    return rough * np.clip(0.6 + 0.4 * patches, 0.2, 1.0)
-
-
-def _steepness(mesh: Mesh, p: Regolith, size_m: float) -> float:
-    """Return the root mean square slope of roughness as high as the shape model's facets are wide, on these facets."""
-    height = 1e-3 * size_m * _roughness(mesh.vertices, p, size_m, size_m)
-    rough = mesh.vertices + height[:, None] * mesh.normals
-    before, after = (facet_vectors(v, mesh.faces) for v in (mesh.vertices, rough))
-    tilt = np.linalg.norm(np.cross(before, after), axis=1) / (before * after).sum(axis=1)
-    return float(np.sqrt((tilt * tilt).mean())) / 1e-3
+        return np.ones(len(places))
+    patches = np.clip(0.6 + 0.4 * fractal_noise(places, 60 * size_m, 10 * size_m, 0.5, 4 * p.seed + _PATCHES), 0.2, 1.0)
+    return np.asarray(patches / np.sqrt((patches**2).mean()))
 
 
 def smallest_feature_m(mesh: Mesh, p: Regolith, pixel_m: float) -> float:
     """Return the least diameter of boulders and craters: proportional to the pixel, within the limits of `p`."""
     low_m = max(p.smallest_m, _ACROSS * p.facet_px * pixel_m)
     high_m = largest_m = max(_RESOLVED * facet_size_m(mesh), low_m)
-    allowed = max(p.most_facets - len(_evenly_divided(mesh, p, pixel_m).faces), 0) / _FACETS_EACH
+    allowed = max(p.most_facets - len(mesh.faces) * 4 ** _divisions(mesh, p, pixel_m), 0) / _FACETS_EACH
 
     def count(from_m: float) -> float:
         return sum(number_above(w, from_m) - number_above(w, largest_m) for w in _laws(p).values()) * mesh.area_m2
@@ -420,7 +422,7 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         digest.update(array.tobytes())
     sources = checksum_of(Path(__file__).parent)
     made_from = (digest.hexdigest(), detail, pixel_m, sources, np.__version__)
-    points, faces, albedo, water = cached_arrays(
+    points, faces, albedo, water, rough = cached_arrays(
         "detail",
         made_from,
         lambda: _arrays_of(
@@ -428,7 +430,7 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
             if isinstance(detail, Regolith)
             else clouded(mesh, detail, detail.facet_px * pixel_m)
         ),
-        (Kind(np.float64, 2), Kind(np.int32, 2), Kind(np.float64, 2), Kind(np.float64, 2)),
+        (Kind(np.float64, 2), Kind(np.int32, 2), *3 * (Kind(np.float64, 2),)),
     )
     return dataclasses.replace(
         mesh,
@@ -437,10 +439,12 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         faces=faces,
         albedo=albedo if len(albedo) else None,
         water=water if len(water) else None,
+        rough=rough if len(rough) else None,
     )
 
 
-def _arrays_of(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int32], Floats, Floats]:
-    """Return vertices beside normals (n, 6), facets, albedo and water; these are empty where the mesh has none."""
-    albedo, water = (_NOTHING if values is None else values for values in (mesh.albedo, mesh.water))
-    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, albedo, water
+def _arrays_of(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int32], Floats, Floats, Floats]:
+    """Return vertices beside normals (n, 6), facets, and tints; these are empty where the mesh has none."""
+    tints = mesh.tints(lambda values: values)
+    albedo, water, rough = (tints.get(name, _NOTHING) for name in ("albedo", "water", "rough"))
+    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, albedo, water, rough

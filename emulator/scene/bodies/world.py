@@ -21,8 +21,8 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.models import load_bodies
-from emulator.scene.bodies.regolith import coarser, detailed, facet_size_m
-from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.bodies.regolith import coarser, detailed, facet_size_m, grain_of
+from emulator.scene.bodies.table import BodiesParameters, BodyTable, Regolith
 from emulator.trajectory.building import build_trajectories, build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
@@ -140,6 +140,7 @@ class BodyWorld:
     time : stream time to scene time.
     camera : the camera's path.
     meshes : the shape of each body, with its detail.
+    grain : the octaves of its ground; None: it has no grain.
     placed : the path of each body.
     arrangement : poses and ranges.
     ranges_m : (bodies,), the closest range of each body's origin.
@@ -158,6 +159,10 @@ class BodyWorld:
             raise SceneError(f"scene: {error}") from error
         self.arrangement = Arrangement(self.camera, self.placed, self.time)
         self.ranges_m = self.arrangement.ranges_m
+        self.grain = [
+            grain_of(mesh, body.detail, self.metres_a_pixel(k)) if isinstance(body.detail, Regolith) else None
+            for k, (mesh, body) in enumerate(zip(self.meshes, parameters.bodies, strict=True))
+        ]
         self.meshes = [
             detailed(mesh, body.detail, self.metres_a_pixel(k))
             for k, (mesh, body) in enumerate(zip(self.meshes, parameters.bodies, strict=True))

@@ -12,7 +12,8 @@ from scipy.sparse.csgraph import connected_components
 
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Sun
-from emulator.scene.bodies.albedo import clouded, fractal_noise
+from emulator.scene.bodies.albedo import clouded
+from emulator.scene.bodies.grain import fractal_noise
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.regolith import (

@@ -1,0 +1,459 @@
+"""Grain of ground: noise at all scales, at the vertices of facets and, below facets, in each pixel.
+
+A sum of octaves. All are the same random function of the place in space, `tile`, each at half the wavelength of the one
+before and shifted by its own way:
+
+    height = sum of height_k h(q / wave_k + shift_k)        slope: its gradient, along the surface
+
+Vertices carry the octaves that are long enough for their facets. The rest of each octave is added to the drawn light of
+the pixels whose middle shows a facet, so that a surface is the same however fine its facets are. There the normal turns
+by the slopes, and the light of the Sun is multiplied by the law of reflection with the turned normal over that without.
+The mean of a pixel is that of four points of it (of one where a wave spans many pixels), whose slopes towards the Sun
+also tell how evenly it is lit where some of it turns away. What a pixel cannot resolve fades out.
+
+The rate of light at a fixed pixel is that of the place q below it in the body's frame. With the facet's plane A P = 1,
+a ray P = s d, and the body's velocity v = M P + c there (see `raster.surfaces`),
+
+    dq/dt = R^T (d ds/dt - v)        ds/dt = s A v
+
+Left out: shadows of the grain, light from slope to slope, grain beyond the facets' terminator; ambient light is taken
+for sunlight; GL draws only what facets carry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import Light, Region
+from emulator.photometry.reflection_kernels import Law, reflect
+from emulator.raster import Owners, Renderer
+from emulator.raster.layout import Data, W
+from emulator.scene.bodies.compiled import ZERO, Floats, Numbers, Point, dot, entry, minus, plus, row
+from emulator.sensor.numerics.compiled import Real, lane
+from emulator.threads import ThreadPool
+
+Tile = npt.NDArray[np.float32]
+
+_SIDE, _LAST = (
+    32,
+    31,
+)  # texels of the tile along each axis: with 64 it does not fit a cache, and takes 1.5 times as long
+TEXELS = 8.0  # a wavelength
+_POINT = 0.5 / math.sqrt(3.0)  # pixels from the middle to the points of Gauss's quadrature
+_WAVE_OF_ONE, _FADED = 14.0, (0.65, 1.15)  # pixels a wave: from here on one point is enough; fading begins and ends
+_LEAST_COSINE = 0.01
+_MOST_SLANT = 0.05  # least cosine of emission for the width of a pixel on the ground
+_BETWEEN_S = 1e-6  # of rates
+_ROWS = 16  # a thread takes at a time
+
+
+@cache
+def tile() -> Tile:
+    """Return slope, (3,), for a wavelength of 1, and height, rms 1, of an octave that repeats, (32^3, 4)."""
+    waves = np.meshgrid(*2 * [np.fft.fftfreq(_SIDE, 1 / _SIDE)], np.fft.rfftfreq(_SIDE, 1 / _SIDE), indexing="ij")
+    octave = np.hypot(np.hypot(waves[0], waves[1]), waves[2]) * TEXELS / _SIDE
+    noise = np.fft.rfftn(np.random.default_rng(11).standard_normal(3 * (_SIDE,)))
+    noise[(octave <= math.sqrt(0.5)) | (octave >= math.sqrt(2))] = 0
+    spectra = [*(2j * math.pi * TEXELS / _SIDE * wave * noise for wave in waves), noise]
+    fields = np.stack([np.fft.irfftn(spectrum).ravel() for spectrum in spectra], axis=1)
+    return np.ascontiguousarray(fields / fields[:, 3].std(), np.float32)
+
+
+@lane
+def look_up(fields: Tile, place: Point, drift: Point) -> tuple[Real, ...]:
+    """Return slope and height of `tile` at a place, in wavelengths, then their rates; `drift` is the rate of the place.
+
+    They are linear between texels along each axis. All is in float32 and without a loop over the four values of a
+    texel, so that these become one vector: 25 in place of 63 ns.
+    """
+    x, y, z = place[0] * TEXELS, place[1] * TEXELS, place[2] * TEXELS
+    floor_x, floor_y, floor_z = math.floor(x), math.floor(y), math.floor(z)
+    i0, j0, k0 = int(floor_x) & _LAST, int(floor_y) & _LAST, int(floor_z) & _LAST
+    i1, j1, k1 = (i0 + 1) & _LAST, (j0 + 1) & _LAST, (k0 + 1) & _LAST
+    u, v, w = np.float32(x - floor_x), np.float32(y - floor_y), np.float32(z - floor_z)
+    du, dv, dw = np.float32(TEXELS * drift[0]), np.float32(TEXELS * drift[1]), np.float32(TEXELS * drift[2])
+    east = north = up = height = east_rate = north_rate = up_rate = height_rate = np.float32(0.0)
+    # Four pairs of texels along z: the share of each, the share's rate, and the pair's mean and difference.
+    for pair in range(4):
+        of_x, of_x_rate = (u, du) if pair & 1 else (np.float32(1.0) - u, -du)
+        of_y, of_y_rate = (v, dv) if pair & 2 else (np.float32(1.0) - v, -dv)
+        share, growth = of_x * of_y, of_x_rate * of_y + of_x * of_y_rate
+        along = share * dw
+        first = ((i1 if pair & 1 else i0) * _SIDE + (j1 if pair & 2 else j0)) * _SIDE
+        a, b = first + k0, first + k1
+        east_step = fields[b, 0] - fields[a, 0]
+        north_step = fields[b, 1] - fields[a, 1]
+        up_step = fields[b, 2] - fields[a, 2]
+        height_step = fields[b, 3] - fields[a, 3]
+        east_here = fields[a, 0] + w * east_step
+        north_here = fields[a, 1] + w * north_step
+        up_here = fields[a, 2] + w * up_step
+        height_here = fields[a, 3] + w * height_step
+        east += share * east_here
+        north += share * north_here
+        up += share * up_here
+        height += share * height_here
+        east_rate += growth * east_here + along * east_step
+        north_rate += growth * north_here + along * north_step
+        up_rate += growth * up_here + along * up_step
+        height_rate += growth * height_here + along * height_step
+    return east, north, up, height, east_rate, north_rate, up_rate, height_rate
+
+
+class Octaves(NamedTuple):
+    """Octaves of a grain, the longest first.
+
+    Attributes
+    ----------
+    waves_m, heights_m : (n,) wavelengths, and rms heights.
+    on_facets : (n,), share of each that vertices carry.
+    tints : (n,), rms relative albedo below facets.
+    shifts : (n, 3) wavelengths.
+    """
+
+    waves_m: Floats
+    heights_m: Floats
+    on_facets: Floats
+    tints: Floats
+    shifts: Floats
+
+
+def octaves(longest_m: float, shortest_m: float, gain: float, seed: int) -> Octaves:
+    """Return octaves of a total rms height of 1 m, all at vertices; the last ones fade in as `shortest_m` shrinks.
+
+    `gain` is the height of an octave over that of the one before.
+    """
+    count = min(max(math.ceil(math.log2(longest_m / shortest_m)), 0), 24)
+    waves_m = longest_m * np.exp2(-np.arange(count, dtype=np.float64))
+    heights = np.float_power(gain, np.arange(count, dtype=np.float64))
+    heights *= np.clip(waves_m / shortest_m - 1, 0, 1) / math.sqrt(float((heights**2).sum())) if count else 1.0
+    shifts = _SIDE / TEXELS * np.random.default_rng([seed, 17]).random((count, 3))
+    return Octaves(waves_m, heights, np.ones(count), np.zeros(count), shifts)
+
+
+def on_facets(o: Octaves, slope: float, tint: float, model_m: float, facet_m: float) -> Octaves:
+    """Return octaves for a surface of facets of `facet_m`, the side of a square as large.
+
+    Parameters
+    ----------
+    slope : rms, of the facets of the shape model, of `model_m`, by the first two octaves.
+    tint : rms relative albedo of each octave below facets.
+    """
+    # Slope for a wavelength of 1, between texels; a triangle shows the mean slope over its sides.
+    steep = TEXELS * math.sqrt(2.0) * float(np.diff(tile()[:, 3].reshape(-1, _SIDE).astype(float), axis=1).std())
+    seen = o.heights_m / o.waves_m * np.sinc(math.sqrt(4 / math.sqrt(3)) * model_m / o.waves_m)
+    heights_m = o.heights_m * slope / (steep * max(float(np.linalg.norm(seen[:2])), 1e-12))
+    carried = np.clip(o.waves_m / (2 * facet_m) - 1, 0, 1)
+    return o._replace(heights_m=heights_m, on_facets=carried, tints=tint * (1 - carried))
+
+
+@entry
+def write_heights(points: Floats, fields: Tile, o: Octaves, out: Floats) -> None:
+    """Write the heights, m, of what vertices carry at points, (n, 3) m."""
+    for k in range(len(points)):
+        out[k] = 0.0
+        for n in range(len(o.waves_m)):
+            height_m = o.on_facets[n] * o.heights_m[n]
+            if height_m > 0.0:
+                place = plus(row(o.shifts, n), 1.0 / o.waves_m[n], row(points, k))
+                out[k] += height_m * look_up(fields, place, ZERO)[3]
+
+
+def fractal_noise(points: Floats, longest: float, shortest: float, gain: float, seed: int) -> Floats:
+    """Return noise at places, (n,), its root mean square about 1 where all octaves are there; see `octaves`."""
+    out = np.empty(len(points))
+    write_heights(points, tile(), octaves(longest, shortest, gain, seed), out)
+    return out
+
+
+class Ground(NamedTuple):
+    """A body with grain.
+
+    Attributes
+    ----------
+    first : number of its first point among those of all bodies.
+    normals, rough : (n, 3) and (n,) of its points, as in `Surface`.
+    octaves, fields : the grain, and its `tile`.
+    law : of its reflection.
+    brightest : W m-2, the most light of the Sun that it gets, times its relative albedo.
+    """
+
+    first: int
+    normals: Floats
+    rough: Floats
+    octaves: Octaves
+    fields: Tile
+    law: Law
+    brightest: float
+
+
+class Placed(NamedTuple):
+    """A body before the camera, m and s.
+
+    Attributes
+    ----------
+    turn, shift : camera_from_body, (3, 3), and its place in the camera's axes, (3,).
+    motion : M and c, (3, 4), of `surfaces.motion_of`.
+    sun : (3,), direction of the Sun in the body's frame.
+    focal_px : of the camera.
+    """
+
+    turn: Floats
+    shift: Floats
+    motion: Floats
+    sun: Floats
+    focal_px: float
+
+
+class Row(NamedTuple):
+    """The pixels of a row that show the body; memory of a thread.
+
+    Attributes
+    ----------
+    columns : (width,).
+    normals, eyes : (3, width) in the body's frame, of the facet, and towards the camera.
+    places, drifts : (3, width) in the body's frame, m, and their rates at the fixed pixel, a second.
+    across, down : (3, width) in the body's frame, m, from the middle of a pixel to the columns and rows of its points.
+    widths_m : (width,), the longer side of a pixel on the ground.
+    rough : (width,).
+    fields : (9, width), slope and brightness, their rates, and the variance of the slope towards the Sun in the pixel.
+    cosines : (7, width), of incidence and of emission without grain, with it, and an instant later; squared chords.
+    reflected : (3, width), by the law at these three.
+    """
+
+    columns: Numbers
+    normals: Floats
+    eyes: Floats
+    places: Floats
+    drifts: Floats
+    across: Floats
+    down: Floats
+    widths_m: Floats
+    rough: Floats
+    fields: Floats
+    cosines: Floats
+    reflected: Floats
+
+
+def new_row(width: int) -> Row:
+    """Return room for a row."""
+    vectors, numbers = np.zeros((6, 3, width)), np.zeros((2, width))
+    return Row(np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((n, width)) for n in (9, 7, 3)))
+
+
+@entry
+def add_grain(  # noqa: PLR0913, PLR0917
+    first: int, last: int, owners: Numbers, drawn: Data, shades: Numbers, ground: Ground, placed: Placed, room: Row,
+    light: Tile, rate: Tile,
+) -> None:  # fmt: skip
+    """Multiply the light of rows of a light frame, (height, width), by that of a body's grain, and renew its rate.
+
+    Parameters
+    ----------
+    owners : (height, width), of `raster.Owners`.
+    drawn, shades : of `Renderer`.
+    """
+    for r in range(first, last):
+        count = _list_ground(r, light, owners, drawn, shades, ground, placed, room)
+        _sum_octaves(count, ground, placed, room)
+        _turn_normals(count, placed, room)
+        cosines, law = room.cosines, ground.law
+        for k in range(3):
+            reflect(law.kind, law.parameters, cosines[2 * k], cosines[2 * k + 1], cosines[6], count, room.reflected[k])
+        for i in range(count):
+            even, now, later = room.reflected[0, i], room.reflected[1, i], room.reflected[2, i]
+            c = room.columns[i]
+            # The Sun's light on the facet by what it reflects; near the terminator its normal there is not exact.
+            sunlight, is_exact = light[r, c] / even, 1.0
+            if sunlight > ground.brightest:
+                sunlight, is_exact = ground.brightest, 0.0
+            value = light[r, c] + sunlight * (now - even)
+            changing = rate[r, c] * (1.0 + is_exact * (now / even - 1.0)) + sunlight * (later - now) / _BETWEEN_S
+            bright = 1.0 + room.rough[i] * room.fields[3, i]
+            light[r, c] = max(value * bright, 0.0)
+            rate[r, c] = changing * bright + value * room.rough[i] * room.fields[7, i]
+
+
+@lane
+def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
+    r: int, light: Tile, owners: Numbers, drawn: Data, shades: Numbers, ground: Ground, placed: Placed, out: Row
+) -> int:
+    """Write the lit pixels of a row that show the body, and the ground there; return their number."""
+    height, width = light.shape
+    turn, m = placed.turn, placed.motion
+    y = r + 0.5
+    away_y = (y - 0.5 * height) / placed.focal_px
+    count = 0
+    for c in range(width):
+        f = owners[r, c]
+        if f < 0 or not light[r, c] > 0.0:
+            continue
+        if drawn.over[f] >= 0:
+            f = drawn.over[f]
+        points = (shades[f, 0] - ground.first, shades[f, 1] - ground.first, shades[f, 2] - ground.first)
+        if points[0] < 0 or max(points[0], points[1], points[2]) >= len(ground.rough):
+            continue
+        # The shares of the facet's corners at the middle of the pixel.
+        x = c + 0.5
+        corners, facet = drawn.faces[f], drawn.facets[f]
+        x0, y0 = drawn.vertices[corners[0], 0], drawn.vertices[corners[0], 1]
+        x1, y1 = drawn.vertices[corners[1], 0] - x0, drawn.vertices[corners[1], 1] - y0
+        x2, y2 = drawn.vertices[corners[2], 0] - x0, drawn.vertices[corners[2], 1] - y0
+        area = x1 * y2 - y1 * x2
+        w = facet[W] + facet[W + 1] * x + facet[W + 2] * y
+        if not (w > 0.0 and abs(area) > 0.0):
+            continue
+        second = min(max(((x - x0) * y2 - (y - y0) * x2) / area, 0.0), 1.0)
+        third = min(max((x1 * (y - y0) - y1 * (x - x0)) / area, 0.0), 1.0 - second)
+        shares = (1.0 - second - third, second, third)
+        normal = ZERO
+        out.rough[count] = 0.0
+        for k in range(3):
+            normal = plus(normal, shares[k], row(ground.normals, points[k]))
+            out.rough[count] += shares[k] * ground.rough[points[k]]
+        length = math.sqrt(max(dot(normal, normal), 1e-300))
+        # Where the ray through the middle of the pixel meets the facet's plane, and how fast the body passes there.
+        depth = 1.0 / w
+        ray = ((x - 0.5 * width) / placed.focal_px, away_y, 1.0)
+        place = (depth * ray[0], depth * ray[1], depth)
+        upright = (
+            placed.focal_px * facet[W + 1],
+            placed.focal_px * facet[W + 2],
+            facet[W] + 0.5 * width * facet[W + 1] + 0.5 * height * facet[W + 2],
+        )
+        speed = (dot(row(m, 0), place) + m[0, 3], dot(row(m, 1), place) + m[1, 3], dot(row(m, 2), place) + m[2, 3])
+        drift = plus(plus(ZERO, depth * dot(upright, speed), ray), -1.0, speed)
+        # From the middle of the pixel to the columns and rows of its four points, on the plane.
+        step = _POINT * depth
+        across = plus((step / placed.focal_px, 0.0, 0.0), -step * facet[W + 1], place)
+        down = plus((0.0, step / placed.focal_px, 0.0), -step * facet[W + 2], place)
+        per_ray = 1.0 / math.sqrt(dot(ray, ray))
+        from_body = minus(place, row(placed.shift.reshape(1, 3), 0))
+        emission = 0.0
+        for k in range(3):
+            axis = (turn[0, k], turn[1, k], turn[2, k])
+            out.places[k, count] = dot(axis, from_body)
+            out.drifts[k, count] = dot(axis, drift)
+            out.across[k, count] = dot(axis, across)
+            out.down[k, count] = dot(axis, down)
+            out.eyes[k, count] = -per_ray * dot(axis, ray)
+            out.normals[k, count] = normal[k] / length
+            emission += out.eyes[k, count] * out.normals[k, count]
+        out.widths_m[count] = depth / (placed.focal_px * max(emission, _MOST_SLANT))
+        out.columns[count] = c
+        count += 1
+    return count
+
+
+@lane
+def _sum_octaves(count: int, ground: Ground, placed: Placed, out: Row) -> None:
+    """Write slope and brightness of the grain in the pixels of a row, and their rates, one octave after another."""
+    o, fields, sun = ground.octaves, out.fields, row(placed.sun.reshape(1, 3), 0)
+    fields[:, :count] = 0.0
+    for n in range(len(o.waves_m)):
+        per_m = 1.0 / o.waves_m[n]
+        slope, tint = (1.0 - o.on_facets[n]) * o.heights_m[n] * per_m, o.tints[n]
+        if slope == 0.0:
+            continue
+        for i in range(count):
+            wave_px = 1.0 / (out.widths_m[i] * per_m)
+            share = min((wave_px - _FADED[0]) / (_FADED[1] - _FADED[0]), 1.0)
+            if share <= 0.0:
+                continue
+            middle = plus(row(o.shifts, n), per_m, (out.places[0, i], out.places[1, i], out.places[2, i]))
+            drift = plus(ZERO, per_m, (out.drifts[0, i], out.drifts[1, i], out.drifts[2, i]))
+            looks = 1 if wave_px > _WAVE_OF_ONE else 4
+            share /= looks
+            towards = towards2 = 0.0
+            for look in range(looks):
+                place = middle
+                if looks == 4:
+                    right, below = per_m * (1 - 2 * (look & 1)), per_m * (1 - (look & 2))
+                    place = plus(place, right, (out.across[0, i], out.across[1, i], out.across[2, i]))
+                    place = plus(place, below, (out.down[0, i], out.down[1, i], out.down[2, i]))
+                at = look_up(ground.fields, place, drift)
+                fields[0, i] += slope * share * at[0]
+                fields[1, i] += slope * share * at[1]
+                fields[2, i] += slope * share * at[2]
+                fields[3, i] += tint * share * at[3]
+                fields[4, i] += slope * share * at[4]
+                fields[5, i] += slope * share * at[5]
+                fields[6, i] += slope * share * at[6]
+                fields[7, i] += tint * share * at[7]
+                to_sun = slope * dot((at[0], at[1], at[2]), sun)
+                towards += to_sun
+                towards2 += to_sun * to_sun
+            fields[8, i] += (towards2 - towards * towards / looks) / looks
+
+
+@lane
+def _turn_normals(count: int, placed: Placed, out: Row) -> None:
+    """Write the cosines of incidence and emission without and with the slopes, and with those of an instant later."""
+    sun, cosines, fields = row(placed.sun.reshape(1, 3), 0), out.cosines, out.fields
+    for i in range(count):
+        normal = (out.normals[0, i], out.normals[1, i], out.normals[2, i])
+        eye = (out.eyes[0, i], out.eyes[1, i], out.eyes[2, i])
+        chord = minus(sun, eye)
+        cosines[0, i] = max(dot(normal, sun), _LEAST_COSINE)
+        cosines[1, i] = max(dot(normal, eye), _LEAST_COSINE)
+        cosines[6, i] = min(dot(chord, chord), 4.0)
+        # Cosines of incidence are taken as even over a range around their mean; below 0 there is no light.
+        reach = out.rough[i] * math.sqrt(3.0 * max(fields[8, i], 0.0))
+        for k in range(1, 3):
+            later_s = _BETWEEN_S * (k - 1)
+            slope = plus(
+                (fields[0, i], fields[1, i], fields[2, i]), later_s, (fields[4, i], fields[5, i], fields[6, i])
+            )
+            turned = plus(plus(normal, -out.rough[i], slope), out.rough[i] * dot(slope, normal), normal)
+            length = math.sqrt(dot(turned, turned))
+            incidence = dot(turned, sun) / length
+            if abs(incidence) < reach:
+                incidence = (incidence + reach) ** 2 / (4.0 * reach)
+            cosines[2 * k, i] = incidence
+            cosines[2 * k + 1, i] = max(dot(turned, eye) / length, _LEAST_COSINE)
+
+
+class GrainLayer:
+    """The grain of bodies over what a renderer draws.
+
+    Attributes
+    ----------
+    owners : for `Renderer.draw`; empty where no body has grain.
+    bodies : numbers of the bodies in whose frames grounds are.
+
+    Parameters
+    ----------
+    grounds : by the number of the first body of the group in whose frame they are.
+    """
+
+    def __init__(self, grounds: Mapping[int, list[Ground]], size: tuple[int, int], threads: int) -> None:
+        width, height = size if grounds else (0, 0)
+        self.owners = Owners.of(width, height)
+        self.bodies = tuple(grounds)
+        self._grounds = grounds
+        self._rows = [new_row(width) for _ in range(threads)]
+        self._pool = ThreadPool(threads)
+
+    def add(self, renderer: Renderer, placed: Mapping[int, Placed], touched: Region, light: Light, rate: Light) -> None:
+        """Add the grain to what `renderer` has drawn, with the bodies `placed` by number."""
+        drawn, shades = renderer.data, renderer.shades
+        first, last = touched.first_row, touched.last_row
+        for body, grounds in self._grounds.items():
+            for ground in grounds:
+
+                def work(k: int, thread: int, ground: Ground = ground, at: Placed = placed[body]) -> None:
+                    start = first + k * _ROWS
+                    end, room = min(start + _ROWS, last), self._rows[thread]
+                    add_grain(start, end, self.owners.facets, drawn, shades, ground, at, room, light, rate)
+
+                self._pool.each(work, -(-(last - first) // _ROWS))
+
+    def close(self) -> None:
+        """End the threads; a second call does nothing."""
+        self._pool.close()
