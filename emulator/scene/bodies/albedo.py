@@ -34,11 +34,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflectance import Water
+from emulator.scene.bodies.gltf import CLAMP, MIRROR, REPEAT
 from emulator.scene.bodies.grain import fractal_noise
 from emulator.scene.bodies.lit_surface import cut_facets, split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
 from emulator.scene.bodies.table import Clouds
-from emulator.scene.bodies.textures import CLAMP, MIRROR, REPEAT
 
 Floats = npt.NDArray[np.float64]
 

@@ -1,10 +1,11 @@
 """Reader of glTF 2.0 files, `.gltf` and `.glb`: nodes, triangles, materials and animations, with bounds checked.
 
-Source: Khronos, glTF 2.0 Specification (ISO/IEC 12113). It runs in a child process, see `guarded_reader`.
+Sources: Khronos, glTF 2.0 Specification (ISO/IEC 12113), KHR_texture_transform; the transfer function of sRGB: IEC
+61966-2-1. It runs in a child process, see `guarded_reader`.
 
 Read: buffers in the file, as base64 and beside it; accessors of every component type; triangles, strips and fans;
 translation, rotation, scale and matrices of nodes; base colour, metallic and roughness, by factors and textures (of
-the last two the mean); linear and cubic animations of translation and rotation.
+the last two the mean), PNG or JPEG; linear and cubic animations of translation and rotation.
 
 Left out, with a note: other textures, vertex colours, emission and other properties of materials; points and lines;
 skins and morph targets, which are drawn at rest. Refused: sparse or compressed accessors, required extensions that are
@@ -15,8 +16,11 @@ from __future__ import annotations
 
 import base64
 import binascii
+import io
 import json
+import math
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -25,7 +29,6 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.bodies.textures import MOST_PIXELS, REPEAT, WRAPS, base_colour, decoded, transformed
 
 _MOST_BYTES = 1 << 28
 _MOST = {"nodes": 10_000, "parts": 256, "facets": 4_000_000, "corners": 12_000_000, "animated properties": 1024}
@@ -38,6 +41,15 @@ _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709
 _FARTHEST_UV = 1e4  # images
 _FLAT_COSINE = 0.9998  # normals within a degree of the facet's
+
+REPEAT, CLAMP, MIRROR = 10497, 33071, 33648
+WRAPS = REPEAT, CLAMP, MIRROR
+"""Repetition of an image beyond its sides, of its border, and mirror images; numbers of glTF."""
+
+_MOST_PIXELS = 1 << 27  # of all images of a model: some seconds of decoding
+_MOST_OF_IMAGE = 1 << 25  # pixels
+_MOST_SIDE = 1024
+_LINES = 256  # of an image at a time
 
 _Array = npt.NDArray[Any]
 _Object = dict[str, Any]
@@ -169,7 +181,7 @@ class _File(ModelContents):
         self._document = document
         self._binary, self._folder = binary, folder
         self._buffers: dict[int, bytes] = {}
-        self._pixels_left = MOST_PIXELS
+        self._pixels_left = _MOST_PIXELS
         self._luminances: dict[tuple[int, tuple[float, ...]], str] = {}
         self._means: dict[tuple[int, int], float] = {}
 
@@ -305,7 +317,7 @@ class _File(ModelContents):
             shares[key] *= self._mean(surface, channel, where)
         return {key: min(share, 1.0) for key, share in shares.items()}
 
-    # --- textures
+    # --- textures: luminance of the linear colour, at most _MOST_SIDE pixels on a side, powers of two
 
     def _mean(self, surface: _Object, channel: int, where: str) -> float:
         """Return the mean of a channel of the texture of metallic and roughness, 1 without one."""
@@ -501,3 +513,52 @@ def _unit_quaternions(values: _Array, middle: int, where: str) -> _Array:
     if values.shape[1] == 1:
         values = values / lengths[:, None, None]
     return np.asarray(values)
+
+
+def decoded(data: bytes, where: str, most_pixels: int) -> npt.NDArray[np.uint8]:
+    """Return red, green and blue, (height, width, 3), of a PNG or JPEG within limits; raises SceneError."""
+    from PIL import Image  # an extra; in the child process alone
+
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+            if image.width * image.height > min(_MOST_OF_IMAGE, most_pixels):
+                raise SceneError(
+                    f"{where} has {image.width} x {image.height} pixels: at most {_MOST_OF_IMAGE} of one image and "
+                    f"{_MOST_PIXELS} of all are read, {_MOST_SIDE} on a side are used; make the images smaller"
+                )
+            if image.mode.startswith("I"):  # 16 bit grey, which Pillow would cut off at 255
+                grey = np.asarray(image) >> 8
+                return np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)
+            return np.asarray(image.convert("RGB"))
+    except (SceneError, MemoryError):
+        raise
+    except Exception as error:  # noqa: BLE001 its readers raise arbitrary exceptions for a broken file
+        raise SceneError(f"{where} cannot be read as PNG or JPEG ({str(error)[:80]})") from None
+
+
+def base_colour(pixels: npt.NDArray[np.uint8], weights: Sequence[float]) -> npt.NDArray[np.float32]:
+    """Return the luminance of sRGB pixels, (height, width) powers of two, with linear `weights` of red, green, blue."""
+    from PIL import Image
+
+    s = np.arange(256) / 255
+    linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+    tables = [(weight * linear).astype(np.float32) for weight in weights]
+    out: npt.NDArray[np.float32] = np.empty(pixels.shape[:2], np.float32)
+    for start in range(0, len(out), _LINES):
+        part = pixels[start : start + _LINES]
+        out[start : start + _LINES] = sum(table[part[:, :, k]] for k, table in enumerate(tables))
+    height, width = (min(1 << max(side - 1, 0).bit_length(), _MOST_SIDE) for side in out.shape)
+    if (height, width) == out.shape:
+        return out
+    return np.asarray(Image.fromarray(out).resize((width, height), Image.Resampling.BILINEAR))
+
+
+def transformed(uv: _Array, offset: Sequence[float], scale: Sequence[float], angle_rad: float) -> _Array:
+    """Return coordinates (n, 2) by the transform of KHR_texture_transform.
+
+    Scale comes first; the rotation is counter-clockwise as one sees the image, whose v points down. The GLSL in the
+    specification turns the other way (issue 1563 of its repository); other readers and its model of tests do as here.
+    """
+    u, v = uv[:, 0] * scale[0], uv[:, 1] * scale[1]
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    return np.stack([offset[0] + cosine * u + sine * v, offset[1] - sine * u + cosine * v], axis=1)

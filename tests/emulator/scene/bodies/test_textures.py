@@ -17,12 +17,11 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
 from emulator.scene.bodies.albedo import Texture, mean_albedo, painted
-from emulator.scene.bodies.gltf import read_gltf
+from emulator.scene.bodies.gltf import WRAPS, read_gltf, transformed
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.models import load_bodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.textures import WRAPS, transformed
 from emulator.trajectory.parameters import FixedPath
 from tests.emulator.scene.bodies.volume import volume_m3
 
