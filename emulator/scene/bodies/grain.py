@@ -66,18 +66,25 @@ def tile() -> Tile:
 
 
 @lane
+def _texel(place: float) -> tuple[int, Real]:
+    """Return the texel before a place, in wavelengths, along an axis, and the share of the way to the next."""
+    texels = place * TEXELS
+    before = math.floor(texels)
+    return int(before) & _LAST, np.float32(texels - before)
+
+
+@lane
 def look_up(fields: Tile, place: Point, drift: Point) -> tuple[Real, ...]:
     """Return slope and height of `tile` at a place, in wavelengths, then their rates; `drift` is the rate of the place.
 
     They are linear between texels along each axis. All is in float32 and without a loop over the four values of a
     texel, so that these become one vector: 25 in place of 63 ns.
     """
-    x, y, z = place[0] * TEXELS, place[1] * TEXELS, place[2] * TEXELS
-    floor_x, floor_y, floor_z = math.floor(x), math.floor(y), math.floor(z)
-    i0, j0, k0 = int(floor_x) & _LAST, int(floor_y) & _LAST, int(floor_z) & _LAST
-    i1, j1, k1 = (i0 + 1) & _LAST, (j0 + 1) & _LAST, (k0 + 1) & _LAST
-    u, v, w = np.float32(x - floor_x), np.float32(y - floor_y), np.float32(z - floor_z)
-    du, dv, dw = np.float32(TEXELS * drift[0]), np.float32(TEXELS * drift[1]), np.float32(TEXELS * drift[2])
+    i, u = _texel(place[0])
+    j, v = _texel(place[1])
+    k, w = _texel(place[2])
+    du, dv = np.float32(TEXELS * drift[0]), np.float32(TEXELS * drift[1])
+    dw = np.float32(TEXELS * drift[2])
     east = north = up = height = east_rate = north_rate = up_rate = height_rate = np.float32(0.0)
     # Four pairs of texels along z: the share of each, the share's rate, and the pair's mean and difference.
     for pair in range(4):
@@ -85,8 +92,8 @@ def look_up(fields: Tile, place: Point, drift: Point) -> tuple[Real, ...]:
         of_y, of_y_rate = (v, dv) if pair & 2 else (np.float32(1.0) - v, -dv)
         share, growth = of_x * of_y, of_x_rate * of_y + of_x * of_y_rate
         along = share * dw
-        first = ((i1 if pair & 1 else i0) * _SIDE + (j1 if pair & 2 else j0)) * _SIDE
-        a, b = first + k0, first + k1
+        first = (((i + (pair & 1)) & _LAST) * _SIDE + ((j + (pair >> 1)) & _LAST)) * _SIDE
+        a, b = first + k, first + ((k + 1) & _LAST)
         east_step = fields[b, 0] - fields[a, 0]
         north_step = fields[b, 1] - fields[a, 1]
         up_step = fields[b, 2] - fields[a, 2]
@@ -249,7 +256,7 @@ def new_row(width: int) -> Row:
 
 @entry
 def add_grain(  # noqa: PLR0913, PLR0917
-    first: int, last: int, owners: Numbers, drawn: Data, shades: Numbers, ground: Ground, placed: Placed, room: Row,
+    first: int, last: int, owners: Numbers, data: Data, shades: Numbers, ground: Ground, placed: Placed, room: Row,
     light: Tile, rate: Tile,
 ) -> None:  # fmt: skip
     """Multiply the light of rows of a light frame, (height, width), by that of a body's grain, and renew its rate.
@@ -257,10 +264,10 @@ def add_grain(  # noqa: PLR0913, PLR0917
     Parameters
     ----------
     owners : (height, width), of `raster.Owners`.
-    drawn, shades : of `Renderer`.
+    data, shades : of `Renderer`.
     """
     for r in range(first, last):
-        count = _list_ground(r, light, owners, drawn, shades, ground, placed, room)
+        count = _list_ground(r, light, owners, data, shades, ground, placed, room)
         _sum_octaves(count, ground, placed, room)
         _turn_normals(count, placed, room)
         cosines, law = room.cosines, ground.law
@@ -282,7 +289,7 @@ def add_grain(  # noqa: PLR0913, PLR0917
 
 @lane
 def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
-    r: int, light: Tile, owners: Numbers, drawn: Data, shades: Numbers, ground: Ground, placed: Placed, out: Row
+    r: int, light: Tile, owners: Numbers, data: Data, shades: Numbers, ground: Ground, placed: Placed, out: Row
 ) -> int:
     """Write the lit pixels of a row that show the body, and the ground there; return their number."""
     height, width = light.shape
@@ -294,17 +301,17 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
         f = owners[r, c]
         if f < 0 or not light[r, c] > 0.0:
             continue
-        if drawn.over[f] >= 0:
-            f = drawn.over[f]
+        if data.over[f] >= 0:
+            f = data.over[f]
         points = (shades[f, 0] - ground.first, shades[f, 1] - ground.first, shades[f, 2] - ground.first)
         if points[0] < 0 or max(points[0], points[1], points[2]) >= len(ground.rough):
             continue
         # The shares of the facet's corners at the middle of the pixel.
         x = c + 0.5
-        corners, facet = drawn.faces[f], drawn.facets[f]
-        x0, y0 = drawn.vertices[corners[0], 0], drawn.vertices[corners[0], 1]
-        x1, y1 = drawn.vertices[corners[1], 0] - x0, drawn.vertices[corners[1], 1] - y0
-        x2, y2 = drawn.vertices[corners[2], 0] - x0, drawn.vertices[corners[2], 1] - y0
+        corners, facet = data.faces[f], data.facets[f]
+        x0, y0 = data.vertices[corners[0], 0], data.vertices[corners[0], 1]
+        x1, y1 = data.vertices[corners[1], 0] - x0, data.vertices[corners[1], 1] - y0
+        x2, y2 = data.vertices[corners[2], 0] - x0, data.vertices[corners[2], 1] - y0
         area = x1 * y2 - y1 * x2
         w = facet[W] + facet[W + 1] * x + facet[W + 2] * y
         if not (w > 0.0 and abs(area) > 0.0):
@@ -442,7 +449,7 @@ class GrainLayer:
 
     def add(self, renderer: Renderer, placed: Mapping[int, Placed], touched: Region, light: Light, rate: Light) -> None:
         """Add the grain to what `renderer` has drawn, with the bodies `placed` by number."""
-        drawn, shades = renderer.data, renderer.shades
+        data, shades = renderer.data, renderer.shades
         first, last = touched.first_row, touched.last_row
         for body, grounds in self._grounds.items():
             for ground in grounds:
@@ -450,7 +457,7 @@ class GrainLayer:
                 def work(k: int, thread: int, ground: Ground = ground, at: Placed = placed[body]) -> None:
                     start = first + k * _ROWS
                     end, room = min(start + _ROWS, last), self._rows[thread]
-                    add_grain(start, end, self.owners.facets, drawn, shades, ground, at, room, light, rate)
+                    add_grain(start, end, self.owners.facets, data, shades, ground, at, room, light, rate)
 
                 self._pool.each(work, -(-(last - first) // _ROWS))
 

@@ -249,8 +249,8 @@ def grain_of(mesh: Mesh, p: Regolith, pixel_m: float) -> Octaves:
     """Return the octaves of roughness that `weathered` gives a shape model, and those below its facets."""
     size_m = facet_size_m(mesh)
     finest_m = size_m / 2 ** _divisions(mesh, p, pixel_m)
-    whole = octaves(8 * size_m, min(_ACROSS * p.facet_px * pixel_m, 2 * finest_m), _GAIN, p.seed)
-    return on_facets(whole, math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms, size_m, finest_m)
+    every = octaves(8 * size_m, min(_ACROSS * p.facet_px * pixel_m, 2 * finest_m), _GAIN, p.seed)
+    return on_facets(every, math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms, size_m, finest_m)
 
 
 def _patches(places: Floats, p: Regolith, size_m: float) -> Floats:
