@@ -115,7 +115,8 @@ class Scratch(NamedTuple):
     pairs : (n, 2), number of a pixel and a facet that touches it.
     grouped : (n,), facets of `pairs` by pixel.
     keys : (n,), nearness by which facets are sorted.
-    sides, lines : (n, SIDE_FIELDS), (n, LINE_FIELDS), see `lines`.
+    sides : (n, SIDE_FIELDS) of `lines`, sides and planes of the facets that touch a pixel, in its frame.
+    lines : (n, LINE_FIELDS) of `lines`, intervals of these facets on a line through the pixel.
     """
 
     acc: Floats

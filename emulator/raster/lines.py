@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from emulator.raster.layout import FLAT, Data, Floats, G, Ints, L, W, WHighest, WLowest
+from emulator.raster.layout import FLAT, Data, Floats, G, Ints, L, Scratch, W, WHighest, WLowest
 from emulator.sensor.numerics.compiled import lane, vector_kernel
 
 LINES = 6  # with 4 the 99th percentile of rate errors on Itokawa's outlines is 12 % of the rms, with 6 it is 8 %
@@ -25,19 +25,6 @@ _NO_STEP = 1e-10  # of the light: where it is continuous from facet to facet, it
 _FROM, _TO, _FROM_SIDE, _TO_SIDE, _W, _WX, _SLOT = range(LINE_FIELDS)
 _Y_LOW, _Y_MIDDLE, _Y_HIGH, _X_LOW, _X_MIDDLE, _LONG, _LOWER, _UPPER, _LONG_SIDE, _LOWER_SIDE, _UPPER_SIDE = range(11)
 _OF, _OF_W, _OF_L, _OF_G = 11, *range(12, SIDE_FIELDS, 3)  # a facet's number, and three numbers for each plane
-
-
-class Contents(NamedTuple):
-    """Contents of a pixel.
-
-    Attributes
-    ----------
-    facets : (n, SIDE_FIELDS) or longer, sides and planes of the facets that touch it, in the pixel's frame.
-    intervals : (n, LINE_FIELDS) or longer, of facets on the present line.
-    """
-
-    facets: Floats
-    intervals: Floats
 
 
 class _Line(NamedTuple):
@@ -54,14 +41,14 @@ class _Line(NamedTuple):
 
 
 @lane
-def resolve(data: Data, place: tuple[int, int], listed: Ints, contents: Contents, upright: bool) -> tuple[float, float]:
+def resolve(data: Data, place: tuple[int, int], listed: Ints, scratch: Scratch, upright: bool) -> tuple[float, float]:
     """Return light and rate of the pixel (column, row); `upright` lines are columns, others rows."""
     axis, origin = 0, place
     if upright:
         axis, origin = 1, (place[1], place[0])
     low, high = 1.0, 0.0
     for i in range(len(listed)):
-        facet = contents.facets[i]
+        facet = scratch.sides[i]
         _set_sides(data, origin, listed[i], axis, facet)
         _set_planes(data, origin, listed[i], axis, facet)
         low, high = min(low, facet[_Y_LOW]), max(high, facet[_Y_HIGH])
@@ -71,8 +58,8 @@ def resolve(data: Data, place: tuple[int, int], listed: Ints, contents: Contents
     light = rate = 0.0
     for k in range(LINES):
         line = _Line(axis, low + (k + 0.5) * apart)
-        n = _cut(contents, len(listed), line.y)
-        light_along, rate_along = _along(data, contents, n, origin, line)
+        n = _cut(scratch, len(listed), line.y)
+        light_along, rate_along = _along(data, scratch, n, origin, line)
         light, rate = light + light_along, rate + rate_along
     return light * apart, rate * apart
 
@@ -135,14 +122,14 @@ def _set_planes(data: Data, origin: tuple[int, int], f: int, axis: int, out: Flo
 
 
 @lane
-def _cut(contents: Contents, count: int, y: float) -> int:
+def _cut(scratch: Scratch, count: int, y: float) -> int:
     """Write the interval of each of `count` facets on a line, in the pixel's frame; return their number.
 
     Each facet is written, and the next one over it if it has no interval: no branch that cannot be predicted.
     """
     n = 0
     for i in range(count):
-        facet, out = contents.facets[i], contents.intervals[n]
+        facet, out = scratch.sides[i], scratch.lines[n]
         # Places on the long side and on one of the other two, which meet at the corner of middle y.
         below = y < facet[_Y_MIDDLE]
         xa = facet[_X_LOW] + (y - facet[_Y_LOW]) * facet[_LONG]
@@ -172,9 +159,9 @@ def _depth(lines: Floats, k: int, x: float) -> float:
 
 
 @lane
-def _value(contents: Contents, k: int, at: int, x: float, y: float) -> float:
+def _value(scratch: Scratch, k: int, at: int, x: float, y: float) -> float:
     """Return radiance or rate of an interval's facet: computed for the few intervals that are visible."""
-    facet = contents.facets[int(contents.intervals[k, _SLOT])]
+    facet = scratch.sides[int(scratch.lines[k, _SLOT])]
     value: float = (facet[at] + facet[at + 2] * y) + facet[at + 1] * x
     return value
 
@@ -214,23 +201,23 @@ def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
 
 
 @lane
-def _along(data: Data, contents: Contents, n: int, origin: tuple[int, int], line: _Line) -> tuple[float, float]:
+def _along(data: Data, scratch: Scratch, n: int, origin: tuple[int, int], line: _Line) -> tuple[float, float]:
     """Return the integrals of light and rate along a line with n intervals."""
-    intervals, y = contents.intervals, line.y
+    intervals, y = scratch.lines, line.y
     light = rate = 0.0
     x, w, heir, passed = 0.0, _NONE, _NONE, False
     for k in range(4 * n + 5):
         # At x interval w ends, for its heir where there is one; the visible facet, and so the light, changes.
         following = heir if heir >= 0 else _nearest(intervals, n, x)
         if k > 0:
-            before = _value(contents, w, _OF_L, x, y) if w >= 0 else 0.0
-            step = before - (_value(contents, following, _OF_L, x, y) if following >= 0 else 0.0)
+            before = _value(scratch, w, _OF_L, x, y) if w >= 0 else 0.0
+            step = before - (_value(scratch, following, _OF_L, x, y) if following >= 0 else 0.0)
             if abs(step) > _NO_STEP * before:
                 if passed:
-                    rate += step * _equal_depth_speed(data, contents, w, heir, x, origin, line)
+                    rate += step * _equal_depth_speed(data, scratch, w, heir, x, origin, line)
                 else:  # the edge is that of the nearer facet
                     last = w >= 0 and heir < 0
-                    rate += step * _speed(data, contents, w if last else following, last, origin, line)
+                    rate += step * _speed(data, scratch, w if last else following, last, origin, line)
         w, heir, passed = following, _NONE, False
         if w < 0:  # nothing up to the next interval
             end = 2.0
@@ -241,8 +228,8 @@ def _along(data: Data, contents: Contents, n: int, origin: tuple[int, int], line
             end, heir, passed = _change(intervals, n, w, x)
             stop = min(end, 1.0)
             middle = 0.5 * (x + stop)
-            light += (stop - x) * _value(contents, w, _OF_L, middle, y)
-            rate += (stop - x) * _value(contents, w, _OF_G, middle, y)
+            light += (stop - x) * _value(scratch, w, _OF_L, middle, y)
+            rate += (stop - x) * _value(scratch, w, _OF_G, middle, y)
         if end >= 1.0:
             break
         x = end
@@ -250,10 +237,10 @@ def _along(data: Data, contents: Contents, n: int, origin: tuple[int, int], line
 
 
 @lane
-def _speed(data: Data, contents: Contents, k: int, last: bool, origin: tuple[int, int], line: _Line) -> float:
+def _speed(data: Data, scratch: Scratch, k: int, last: bool, origin: tuple[int, int], line: _Line) -> float:
     """Return the velocity of an interval's last or first end along the line."""
-    vertices, faces, intervals = data.vertices, data.faces, contents.intervals
-    f = int(contents.facets[int(intervals[k, _SLOT]), _OF])
+    vertices, faces, intervals = data.vertices, data.faces, scratch.lines
+    f = int(scratch.sides[int(intervals[k, _SLOT]), _OF])
     side = int(intervals[k, _TO_SIDE] if last else intervals[k, _FROM_SIDE])
     a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
     axis, y = line
@@ -268,15 +255,15 @@ def _speed(data: Data, contents: Contents, k: int, last: bool, origin: tuple[int
 
 @lane
 def _equal_depth_speed(
-    data: Data, contents: Contents, k: int, m: int, x: float, origin: tuple[int, int], line: _Line
+    data: Data, scratch: Scratch, k: int, m: int, x: float, origin: tuple[int, int], line: _Line
 ) -> float:
     """Return the velocity along the line of the point where the facets of intervals k and m have equal depth."""
-    intervals = contents.intervals
+    intervals = scratch.lines
     column, row = origin[0] + x, origin[1] + line.y
     if line.axis == 1:
         column, row = row, column
-    first = int(contents.facets[int(intervals[k, _SLOT]), _OF])
-    second = int(contents.facets[int(intervals[m, _SLOT]), _OF])
+    first = int(scratch.sides[int(intervals[k, _SLOT]), _OF])
+    second = int(scratch.sides[int(intervals[m, _SLOT]), _OF])
     difference = _inverse_depth_rate(data, first, column, row) - _inverse_depth_rate(data, second, column, row)
     slope = intervals[k, _WX] - intervals[m, _WX]
     return -difference / slope if slope != 0.0 else 0.0

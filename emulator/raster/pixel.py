@@ -38,7 +38,7 @@ from emulator.raster.layout import (
     YHigh,
     YLow,
 )
-from emulator.raster.lines import Contents, resolve
+from emulator.raster.lines import resolve
 from emulator.sensor.numerics.compiled import lane
 
 
@@ -267,5 +267,5 @@ def pixel_light(data: Data, column: int, row: int, listed: Ints, scratch: Scratc
     if area < 1.0 and crossings == 2:
         return light, rate
     # Lines across the outline: columns where it is more level than upright.
-    light, rate = resolve(data, (column, row), listed[:n], Contents(scratch.sides, scratch.lines), lean > 0.0)
+    light, rate = resolve(data, (column, row), listed[:n], scratch, lean > 0.0)
     return light, rate

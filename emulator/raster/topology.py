@@ -325,17 +325,9 @@ class Facets:
         """Make room for so many facets; those behind the surfaces are seen from one side."""
         if rows <= len(self._room.faces):
             return
-        t, n = self._room, 2 * rows - len(self._room.faces)
-        self._room = Topology(
-            np.concatenate([t.faces, np.zeros((n, 3), np.int32)]),
-            np.concatenate([t.shades, np.zeros((n, 3), np.int32)]),
-            np.concatenate([t.across, np.full((n, 3), -1, np.int32)]),
-            np.concatenate([t.smooth, np.zeros((n, 3), np.uint8)]),
-            np.concatenate([t.two_sided, np.zeros(n, np.uint8)]),
-            t.vertices,
-            t.entries,
-            np.concatenate([t.over, np.full(n, -1, np.int32)]),
-        )
+        n = 2 * rows - len(self._room.faces)
+        corners, smooth = np.zeros((n, 3), np.int32), np.zeros((n, 3), np.uint8)
+        self._room = join([self._room, Topology(corners, corners, corners - 1, smooth, np.zeros(n, np.uint8), 0, 0)])
 
 
 def _rows(t: Topology) -> Rows:

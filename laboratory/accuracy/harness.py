@@ -141,7 +141,7 @@ def events(
     array, h_ns = method.make(case.parameters, SEED), round(step_s * 1e9)
     steps = round(case.duration_s * 1e9 / h_ns)
     t_s = np.arange(steps + 1) * (h_ns * 1e-9)
-    at = pixel_light(case) if method.refines else None
+    at = pixel_light(case.scene, case.start_ns) if method.refines else None
     light, slope = (one.astype(np.float32)[:, None, :] for one in case.scene.light_and_rate(t_s))
     rate = slope if method.rate else None
     light = light if seen is None else seen(light)
@@ -154,12 +154,11 @@ def events(
     return Stream.of((t_ns - case.start_ns) * 1e-3, pixel, on, case.scene.pixels), array.lost_in_pixel
 
 
-def pixel_light(case: Case) -> PixelLight:
-    """Return the source of the light of single pixels of a case; a wider frame repeats the row."""
-    scene = case.scene
+def pixel_light(scene: ClosedLight, start_ns: int = 0) -> PixelLight:
+    """Return the source of the light of single pixels from `start_ns` on; a wider frame repeats the row."""
 
     def at(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
-        light, rate = scene.light_and_rate((t_ns - case.start_ns) * 1e-9)
+        light, rate = scene.light_and_rate((t_ns - start_ns) * 1e-9)
         places = pixels % scene.pixels
         return light[0, places].astype(np.float32), rate[0, places].astype(np.float32)
 
@@ -183,7 +182,7 @@ def step_cost_us(method: Method, case: Case, step_s: float) -> float:
                      for one in case.scene.light_and_rate(t_s))  # fmt: skip
     rate = slopes if method.rate else [None] * len(light)
     array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
-    at = pixel_light(dataclasses.replace(case, start_ns=0)) if method.refines else None
+    at = pixel_light(case.scene) if method.refines else None
     array.reset(LightFrame(0, light[0], rate[0]))
     frames = [LightFrame(k * h_ns, light[k], rate[k], at) for k in range(1, steps + 1)]
     taken_s: list[float] = []

@@ -204,7 +204,7 @@ class Look:
 
     def events(self, scene: Scene, step_ns: int, *, with_rate: bool) -> tuple[Stream, float]:
         """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a frame."""
-        sensor = Sensor(self.quiet, self.rig.run.seed)
+        sensor = Sensor(quiet(self.rig.camera.sensor), self.rig.run.seed)
         frames, first_ns = SceneFrames(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
         sensor.reset(LightFrame(0, frames.draw(first_ns).light))
         events, spent_s = [empty_events()], []
@@ -215,11 +215,6 @@ class Look:
             events.append(sensor.expose(LightFrame(t_ns, frame.light, frame.rate)))
         events.append(sensor.finish())
         return Stream.from_events(np.concatenate(events), *self.rig.camera.size), 1e3 * min(spent_s)
-
-    @property
-    def quiet(self) -> SensorParameters:
-        """The rig's sensor without leak and noise."""
-        return quiet(self.rig.camera.sensor)
 
 
 def quiet(sensor: SensorParameters) -> SensorParameters:

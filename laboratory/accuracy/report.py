@@ -24,26 +24,16 @@ from laboratory.accuracy.sweeps import (
     reading_against_line,
 )
 
-_COLOURS = {
-    "hermite": "#000000",
-    "refined": "#56b4e9",
-    "line": "#0072b2",
-    "v2e_exact_filter": "#009e73",
-    "v2e": "#e69f00",
-    "pangu": "#d55e00",
-    "sikorski": "#cc79a7",
-    "esim": "#7f5fa8",
-    "frame_difference": "#999999",
-}
-_MARKERS = {
-    "hermite": "o",
-    "refined": "P",
-    "line": "s",
-    "v2e_exact_filter": "v",
-    "v2e": "^",
-    "pangu": "D",
-    "sikorski": "x",
-    "esim": "+",
+_MARKS = {  # colour and marker
+    "hermite": ("#000000", "o"),
+    "refined": ("#56b4e9", "P"),
+    "line": ("#0072b2", "s"),
+    "v2e_exact_filter": ("#009e73", "v"),
+    "v2e": ("#e69f00", "^"),
+    "pangu": ("#d55e00", "D"),
+    "sikorski": ("#cc79a7", "x"),
+    "esim": ("#7f5fa8", "+"),
+    "frame_difference": ("#999999", "."),
 }
 _COLUMNS = 4
 _FLOOR_US = 1e-3
@@ -51,9 +41,10 @@ _FLOOR_SHARE = 1e-4
 
 
 def _style(name: str) -> dict[str, Any]:
+    colour, marker = _MARKS.get(name, ("#56b4e9", "."))
     return {
-        "color": _COLOURS.get(name, "#56b4e9"),
-        "marker": _MARKERS.get(name, "."),
+        "color": colour,
+        "marker": marker,
         "label": name.replace("_", " "),
         "markersize": 5,
         "linewidth": 2.0 if name == "hermite" else 1.2,
@@ -127,20 +118,16 @@ def draw_rendering(rows: Sequence[Drawn], stem: Path) -> list[Path]:
             k = settings.index(row.setting)
             share = 100 * _above(row.false + row.missed, _FLOOR_SHARE)
             axes.plot(row.ms, share, marker="os^Dv<>pXP*h"[k % 12], color=f"C{k % 10}", linestyle="", label=row.setting)
-        _name_rendering(axes, name)
+        axes.set_title(name, fontsize=10)
+        axes.set_xlim(left=0)
+        axes.set_yscale("log")
+        axes.set_ylim(0.1, 200)
+        axes.set_xlabel("CPU ms a picture, all threads", fontsize=9)
+        axes.set_ylabel("false + missed events, %", fontsize=9)
+        axes.grid(True, which="both", alpha=0.3)
+        axes.tick_params(labelsize=8, which="both")
     figure_legend(figure, ncols=min(4, len(settings)), fontsize=8)
     return save(figure, stem)
-
-
-def _name_rendering(axes: Any, name: str) -> None:
-    axes.set_title(name, fontsize=10)
-    axes.set_xlim(left=0)
-    axes.set_yscale("log")
-    axes.set_ylim(0.1, 200)
-    axes.set_xlabel("CPU ms a picture, all threads", fontsize=9)
-    axes.set_ylabel("false + missed events, %", fontsize=9)
-    axes.grid(True, which="both", alpha=0.3)
-    axes.tick_params(labelsize=8, which="both")
 
 
 def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -> list[Path]:

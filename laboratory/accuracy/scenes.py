@@ -43,13 +43,7 @@ Float64s = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ClosedLight(ABC):
-    """Light on a row of `pixels` pixels.
-
-    Attributes
-    ----------
-    pixels : int
-        Number of pixels in the row.
-    """
+    """Light on a row of `pixels` pixels."""
 
     pixels: int = 60
 

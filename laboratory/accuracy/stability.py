@@ -18,6 +18,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -173,26 +174,18 @@ def cells(sweeps: Sequence[Sweep], methods: Sequence[Method]) -> Iterator[Cell]:
     for sweep in sweeps:
         for value in sweep.values:
             setting = sweep.at(value)
+            step_us = setting.step_s * 1e6
             for method in methods:
-                yield _cell(sweep.axis, value, method, setting)
-
-
-def _cell(axis: str, value: float, method: Method, setting: Setting) -> Cell:
-    stream, lost = events(method, setting.case, setting.step_s, setting.seen)
-    scores = compare(stream, truth(setting.case))
-    step_us = setting.step_s * 1e6
-    return Cell(
-        axis, value, method.name, scores.right, scores.t50_us / step_us, scores.t95_us / step_us,
-        scores.count, scores.wrong_events, lost,
-    )  # fmt: skip
+                stream, lost = events(method, setting.case, setting.step_s, setting.seen)
+                scores = compare(stream, truth(setting.case))
+                yield Cell(
+                    sweep.axis, value, method.name, scores.right, scores.t50_us / step_us, scores.t95_us / step_us,
+                    scores.count, scores.wrong_events, lost,
+                )  # fmt: skip
 
 
 def boundary(found: Sequence[Cell], sweep: Sweep, method: str, right: float = 0.95) -> float | None:
     """Return the last value of an axis up to which a method has `right` sequences; None if it never does."""
-    good = None
-    for value in sweep.values:
-        cell = next(c for c in found if (c.axis, c.value, c.method) == (sweep.axis, value, method))
-        if not cell.right >= right:
-            break
-        good = value
-    return good
+    shares = {cell.value: cell.right for cell in found if (cell.axis, cell.method) == (sweep.axis, method)}
+    held = [*takewhile(lambda value: shares[value] >= right, sweep.values)]
+    return held[-1] if held else None

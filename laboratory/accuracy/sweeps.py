@@ -33,17 +33,7 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
-from laboratory.accuracy.harness import (
-    PLAIN,
-    SEED,
-    Case,
-    Method,
-    Swept,
-    pixel_light,
-    score,
-    step_cost_us,
-    truth,
-)
+from laboratory.accuracy.harness import PLAIN, SEED, Case, Method, Swept, pixel_light, score, step_cost_us, truth
 from laboratory.accuracy.scenes import ShadedEdge, ThinLine, TurningBody
 from laboratory.accuracy.scores import Scores, Stream, compare
 
@@ -304,12 +294,8 @@ def effect_rows(case: Case, step_s: float, effects: Sequence[Effect] = EFFECTS) 
         changes = _changes(effect, case.parameters)
         alone = dataclasses.replace(ideal, **changes)
         scores = compare(_run(case, alone, step_s), plain)
-        yield EffectRow(
-            effect.name,
-            _setting_text(effect, changes),
-            step_cost_us(whole, dataclasses.replace(case, parameters=alone), step_s),
-            scores,
-        )
+        cost_us = step_cost_us(whole, dataclasses.replace(case, parameters=alone), step_s)
+        yield EffectRow(effect.name, _setting_text(effect, changes), cost_us, scores)
 
 
 WISHES_US = (1.0, 10.0, 100.0)  # wanted 95th percentiles of timestamp errors
@@ -350,7 +336,7 @@ def controlled(cases: Sequence[Swept], wishes_us: Sequence[float] = WISHES_US) -
 def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = False) -> Controlled:
     """Run one case in controlled steps, to the end of its last whole step, and score it up to there."""
     array = PixelArray(case.parameters, SEED)
-    at, threshold = (pixel_light(case) if refined else None), case.parameters.threshold_on
+    at, threshold = (pixel_light(case.scene) if refined else None), case.parameters.threshold_on
     refinement = RefinementModel(threshold) if refined else None
     steps = ControlledSteps(limits, case.parameters.dark_current_relative, 1_000_000, refinement)
     end_ns, t_ns, frames = round(case.duration_s * 1e9), 0, 0

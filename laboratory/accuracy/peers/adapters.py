@@ -282,22 +282,11 @@ class _Evstim:
         self.version = importlib.metadata.version("evstim")
         self.date = checkout(str(Path(__file__).parent))[1]
         light = importlib.import_module("laboratory.accuracy.peers.sequences").light_of(settings.scene)
-        self.at = self._source(light) if self.refines else None
+        self.at = importlib.import_module("laboratory.accuracy.harness").pixel_light(light) if self.refines else None
         self.width, self.started, self.sensor = settings.width, False, None
         if settings.whole:
             self.sensor = importlib.import_module("emulator.sensor.sensor").Sensor(parameters, 1)
         self.array = self.sensor or importlib.import_module("emulator.sensor.pixels.array").PixelArray(parameters, 1)
-
-    @staticmethod
-    def _source(light: Any) -> Any:
-        """Return the source of the light of single pixels between the frames."""
-
-        def at(t_ns: int, pixels: Any) -> tuple[Any, Any]:
-            t_s, places = np.array([t_ns * 1e-9]), pixels % light.pixels
-            value, rate = light.value(t_s)[0, places], light.rate(t_s)[0, places]
-            return value.astype(np.float32), rate.astype(np.float32)
-
-        return at
 
     def step(self, frame: Any) -> Events | None:
         """See `worker`."""

@@ -7,7 +7,6 @@ sequence; one that crashes or does not end fails it too, and a new process conti
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import queue
@@ -16,10 +15,10 @@ import subprocess
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any
 
 _WORKER = Path(__file__).with_name("worker.py")
 _ADAPTERS = Path(__file__).with_name("adapters.py")
@@ -80,7 +79,7 @@ def run_adapter(
     """
     outcome, waiting, lost = Outcome(), list(sequences), 0
     while waiting:
-        with _Worker(adapter, folder, out, waiting) as worker:
+        with tempfile.TemporaryFile() as errors, closing(_Worker(adapter, folder, out, waiting, errors)) as worker:
             reason = _follow(worker, waiting, limit_s, outcome, done)
         if not reason:
             break
@@ -120,42 +119,33 @@ def _follow(worker: _Worker, waiting: list[str], limit_s: float, outcome: Outcom
 
 
 class _Worker:
-    """A process of the worker, killed with all its children at the end of the `with`."""
+    """A process of the worker, which writes what the simulator prints into `errors`."""
 
-    def __init__(self, adapter: Adapter, folder: Path, out: Path, sequences: Sequence[str]) -> None:
-        self._command = [
+    def __init__(self, adapter: Adapter, folder: Path, out: Path, sequences: Sequence[str], errors: IO[bytes]) -> None:
+        command = [
             adapter.python, "-u", str(_WORKER), str(folder), str(out), adapter.place, adapter.path, *sequences,
         ]  # fmt: skip
-        self._environment = dict(os.environ)
+        environment = dict(os.environ)
         if adapter.threads:
-            self._environment |= dict.fromkeys(_THREADS, str(adapter.threads))
+            environment |= dict.fromkeys(_THREADS, str(adapter.threads))
         self._messages: queue.Queue[dict[str, Any] | None] = queue.Queue()
         self.current: str | None = None
-
-    def __enter__(self) -> Self:
-        self._errors = tempfile.TemporaryFile()
-        try:
-            self._process = subprocess.Popen(
-                self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._errors,
-                env=self._environment, start_new_session=True,
-            )  # fmt: skip
-        except BaseException:
-            self._errors.close()
-            raise
+        self._errors = errors
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, env=environment,
+            start_new_session=True,
+        )  # fmt: skip
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with contextlib.suppress(ProcessLookupError):
+    def close(self) -> None:
+        """Kill it with all its children."""
+        with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         self._reader.join()
         assert self._process.stdout is not None
         self._process.stdout.close()
-        self._errors.close()
 
     def message(self, limit_s: float) -> dict[str, Any] | None:
         """Return the next message, None after the last; raise queue.Empty after `limit_s`."""

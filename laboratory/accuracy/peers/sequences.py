@@ -24,7 +24,6 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -169,15 +168,11 @@ def open_folder(path: Path) -> SequenceFolder:
 def timing_sequences(images_per_s: Sequence[int]) -> dict[str, FrameSequence]:
     """Return the sequences for timing by name: "busy" at every frame rate, the others at one."""
     rates = [("busy", rate) for rate in images_per_s] + [(name, _TIMING_IMAGES_PER_S) for name in ("quiet", "whole")]
+    # Fewer frames where each has many events, and none after the edge has crossed.
     return {
-        f"{scene}-{rate}": FrameSequence(scene, *_TIMING_SIZE, rate, _timing_frames(rate), scene == "whole")
+        f"{scene}-{rate}": FrameSequence(scene, *_TIMING_SIZE, rate, 40 if rate >= 1000 else 12, scene == "whole")
         for scene, rate in rates
     }
-
-
-def _timing_frames(rate: int) -> int:
-    """Return the number of frames: fewer where each has many events, and none after the edge has crossed."""
-    return 40 if rate >= 1000 else 12
 
 
 def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tuple(SCENES)) -> Iterator[str]:
@@ -191,37 +186,32 @@ def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tupl
     Raises OSError where the folder cannot be written.
     """
     (path / "truth").mkdir(parents=True, exist_ok=True)
-    listed: dict[str, Any] = {}
+    sequences: dict[str, FrameSequence] = {}
     for scene in scenes:
-        _write_truth(scene, path / "truth" / f"{scene}.npz")
+        timed = SCENES[scene]
+        events = ideal_events(timed.light, THRESHOLD, THRESHOLD, timed.duration_s)
+        y, x = np.divmod(events.pixel, _WIDTH)
+        np.savez(path / "truth" / f"{scene}.npz", t_us=events.t_us, x=x, y=y, on=events.on)
         for rate in images_per_s:
-            name = f"{scene}-{rate}"
-            frames = round(SCENES[scene].duration_s * rate) + 1
-            listed[name] = asdict(_write(FrameSequence(scene, _WIDTH, _HEIGHT, rate, frames), path / f"{name}.npz"))
-            yield name
-    for name, one in timing_sequences(images_per_s).items():
-        listed[name] = asdict(_write(one, path / f"{name}.npz"))
+            frames = round(timed.duration_s * rate) + 1
+            sequences[f"{scene}-{rate}"] = FrameSequence(scene, _WIDTH, _HEIGHT, rate, frames)
+    sequences |= timing_sequences(images_per_s)
+    for name, sequence in sequences.items():
+        _write(sequence, path / f"{name}.npz")
         yield name
+    listed = {name: asdict(sequence) for name, sequence in sequences.items()}
     whole = {"format": FORMAT, "threshold_on": THRESHOLD, "threshold_off": THRESHOLD, "sequences": listed}
     (path / "sequences.json").write_text(json.dumps(whole, indent=1) + "\n")
 
 
-def _write(one: FrameSequence, file: Path) -> FrameSequence:
+def _write(one: FrameSequence, file: Path) -> None:
     light, h_ns = light_of(one.scene), round(1e9 / one.images_per_s)
     t_ns = np.arange(one.frames, dtype=np.int64) * h_ns
-    tiled = [_tiled(part(t_ns * 1e-9), one) for part in (light.value, light.rate)]
+    tiled = [_tiled(rows, one) for rows in light.light_and_rate(t_ns * 1e-9)]
     np.savez(file, t_ns=t_ns, light=tiled[0], rate=tiled[1])
-    return one
 
 
 def _tiled(rows: npt.NDArray[np.float64], one: FrameSequence) -> npt.NDArray[np.float32]:
     """Return rows of pixels (n, pixels) as frames (n, height, width); a shorter row is repeated."""
     flat = np.arange(one.width * one.height) % rows.shape[1]
     return rows.astype(np.float32)[:, flat].reshape(-1, one.height, one.width)
-
-
-def _write_truth(scene: str, file: Path) -> None:
-    one = SCENES[scene]
-    events = ideal_events(one.light, THRESHOLD, THRESHOLD, one.duration_s)
-    pixel = events.pixel
-    np.savez(file, t_us=events.t_us, x=pixel % _WIDTH, y=pixel // _WIDTH, on=events.on)
