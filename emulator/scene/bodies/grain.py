@@ -46,7 +46,8 @@ _SIDE, _LAST = (
 )  # texels of the tile along each axis: with 64 it does not fit a cache, and takes 1.5 times as long
 TEXELS = 8.0  # a wavelength
 _POINT = 0.5 / math.sqrt(3.0)  # pixels from the middle to the points of Gauss's quadrature
-_WAVE_OF_ONE, _FADED = 14.0, (0.65, 1.15)  # pixels a wave: from here on one point is enough; fading begins and ends
+_WAVE_OF_ONE, _FADED = 6.0, (0.65, 1.15)  # pixels a wave: from here on one point is enough; fading begins and ends
+_WIDTH2 = 1.2  # the mean of a wave over a pixel, sinc(width / wave), is about 1 - 1.6 (width / wave)^2 on the long side
 _LEAST_COSINE = 0.01
 _MOST_SLANT = 0.05  # least cosine of emission for the width of a pixel on the ground
 _BETWEEN_S = 1e-6  # of rates
@@ -377,6 +378,8 @@ def _sum_octaves(count: int, ground: Ground, placed: Placed, out: Row) -> None:
             drift = plus(ZERO, per_m, (out.drifts[0, i], out.drifts[1, i], out.drifts[2, i]))
             looks = 1 if wave_px > _WAVE_OF_ONE else 4
             share /= looks
+            if looks == 1:
+                share *= 1.0 - _WIDTH2 / (wave_px * wave_px)
             towards = towards2 = 0.0
             for look in range(looks):
                 place = middle
