@@ -48,8 +48,10 @@ TEXELS = 8.0  # a wavelength
 _POINT = 0.5 / math.sqrt(3.0)  # pixels from the middle to the points of Gauss's quadrature
 _WAVE_OF_ONE, _FADED = 6.0, (0.65, 1.15)  # pixels a wave: from here on one point is enough; fading begins and ends
 _WIDTH2 = 1.2  # the mean of a wave over a pixel, sinc(width / wave), is about 1 - 1.6 (width / wave)^2 on the long side
-_LEAST_COSINE = 0.01
+_LEAST_COSINE = 0.01  # of emission
+_FAINTEST = 3e-4  # reflected, 1/sr: below it the terminator is near, and its place in the pixel would decide
 _MOST_SLANT = 0.05  # least cosine of emission for the width of a pixel on the ground
+_ROUNDED = 1.001  # of light, to float32
 _BETWEEN_S = 1e-6  # of rates
 _ROWS = 16  # a thread takes at a time
 
@@ -187,6 +189,7 @@ class Ground(NamedTuple):
     ----------
     first : number of its first point among those of all bodies.
     normals, rough : (n, 3) and (n,) of its points, as in `Surface`.
+    reflected : (n,), the law of reflection at its points, of the last light frame; 0 where none was computed.
     octaves, fields : the grain, and its `tile`.
     law : of its reflection.
     brightest : W m-2, the most light of the Sun that it gets, times its relative albedo.
@@ -195,6 +198,7 @@ class Ground(NamedTuple):
     first: int
     normals: Floats
     rough: Floats
+    reflected: Floats
     octaves: Octaves
     fields: Tile
     law: Law
@@ -231,8 +235,8 @@ class Row(NamedTuple):
     widths_m : (width,), the longer side of a pixel on the ground.
     rough : (width,).
     fields : (9, width), slope and brightness, their rates, and the variance of the slope towards the Sun in the pixel.
-    cosines : (7, width), of incidence and of emission without grain, with it, and an instant later; squared chords.
-    reflected : (3, width), by the law at these three.
+    cosines : (5, width), of incidence and of emission, and the same an instant later; squared chords.
+    even, reflected : (width,) by the law at the corners of the facet, linear between; (2, width) with grain.
     """
 
     columns: Numbers
@@ -247,12 +251,15 @@ class Row(NamedTuple):
     fields: Floats
     cosines: Floats
     reflected: Floats
+    even: Floats
 
 
 def new_row(width: int) -> Row:
     """Return room for a row."""
     vectors, numbers = np.zeros((6, 3, width)), np.zeros((2, width))
-    return Row(np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((n, width)) for n in (9, 7, 3)))
+    return Row(
+        np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((n, width)) for n in (9, 5, 2)), np.zeros(width)
+    )
 
 
 @entry
@@ -272,17 +279,17 @@ def add_grain(  # noqa: PLR0913, PLR0917
         _sum_octaves(count, ground, placed, room)
         _turn_normals(count, placed, room)
         cosines, law = room.cosines, ground.law
-        for k in range(3):
-            reflect(law.kind, law.parameters, cosines[2 * k], cosines[2 * k + 1], cosines[6], count, room.reflected[k])
+        for k in range(2):
+            reflect(law.kind, law.parameters, cosines[2 * k], cosines[2 * k + 1], cosines[4], count, room.reflected[k])
         for i in range(count):
-            even, now, later = room.reflected[0, i], room.reflected[1, i], room.reflected[2, i]
+            even, now, later = max(room.even[i], _FAINTEST), room.reflected[0, i], room.reflected[1, i]
             c = room.columns[i]
-            # The Sun's light on the facet by what it reflects; near the terminator its normal there is not exact.
-            sunlight, is_exact = light[r, c] / even, 1.0
-            if sunlight > ground.brightest:
-                sunlight, is_exact = ground.brightest, 0.0
-            value = light[r, c] + sunlight * (now - even)
-            changing = rate[r, c] * (1.0 + is_exact * (now / even - 1.0)) + sunlight * (later - now) / _BETWEEN_S
+            # The Sun's light on the facet; more than there is comes from other facets in the pixel.
+            sunlight = light[r, c] / even
+            if sunlight > _ROUNDED * ground.brightest:
+                continue
+            value = sunlight * now
+            changing = rate[r, c] * now / even + sunlight * (later - now) / _BETWEEN_S
             bright = 1.0 + room.rough[i] * room.fields[3, i]
             light[r, c] = max(value * bright, 0.0)
             rate[r, c] = changing * bright + value * room.rough[i] * room.fields[7, i]
@@ -321,10 +328,11 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
         third = min(max((x1 * (y - y0) - y1 * (x - x0)) / area, 0.0), 1.0 - second)
         shares = (1.0 - second - third, second, third)
         normal = ZERO
-        out.rough[count] = 0.0
+        out.rough[count] = out.even[count] = 0.0
         for k in range(3):
             normal = plus(normal, shares[k], row(ground.normals, points[k]))
             out.rough[count] += shares[k] * ground.rough[points[k]]
+            out.even[count] += shares[k] * ground.reflected[points[k]]
         length = math.sqrt(max(dot(normal, normal), 1e-300))
         # Where the ray through the middle of the pixel meets the facet's plane, and how fast the body passes there.
         depth = 1.0 / w
@@ -404,19 +412,17 @@ def _sum_octaves(count: int, ground: Ground, placed: Placed, out: Row) -> None:
 
 @lane
 def _turn_normals(count: int, placed: Placed, out: Row) -> None:
-    """Write the cosines of incidence and emission without and with the slopes, and with those of an instant later."""
+    """Write the cosines of incidence and emission with the slopes of now, and with those of an instant later."""
     sun, cosines, fields = row(placed.sun.reshape(1, 3), 0), out.cosines, out.fields
     for i in range(count):
         normal = (out.normals[0, i], out.normals[1, i], out.normals[2, i])
         eye = (out.eyes[0, i], out.eyes[1, i], out.eyes[2, i])
         chord = minus(sun, eye)
-        cosines[0, i] = max(dot(normal, sun), _LEAST_COSINE)
-        cosines[1, i] = max(dot(normal, eye), _LEAST_COSINE)
-        cosines[6, i] = min(dot(chord, chord), 4.0)
+        cosines[4, i] = min(dot(chord, chord), 4.0)
         # Cosines of incidence are taken as even over a range around their mean; below 0 there is no light.
         reach = out.rough[i] * math.sqrt(3.0 * max(fields[8, i], 0.0))
-        for k in range(1, 3):
-            later_s = _BETWEEN_S * (k - 1)
+        for k in range(2):
+            later_s = _BETWEEN_S * k
             slope = plus(
                 (fields[0, i], fields[1, i], fields[2, i]), later_s, (fields[4, i], fields[5, i], fields[6, i])
             )

@@ -195,6 +195,7 @@ class _Lit:
     law: Law
     albedo: Floats | None
     water: Floats | None
+    reflected: Floats | None
     group: int
     middle_m: Vector
     radius_m: float
@@ -275,10 +276,12 @@ class Lighting:
         """Return the bodies with grain, `grain` by body, by the number of the first body of their group."""
         grounds: dict[int, list[Ground]] = {}
         for octaves, surface, body in zip(grain, surfaces, self._bodies, strict=True):
-            if octaves is not None and surface.rough is not None:
+            if octaves is not None and surface.rough is not None and body.reflected is not None:
                 brightest = self._sun.irradiance_w_m2 * (1.0 if body.albedo is None else float(body.albedo.max()))
                 normals = np.ascontiguousarray(body.normals)
-                ground = Ground(body.first_point, normals, surface.rough, octaves, tile(), body.law, brightest)
+                ground = Ground(
+                    body.first_point, normals, surface.rough, body.reflected, octaves, tile(), body.law, brightest
+                )
                 grounds.setdefault(self._groups[body.group].members[0], []).append(ground)
         return grounds
 
@@ -394,6 +397,10 @@ class Lighting:
                 self._cast(body, tree, group, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
         irradiance = self._sun.irradiance_w_m2
+        if body.reflected is not None:
+            reflect(*body.law, angles[0], angles[2], angles[4], count, room[0])
+            body.reflected.fill(0)
+            body.reflected[chosen[:count]] = room[0, :count]
         planet = self._sea_and_air(body, count)  # before `write_radiance` overwrites the angles
         write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
         if (body.sharp or body.edges is not None) and self._ambient > 0:
@@ -491,7 +498,9 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) ->
         points, normals = points @ turn + pose.position_m, normals @ turn
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    return _Lit(points, normals, surface.lean, law, surface.albedo, surface.water, group, middle, radius_m, marked)
+    reflected = None if surface.rough is None else np.zeros(len(points))
+    tints = surface.albedo, surface.water, reflected
+    return _Lit(points, normals, surface.lean, law, *tints, group, middle, radius_m, marked)
 
 
 def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:
