@@ -275,7 +275,7 @@ def test_bad_textures_are_refused(tmp_path, name):
 def test_many_large_images_are_refused_before_they_are_decoded(tmp_path, monkeypatch):
     """Three materials with an image each, and room for two; the third is cut off in the midst of its pixels."""
     pixels = smooth_image()
-    monkeypatch.setattr("emulator.scene.bodies.gltf.MOST_PIXELS", 2 * pixels.shape[0] * pixels.shape[1])
+    monkeypatch.setattr("emulator.scene.bodies.gltf._MOST_PIXELS", 2 * pixels.shape[0] * pixels.shape[1])
 
     def three(document):
         document["images"] += [document["images"][0], {"uri": "cut.png"}]
