@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from emulator.scene.bodies.albedo import smooth_step
 from emulator.scene.bodies.compiled import Floats, dot, entry, minus, row
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
 
@@ -43,8 +44,7 @@ def smooth_ground(mesh: Mesh, coarse: Mesh, share: float) -> Callable[[Floats], 
 
     def smoothness(places: Floats) -> Floats:
         rank = _between(mesh.vertices, order, places, 1e-6 * mesh.radius_m)
-        x = np.clip((share + _SHORE - rank) / (2 * _SHORE), 0, 1)
-        return np.asarray(x * x * (3 - 2 * x))
+        return smooth_step((share + _SHORE - rank) / (2 * _SHORE))
 
     return smoothness
 
