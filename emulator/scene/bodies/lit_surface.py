@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.compiled import Floats, Numbers, cross, dot, entry, minus, row
-from emulator.scene.bodies.mesh import Mesh, facet_vectors
+from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means
 
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
@@ -97,8 +97,7 @@ def _flat(mesh: Mesh) -> Surface:
     _, first, shade = np.unique(key, axis=0, return_index=True, return_inverse=True)
     shade = shade.ravel()
     middles = np.repeat(mesh.vertices[mesh.faces].mean(axis=1), 3, axis=0)
-    sums = np.column_stack([np.bincount(shade, column) for column in middles.T])
-    inside = sums / np.bincount(shade)[:, None]
+    inside = group_means(middles, shade, np.bincount(shade))
     points = mesh.vertices[mesh.faces.ravel()[first]] * (1 - _INWARD) + _INWARD * inside
     shades = shade.astype(np.int32).reshape(-1, 3)
     lean = np.full(len(points), 1e-9)
@@ -175,16 +174,17 @@ def split_sides(mesh: Mesh, split: Bools) -> Mesh:
 
     Both facets of a side must have the same value. Normals and tints of new vertices are means of its ends.
     """
-    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     sides, number = middles_of(mesh, split)
-    middle = np.full(faces.shape, -1, np.int64)
-    middle[split] = len(vertices) + number
-    new_normals = normals[sides].sum(axis=1)
+    middle = np.full(mesh.faces.shape, -1, np.int64)
+    middle[split] = len(mesh.vertices) + number
+    of_ends = mesh.normals[sides]
+    new_normals = of_ends.sum(axis=1)
     length = np.linalg.norm(new_normals, axis=1, keepdims=True)
-    new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
+    new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), of_ends[:, 0])
     tints = mesh.tints(lambda values: cut_facets(values, (values + np.roll(values, -1, axis=1)) / 2, split))
-    vertices, normals = np.concatenate([vertices, vertices[sides].mean(axis=1)]), np.concatenate([normals, new_normals])
-    faces = cut_facets(faces, middle, split).astype(np.int32)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[sides].mean(axis=1)])
+    normals = np.concatenate([mesh.normals, new_normals])
+    faces = cut_facets(mesh.faces, middle, split).astype(np.int32)
     return replace(mesh, vertices=vertices, faces=faces, normals=normals, **tints)
 
 

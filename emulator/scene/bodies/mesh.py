@@ -226,6 +226,12 @@ def facet_vectors(points: Floats, corners: npt.NDArray[np.integer]) -> Floats:
     return np.asarray(np.cross(b - a, c - a) / 2)
 
 
+def group_means(values: Floats, number: npt.NDArray[np.integer], counts: npt.NDArray[np.integer]) -> Floats:
+    """Return means of the rows of `values`, (n, k), over groups: `number`, (n,), of each row; `counts` of members."""
+    sums = np.column_stack([np.bincount(number, column, len(counts)) for column in values.T])
+    return np.asarray(sums / counts[:, None])
+
+
 def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:
     """Count the edges with one facet; refuse edges that two facets pass in the same direction."""
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()

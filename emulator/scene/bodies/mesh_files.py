@@ -151,7 +151,8 @@ def parse_wavefront(text: str) -> PlateTable:
             case ["v"]:
                 points += _point(number, words)
             case ["f"]:
-                corners += _triangles(_corners(number, words, len(points) // 3))
+                first, *others = _corners(number, words, len(points) // 3)
+                corners += [n for pair in itertools.pairwise(others) for n in (first, *pair)]
                 albedo += [now] * (len(corners) // 3 - len(albedo))
             case ["usemtl"]:
                 now = _albedo(number, words)
@@ -191,8 +192,3 @@ def _corners(number: int, words: list[str], count: int) -> list[int]:
     except ValueError:
         _refuse(number, words, "'f a b c' with whole numbers, each perhaps with /texture/normal")
     return [n - 1 if n > 0 else count + n if n < 0 else -1 for n in named]
-
-
-def _triangles(corners: list[int]) -> list[int]:
-    first = corners[0]
-    return [n for pair in itertools.pairwise(corners[1:]) for n in (first, *pair)]

@@ -133,15 +133,6 @@ _NO_FACETS = np.zeros((0, 3), np.int32)
 _THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thread could start
 
 
-def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 0) -> RasterBodies:
-    """Return the bodies of `parameters` before `pinhole`; raises SceneError.
-
-    `threads` is the number of threads that draw; 0: those of the machine for a large light frame, else one.
-    """
-    large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
-    return RasterBodies(parameters, pinhole, threads=threads or (available_threads() if large else 1))
-
-
 class LitBodies:
     """The surfaces of a world of bodies and their light at any time, for both painters; raises SceneError.
 
@@ -235,13 +226,16 @@ class LitBodies:
 class RasterBodies(WorldScene[BodyWorld]):
     """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by the CPU; raises SceneError.
 
-    With any number of `threads` the light frames are the same to the last bit.
+    With any number of `threads` the light frames are the same to the last bit; 0: those of the machine for a large
+    light frame, else one.
     """
 
     has_rate = True
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
         super().__init__(BodyWorld(parameters, pinhole))
+        large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
+        threads = threads or (available_threads() if large else 1)
         self._lit = LitBodies(self._world, pinhole, threads)
         width, height = pinhole.size
         middle = width / 2, height / 2

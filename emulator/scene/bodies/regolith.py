@@ -51,7 +51,7 @@ from emulator.scene.bodies.albedo import clouded, smooth_step, with_albedo
 from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.curved_sides import split_round
 from emulator.scene.bodies.grain import Octaves, fractal_noise, octaves, on_facets, tile, write_heights
-from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
+from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means, vertex_normals
 from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
 from emulator.scene.files import Kind, cached_arrays
@@ -157,21 +157,14 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     corners = corners[(a != b) & (b != c) & (c != a)]
     turned = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3  # which corner comes first does not matter
     kept = np.unique(np.take_along_axis(corners, turned, axis=1), axis=0)
-    tints = mesh.tints(lambda values: _mean(mesh.at_vertices(values)[:, None], cell, count)[kept, 0])
+    tints = mesh.tints(lambda values: group_means(mesh.at_vertices(values)[:, None], cell, count)[kept, 0])
     if len(kept) > 0.9 * len(mesh.faces) or not len(kept):
         return mesh
-    vertices = _mean(mesh.vertices, cell, count)
-    normals = _mean(mesh.normals, cell, count)
+    vertices, normals = group_means(mesh.vertices, cell, count), group_means(mesh.normals, cell, count)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals serves
     normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
-    facets = kept.astype(np.int32)
-    return dataclasses.replace(mesh, vertices=vertices, faces=facets, normals=normals, **tints)
-
-
-def _mean(values: Floats, cell: Longs, count: Longs) -> Floats:
-    sums = np.column_stack([np.bincount(cell, column, len(count)) for column in values.T])
-    return np.asarray(sums / count[:, None])
+    return dataclasses.replace(mesh, vertices=vertices, faces=kept.astype(np.int32), normals=normals, **tints)
 
 
 _BOULDER, _CRATER = range(2)
@@ -198,14 +191,12 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     size_m = facet_size_m(mesh)
     largest_m = _RESOLVED * size_m
     smallest_m = smallest_feature_m(mesh, p, pixel_m)
-    kinds = {
-        kind: features(mesh, law, p.seed, smallest_m, largest_m)
-        for kind, law in _laws(p).items()
-        if smallest_m < largest_m
-    }
+    laws = _laws(p) if smallest_m < largest_m else {}
+    kinds = {kind: features(mesh, law, p.seed, smallest_m, largest_m) for kind, law in laws.items()}
     smooth = smooth_ground(mesh, coarser(mesh, mesh.radius_m / _GRAVITY_CELLS), p.smooth_share)
-    if _BOULDER in kinds:
-        kinds[_BOULDER] = _without(kinds[_BOULDER], smooth(kinds[_BOULDER].places))
+    if _BOULDER in kinds:  # they are fewer near smooth ground, by a random number of each
+        kept = kinds[_BOULDER].lots[:, _CHANCE] >= smooth(kinds[_BOULDER].places)
+        kinds[_BOULDER] = Features(*(part[kept] for part in kinds[_BOULDER]))
     even = mesh
     for _ in range(_divisions(mesh, p, pixel_m)):
         even = split_round(even, np.ones(even.faces.shape, bool))
@@ -221,12 +212,6 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     pushed = dataclasses.replace(fine, vertices=vertices, normals=normals, rough=in_patches[fine.faces])
     mottled = fractal_noise(fine.vertices, mesh.radius_m, 1.5 * size_m, 0.85, 4 * p.seed + _ALBEDO)
     return with_albedo(pushed, np.maximum(1 + p.albedo_rms * rough * mottled, 0.1) * tint)
-
-
-def _without(group: Features, smooth: Floats) -> Features:
-    """Return the features on rough ground; near smooth ground they are fewer, by a random number of each."""
-    left = np.flatnonzero(group.lots[:, _CHANCE] >= smooth)
-    return Features(*(part[left] for part in group))
 
 
 def _divisions(mesh: Mesh, p: Regolith, pixel_m: float) -> int:
@@ -413,7 +398,7 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         digest.update(array.tobytes())
     sources = checksum_of(Path(__file__).parent)
     made_from = (digest.hexdigest(), detail, pixel_m, sources, np.__version__)
-    points, faces, albedo, water, rough = cached_arrays(
+    points, faces, *tints = cached_arrays(
         "detail",
         made_from,
         lambda: _arrays_of(
@@ -423,14 +408,10 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         ),
         (Kind(np.float64, 2), Kind(np.int32, 2), *3 * (Kind(np.float64, 2),)),
     )
+    vertices, normals = np.ascontiguousarray(points[:, :3]), np.ascontiguousarray(points[:, 3:])
+    albedo, water, rough = (tint if len(tint) else None for tint in tints)
     return dataclasses.replace(
-        mesh,
-        vertices=np.ascontiguousarray(points[:, :3]),
-        normals=np.ascontiguousarray(points[:, 3:]),
-        faces=faces,
-        albedo=albedo if len(albedo) else None,
-        water=water if len(water) else None,
-        rough=rough if len(rough) else None,
+        mesh, vertices=vertices, normals=normals, faces=faces, albedo=albedo, water=water, rough=rough
     )
 
 

@@ -170,7 +170,7 @@ class BodiesParameters:
 
 BODIES = SceneKind(
     BodiesParameters,
-    "emulator.scene.bodies.raster_bodies:build_bodies",
+    "emulator.scene.bodies.raster_bodies:RasterBodies",
     lens="applied",
     gl="emulator.scene.bodies.gl_bodies:GlBodies",
     threads=True,

@@ -134,6 +134,7 @@ class BodyWorld:
     arrangement : poses and ranges.
     ranges_m : (bodies,), the closest range of each body's origin.
     distance_m : the closest range of any body, less its radius.
+    motion_bound_px_s : from the paths' speeds and turns, at the closest ranges.
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
@@ -152,6 +153,8 @@ class BodyWorld:
         self.arrangement = Arrangement(self.camera, placed, self.time)
         self.ranges_m = self.arrangement.ranges_m
         self.distance_m = max(float(np.min(self.ranges_m - radii_m)), 1e-3)
+        in_a_corner = 1 + math.tan(pinhole.widest_rad) ** 2
+        self.motion_bound_px_s = pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
         self.grain: list[Octaves | None] = []
         for k, body in enumerate(parameters.bodies):
             mesh, pixel_m = self.meshes[k], self.metres_a_pixel(k)
@@ -159,12 +162,6 @@ class BodyWorld:
             self.meshes[k] = detailed(mesh, body.detail, pixel_m)
         self._as_seen: dict[int, Mesh] = {}
         self._require_visible()
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Bound from the paths' speeds and turns, at the closest ranges."""
-        in_a_corner = 1 + math.tan(self.pinhole.widest_rad) ** 2
-        return self.pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -182,8 +179,7 @@ class BodyWorld:
             mesh, cell_m = self.meshes[k], self.parameters.detail_px * self.metres_a_pixel(k)
             seen = mesh if facet_size_m(mesh) > cell_m else coarser(mesh, cell_m)
             if seen is not mesh:
-                facets = f"{len(seen.faces)} of {len(mesh.faces)} facets"
-                name = self.parameters.bodies[k].shape
+                name, facets = self.parameters.bodies[k].shape, f"{len(seen.faces)} of {len(mesh.faces)} facets"
                 self._notes.append(f"{name}: {facets}: the others are too small to be seen")
             self._as_seen[k] = seen
         return self._as_seen[k]
