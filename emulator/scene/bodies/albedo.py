@@ -34,19 +34,24 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflectance import Water
+from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.gltf import CLAMP, MIRROR, REPEAT
 from emulator.scene.bodies.grain import fractal_noise
 from emulator.scene.bodies.lit_surface import cut_facets, split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
 from emulator.scene.bodies.table import Clouds
 
-Floats = npt.NDArray[np.float64]
+
+def smooth_step(x: Floats) -> Floats:
+    """Return 0 below 0, 1 above 1, smooth between."""
+    x = np.clip(x, 0, 1)
+    return np.asarray(x * x * (3 - 2 * x))
 
 
 def with_albedo(mesh: Mesh, albedo: Floats) -> Mesh:
     """Return a mesh with the albedo of its vertices, (n,) of any scale: its mean over the area becomes 1."""
-    tinted = replace(mesh, albedo=np.ascontiguousarray(albedo[mesh.faces]))
-    return replace(mesh, albedo=albedo[mesh.faces] / mean_albedo(tinted))
+    at_corners = albedo[mesh.faces]
+    return replace(mesh, albedo=at_corners / mean_albedo(replace(mesh, albedo=at_corners)))
 
 
 def mean_albedo(mesh: Mesh) -> float:
@@ -83,7 +88,7 @@ class Texture:
     wraps: tuple[int, int] = (REPEAT, REPEAT)
 
     @cached_property
-    def _levels(self) -> list[npt.NDArray[np.float32]]:
+    def _levels(self) -> list[_Image]:
         """The image and its square, (height, width, 2), each time half as large."""
         levels = [np.stack([self.image, self.image**2], axis=2)]
         while max(levels[-1].shape[:2]) > 1:
@@ -111,7 +116,7 @@ class Texture:
             values[chosen] = self._between(self._levels[k], uv[chosen])
         return values[:, 0], np.sqrt(np.maximum(values[:, 1] - values[:, 0] ** 2, 0.0))
 
-    def _between(self, level: npt.NDArray[np.float32], uv: Floats) -> Floats:
+    def _between(self, level: _Image, uv: Floats) -> Floats:
         """Return the values of one level, (n, 2), in straight lines between its pixels."""
         height, width, _ = level.shape
         u, v = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
@@ -226,9 +231,9 @@ def _albedo_and_water(places: Floats, p: Clouds) -> tuple[Floats, Floats]:
     """Return the albedo at places on the unit sphere, not yet brought to any mean, and the share of open water."""
     height = fractal_noise(places, 1.6, 0.04, 0.6, 3 * p.seed)
     dryness = 0.5 + 0.25 * fractal_noise(places, 0.8, 0.1, 0.5, 3 * p.seed + 1)
-    land = _step((height - np.quantile(height, 1 - _LAND)) / 0.1)
+    land = smooth_step((height - np.quantile(height, 1 - _LAND)) / 0.1)
     ground = _OCEAN + land * (0.07 + 0.16 * np.clip(dryness, 0, 1))
-    ice = _step((np.abs(places[:, 2]) + 0.02 * height - _ICE_SINE) / 0.03)
+    ice = smooth_step((np.abs(places[:, 2]) + 0.02 * height - _ICE_SINE) / 0.03)
     ground = ground + ice * (_ICE - ground)
     cover = _cover(places, p)
     return ground + cover * (_CLOUD - ground), (1 - land) * (1 - ice) * (1 - cover)
@@ -242,10 +247,4 @@ def _cover(places: Floats, p: Clouds) -> Floats:
     latitude = np.arcsin(np.clip(places[:, 2], -1, 1))
     belts = 0.7 * np.cos(4.5 * latitude) - 0.9 * np.exp(-(((np.abs(latitude) - 0.45) / 0.2) ** 2))
     density = density + 0.5 * belts + 0.6 * np.sin(latitude) ** 4
-    return _step((density - np.quantile(density, 1 - p.cloud_cover)) / 1.4)
-
-
-def _step(x: Floats) -> Floats:
-    """Return 0 below 0, 1 above 1, smooth between."""
-    x = np.clip(x, 0, 1)
-    return np.asarray(x * x * (3 - 2 * x))
+    return smooth_step((density - np.quantile(density, 1 - p.cloud_cover)) / 1.4)

@@ -89,7 +89,6 @@ class FacetProgram:
     """The facets of light frames in a context's memory, and the program that draws them."""
 
     def __init__(self, context: moderngl.Context) -> None:
-        self._gl = context
         self._program = context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
         self._array = context.vertex_array(self._program, [])
         self._buffers = [context.buffer(reserve=64) for _ in range(5)]
@@ -109,24 +108,20 @@ class FacetProgram:
             sides,
         )
         for binding, array in enumerate(arrays):
-            self._write(binding, array)
+            if array.nbytes > self._buffers[binding].size:  # a buffer grows as needed
+                self._buffers[binding].release()
+                self._buffers[binding] = gl.buffer(reserve=2 * array.nbytes)
+            buffer = self._buffers[binding]
+            buffer.orphan()
+            if array.nbytes:
+                buffer.write(np.ascontiguousarray(array))
+            buffer.bind_to_storage_buffer(binding)
         self._program["zoom"], self._program["near"] = pinhole.zoom, near_m
         self._program["octaves"] = math.log1p((far_m - near_m) / near_m) / math.log(2)
         gl.enable_only(gl.DEPTH_TEST)
         for first, last, lift in ((0, facets, 0.0), (facets, len(topology.faces), _LIFT)):
             self._program["lift"] = lift
             self._array.render(gl.TRIANGLES, vertices=3 * (last - first), first=3 * first)
-
-    def _write(self, binding: int, array: npt.NDArray[np.generic]) -> None:
-        """Write an array into the buffer of this binding, which grows as needed."""
-        if array.nbytes > self._buffers[binding].size:
-            self._buffers[binding].release()
-            self._buffers[binding] = self._gl.buffer(reserve=2 * array.nbytes)
-        buffer = self._buffers[binding]
-        buffer.orphan()
-        if array.nbytes:
-            buffer.write(np.ascontiguousarray(array))
-        buffer.bind_to_storage_buffer(binding)
 
 
 class GlBodies(GlScene[BodyWorld]):

@@ -36,7 +36,7 @@ from emulator.photometry.reflection_kernels import Law, law_of, reflect
 from emulator.raster import Facets, join, prepare
 from emulator.raster.surfaces import camera_from_body, motion_of
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
-from emulator.scene.bodies.compiled import entry, row
+from emulator.scene.bodies.compiled import Floats, Numbers, entry, row
 from emulator.scene.bodies.curved_sides import Sides, mark
 from emulator.scene.bodies.grain import Ground, Octaves, Placed, tile
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
@@ -49,8 +49,6 @@ from emulator.scene.bodies.world import RigidGroup, rigid_groups
 from emulator.threads import ThreadPool
 from emulator.trajectory.pose import Pose, Timescale, Trajectory
 
-Floats = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.int32]
 Bytes = npt.NDArray[np.uint8]
 
 
@@ -153,7 +151,7 @@ class Poses:
     """Poses of the camera and of bodies in the world: of the first body of each rigid group at least, by its number."""
 
     camera: Pose
-    bodies: Sequence[Pose] | Mapping[int, Pose]
+    bodies: Mapping[int, Pose]
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +162,11 @@ class Motion:
     before: Poses
     after: Poses
     between_s: float
+
+    @property
+    def instants(self) -> tuple[Poses, Poses, Poses]:
+        """Poses now, before and after."""
+        return self.now, self.before, self.after
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,9 +222,7 @@ class _Seen:
     camera_from_group: Floats
 
 
-def motion_at(
-    t_ns: int, camera: Trajectory, bodies: Callable[[int], Sequence[Pose] | Mapping[int, Pose]], time: Timescale
-) -> Motion:
+def motion_at(t_ns: int, camera: Trajectory, bodies: Callable[[int], Mapping[int, Pose]], time: Timescale) -> Motion:
     """Return the motion at stream time `t_ns`; `bodies` gives their poses at a scene time, ns.
 
     Poses for rates are a millisecond of scene time away; at the start, where paths may begin, only after it.
@@ -287,9 +288,9 @@ class Lighting:
 
     def placed(self, motion: Motion, bodies: Collection[int]) -> dict[int, Placed]:
         """Return where some bodies are before the camera, by number."""
-        cameras, placed = (motion.now.camera, motion.before.camera, motion.after.camera), {}
+        placed = {}
         for k in bodies:
-            poses = motion.now.bodies[k], motion.before.bodies[k], motion.after.bodies[k]
+            cameras, poses = zip(*((poses.camera, poses.bodies[k]) for poses in motion.instants), strict=True)
             turn, shift = camera_from_body(cameras[0], poses[0])
             rates, sun = motion_of(cameras, poses, motion.between_s), self._towards @ poses[0].world_from_body
             placed[k] = Placed(np.ascontiguousarray(turn), shift, rates, sun, self._pinhole.focal_px)
@@ -344,8 +345,8 @@ class Lighting:
                 edges = ShadowEdges(root, tree, placed.points, placed.normals, side_m, point, self._pool)
             facets = facet, facet + len(surface.faces)
             sea = Water(body.detail.wind_m_s) if isinstance(body.detail, Clouds) else None
-            placed = replace(placed, sea=sea, sharp=k in sharp, edges=edges, sides=sides.get(k))
-            lit.append(replace(placed, first_point=point, facets=facets))
+            placed = replace(placed, sea=sea, first_point=point, facets=facets, edges=edges, sides=sides.get(k))
+            lit.append(replace(placed, sharp=k in sharp))
             point, facet = point + len(surface.points), facets[1]
         return lit
 
@@ -373,7 +374,7 @@ class Lighting:
         return motion.between_s * (_TURN_RAD / fastest if fastest > 0 else 1.0)
 
     def _seen(self, motion: Motion, root: int, step_s: float) -> _Seen:
-        now, before, after = (self._around(poses, root) for poses in (motion.now, motion.before, motion.after))
+        now, before, after = (self._around(poses, root) for poses in motion.instants)
         share = step_s / motion.between_s
         turns, places, suns, eyes = (
             np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True)
@@ -454,10 +455,8 @@ class Lighting:
             moved[m, :, 3] = other.world_from_group[m].T @ (group.places_m[m] - other.places_m[m])
             moved[m, :, 4] = other.suns[m]
         tangent = math.tan(self._sun.radius_rad)
-        near_m = _NEAR * tree.radius_m
-        chosen, shares = self._chosen, self._shares
         if group is other or _may_shade(tree, body, moved[0], tangent):
-            dim(tree, body.points, chosen, count, moved, tangent, near_m, shares)
+            dim(tree, body.points, self._chosen, count, moved, tangent, _NEAR * tree.radius_m, self._shares)
 
 
 def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequence[Mesh]) -> TriangleTree | None:
@@ -474,19 +473,14 @@ def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequenc
 
 def facets_of(surfaces: Sequence[Surface], meshes: Sequence[Mesh]) -> Facets:
     """Return the facets of all bodies, one after another."""
-    parts = [
-        replace(
-            prepare(surface.faces, shades=surface.shades, two_sided=mesh.open_edges > 0), entries=len(surface.points)
-        )
-        for surface, mesh in zip(surfaces, meshes, strict=True)
-    ]
-    firsts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
-    between = [
-        np.where(surface.between >= 0, surface.between + first, -1)
-        if surface.between is not None
-        else np.full((len(surface.faces), 7), -1)
-        for surface, first in zip(surfaces, firsts, strict=False)
-    ]
+    parts, between = [], []
+    first = 0
+    for surface, mesh in zip(surfaces, meshes, strict=True):
+        part = prepare(surface.faces, shades=surface.shades, two_sided=mesh.open_edges > 0)
+        parts.append(replace(part, entries=len(surface.points)))
+        uncut = np.full((len(surface.faces), 7), -1, np.int32)
+        between.append(uncut if surface.between is None else surface.between + first * (surface.between >= 0))
+        first += len(surface.points)
     return Facets(join(parts), np.concatenate(between).astype(np.int32))
 
 

@@ -18,16 +18,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import cross, dot, entry, minus, row
-from emulator.scene.bodies.mesh import Mesh, facet_vectors
+from emulator.scene.bodies.compiled import Floats, Numbers, cross, dot, entry, minus, row
+from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means
 
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
 _MOST_FACETS = 1e7
 _ONE_PLANE = 1e-6  # normals that differ by less are one
 
-Floats = npt.NDArray[np.float64]
-Faces = npt.NDArray[np.int32]
 Bools = npt.NDArray[np.bool_]
 
 
@@ -51,8 +49,8 @@ class Surface:
     """
 
     vertices: Floats
-    faces: Faces
-    shades: Faces
+    faces: Numbers
+    shades: Numbers
     points: Floats
     normals: Floats
     lean: Floats
@@ -60,7 +58,7 @@ class Surface:
     albedo: Floats | None = None
     water: Floats | None = None
     rough: Floats | None = None
-    between: Faces | None = None
+    between: Numbers | None = None
 
 
 def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:
@@ -78,7 +76,7 @@ def _smooth(mesh: Mesh) -> Surface:
 
 
 @entry
-def _lower_to_facets(vertices: Floats, faces: Faces, normals: Floats, least: Floats) -> None:
+def _lower_to_facets(vertices: Floats, faces: Numbers, normals: Floats, least: Floats) -> None:
     """Lower `least`, (n,), to the cosine between a vertex's normal and that of each facet that meets there."""
     for f in range(len(faces)):
         first = row(vertices, faces[f, 0])
@@ -99,8 +97,7 @@ def _flat(mesh: Mesh) -> Surface:
     _, first, shade = np.unique(key, axis=0, return_index=True, return_inverse=True)
     shade = shade.ravel()
     middles = np.repeat(mesh.vertices[mesh.faces].mean(axis=1), 3, axis=0)
-    sums = np.column_stack([np.bincount(shade, column) for column in middles.T])
-    inside = sums / np.bincount(shade)[:, None]
+    inside = group_means(middles, shade, np.bincount(shade))
     points = mesh.vertices[mesh.faces.ravel()[first]] * (1 - _INWARD) + _INWARD * inside
     shades = shade.astype(np.int32).reshape(-1, 3)
     lean = np.full(len(points), 1e-9)
@@ -123,9 +120,12 @@ def subdivide(mesh: Mesh, size_m: float, cut: Callable[[Mesh, Bools], Mesh] | No
         raise ValueError(f"a size of {size_m} m: sides can be made no longer than a length above 0")
     if mesh.area_m2 / size_m**2 > _MOST_FACETS:
         raise ValueError(f"a size of {size_m} m: sides as short would need more than {_MOST_FACETS:g} facets")
-    while (split := _long_sides(mesh.vertices, mesh.faces, size_m)).any():
+    while True:
+        low, high = (mesh.vertices[ends] for ends in _ends(mesh.faces))  # so that both facets of a side agree
+        split = ((low - high) ** 2).sum(axis=2) > size_m * size_m
+        if not split.any():
+            return mesh
         mesh = (cut or split_sides)(mesh, split)
-    return mesh
 
 
 _CELLS = 1023  # a side of the box around a mesh
@@ -153,18 +153,12 @@ def near_in_memory(mesh: Mesh) -> Mesh:
     return replace(mesh, vertices=places, faces=number[faces], normals=normals, **tints)
 
 
-def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> Bools:
-    """Return the mask of sides, (m, 3), from corner k to k + 1, that are too long; equal for both facets of a side."""
-    low, high = _ends(faces)
-    return np.asarray(((vertices[low] - vertices[high]) ** 2).sum(axis=2) > size_m * size_m)
-
-
-def _ends(faces: Faces) -> tuple[Faces, Faces]:
+def _ends(faces: Numbers) -> tuple[Numbers, Numbers]:
     after = np.roll(faces, -1, axis=1)
     return np.minimum(faces, after), np.maximum(faces, after)
 
 
-def middles_of(mesh: Mesh, split: Bools) -> tuple[Faces, npt.NDArray[np.intp]]:
+def middles_of(mesh: Mesh, split: Bools) -> tuple[Numbers, npt.NDArray[np.intp]]:
     """Return the sides of `split`, (m, 3), each once: their ends, (n, 2), and the number of each chosen one among them.
 
     The second array has an entry for each True in `split`, row after row.
@@ -180,16 +174,17 @@ def split_sides(mesh: Mesh, split: Bools) -> Mesh:
 
     Both facets of a side must have the same value. Normals and tints of new vertices are means of its ends.
     """
-    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     sides, number = middles_of(mesh, split)
-    middle = np.full(faces.shape, -1, np.int64)
-    middle[split] = len(vertices) + number
-    new_normals = normals[sides].sum(axis=1)
+    middle = np.full(mesh.faces.shape, -1, np.int64)
+    middle[split] = len(mesh.vertices) + number
+    of_ends = mesh.normals[sides]
+    new_normals = of_ends.sum(axis=1)
     length = np.linalg.norm(new_normals, axis=1, keepdims=True)
-    new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
+    new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), of_ends[:, 0])
     tints = mesh.tints(lambda values: cut_facets(values, (values + np.roll(values, -1, axis=1)) / 2, split))
-    vertices, normals = np.concatenate([vertices, vertices[sides].mean(axis=1)]), np.concatenate([normals, new_normals])
-    faces = cut_facets(faces, middle, split).astype(np.int32)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[sides].mean(axis=1)])
+    normals = np.concatenate([mesh.normals, new_normals])
+    faces = cut_facets(mesh.faces, middle, split).astype(np.int32)
     return replace(mesh, vertices=vertices, faces=faces, normals=normals, **tints)
 
 
@@ -222,7 +217,7 @@ def _cut(faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools, count:
 
 
 @entry
-def mean_side_m(vertices: Floats, faces: Faces) -> float:
+def mean_side_m(vertices: Floats, faces: Numbers) -> float:
     """Return the mean length of the sides of facets."""
     total = 0.0
     for f in range(len(faces)):

@@ -29,6 +29,7 @@ import numpy.typing as npt
 
 from emulator.light import SceneError
 from emulator.scene.bodies import mesh_files
+from emulator.scene.bodies.compiled import Floats, Numbers
 from emulator.scene.bodies.mesh_files import PlateTable, PlateTableError, parse_plates, parse_wavefront
 from emulator.scene.files import Kind, cached_arrays, read_in_child
 from emulator.tables.toml_text import TextFileError, read_text, shortened
@@ -42,9 +43,6 @@ _CACHED_BYTES = 1 << 19  # a smaller file is parsed as soon
 _SHAPE_KERNELS = (".bds", ".dsk")
 _PLATES = 2  # data type of a segment of plates; the only other one, 4, holds heights
 _FARTHEST_M = 1e15  # squares and cubes of it stay finite; the solar system ends before
-
-_Points = npt.NDArray[np.float64]
-_Faces = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,15 +63,15 @@ class Mesh:
     rough : (m, 3) float64, height of the grain at the corners over that of its octaves; None: no grain.
     """
 
-    vertices: _Points
-    faces: _Faces
-    normals: _Points
+    vertices: Floats
+    faces: Numbers
+    normals: Floats
     dropped_facets: int = 0
     open_edges: int = 0
     was_inside_out: bool = False
-    albedo: _Points | None = None
-    water: _Points | None = None
-    rough: _Points | None = None
+    albedo: Floats | None = None
+    water: Floats | None = None
+    rough: Floats | None = None
 
     @cached_property
     def radius_m(self) -> float:
@@ -85,12 +83,12 @@ class Mesh:
         """The surface area."""
         return float(np.linalg.norm(facet_vectors(self.vertices, self.faces), axis=1).sum())
 
-    def tints(self, change: Callable[[_Points], _Points]) -> dict[str, Any]:
+    def tints(self, change: Callable[[Floats], Floats]) -> dict[str, Any]:
         """Return those of albedo, water and roughness that there are, by name, each as `change` returns it."""
         values = {"albedo": self.albedo, "water": self.water, "rough": self.rough}
         return {name: change(of) for name, of in values.items() if of is not None}
 
-    def at_vertices(self, values: _Points) -> _Points:
+    def at_vertices(self, values: Floats) -> Floats:
         """Return values of vertices, (n,): the mean of those at corners, (m, 3)."""
         sums = np.bincount(self.faces.ravel(), values.ravel(), len(self.vertices))
         return np.asarray(sums / np.bincount(self.faces.ravel(), minlength=len(self.vertices)))
@@ -133,7 +131,7 @@ def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
 
 
 def build_mesh(
-    vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | None = None, *, turns: bool = True
+    vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: Floats | None = None, *, turns: bool = True
 ) -> Mesh:
     """Check, clean and complete a surface.
 
@@ -166,35 +164,34 @@ def build_mesh(
     return Mesh(points, triangles, vertex_normals(points, triangles), dropped, open_edges, inside_out, tinted)
 
 
-def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64], _Points | None]:
+def _read(path: Path) -> PlateTable:
     """Return vertices, facets and their albedo: two formats by own readers, others by libraries in a child process."""
     parse = {".tab": parse_plates, ".obj": parse_wavefront}.get(path.suffix.lower())
     if parse is None:
         reader = "read_dsk" if path.suffix.lower() in _SHAPE_KERNELS else "read_surface"
         arrays = read_in_child(f"{__name__}:{reader}", path)
-        return arrays["vertices"], arrays["faces"], None
+        return PlateTable(arrays["vertices"], arrays["faces"])
     try:
         text = read_text(path, _MOST_BYTES)
-        table = parse(text) if len(text) < _CACHED_BYTES else _from_cache(parse, text)
+        return parse(text) if len(text) < _CACHED_BYTES else _from_cache(parse, text)
     except (TextFileError, PlateTableError) as error:
         raise SceneError(f"{path}: {error}") from error
-    return table.vertices, table.facets, table.albedo
 
 
 def _from_cache(parse: Callable[[str], PlateTable], text: str) -> PlateTable:
     """Return the contents of a text, from the cache of scenes where it was parsed by the same sources before."""
     made_from = (hashlib.sha256(text.encode()).hexdigest(), checksum_of(Path(mesh_files.__file__)))
 
-    def parsed() -> tuple[_Points, npt.NDArray[np.int64], _Points]:
-        table = parse(text)
-        return table.vertices, table.facets, np.empty(0) if table.albedo is None else table.albedo
+    def parsed() -> tuple[Floats, npt.NDArray[np.int64], Floats]:
+        vertices, facets, albedo = parse(text)
+        return vertices, facets, np.empty(0) if albedo is None else albedo
 
     kinds = Kind(np.float64, 2), Kind(np.int64, 2), Kind(np.float64, 1)
     vertices, facets, albedo = cached_arrays("shape", made_from, parsed, kinds)
     return PlateTable(vertices, facets, albedo if len(albedo) else None)
 
 
-def _require_sound(points: _Points, corners: npt.NDArray[np.int64]) -> None:
+def _require_sound(points: Floats, corners: npt.NDArray[np.int64]) -> None:
     if not len(points) or not len(corners):
         raise SceneError(f"{len(points)} vertices and {len(corners)} facets: nothing to draw")
     bad = ~(np.abs(points) < _FARTHEST_M).all(axis=1)  # NaN compares false
@@ -212,7 +209,7 @@ def _require_sound(points: _Points, corners: npt.NDArray[np.int64]) -> None:
         )
 
 
-def _join_equal_vertices(points: _Points, corners: npt.NDArray[np.int64]) -> tuple[_Points, npt.NDArray[np.int64]]:
+def _join_equal_vertices(points: Floats, corners: npt.NDArray[np.int64]) -> tuple[Floats, npt.NDArray[np.int64]]:
     """Give vertices at the same place one number: files with textures or several grids repeat those on the seams."""
     order = np.lexsort(points.T)
     is_new = np.empty(len(points), bool)
@@ -223,10 +220,16 @@ def _join_equal_vertices(points: _Points, corners: npt.NDArray[np.int64]) -> tup
     return points, number[corners]
 
 
-def facet_vectors(points: _Points, corners: npt.NDArray[np.integer]) -> _Points:
+def facet_vectors(points: Floats, corners: npt.NDArray[np.integer]) -> Floats:
     """Outward normals as long as the facets' areas, (m, 3)."""
     a, b, c = (points[corners[:, i]] for i in range(3))
     return np.asarray(np.cross(b - a, c - a) / 2)
+
+
+def group_means(values: Floats, number: npt.NDArray[np.integer], counts: npt.NDArray[np.integer]) -> Floats:
+    """Return means of the rows of `values`, (n, k), over groups: `number`, (n,), of each row; `counts` of members."""
+    sums = np.column_stack([np.bincount(number, column, len(counts)) for column in values.T])
+    return np.asarray(sums / counts[:, None])
 
 
 def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:
@@ -244,7 +247,7 @@ def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:
     return int((balance == 1).sum())
 
 
-def vertex_normals(points: _Points, corners: _Faces) -> _Points:
+def vertex_normals(points: Floats, corners: Numbers) -> Floats:
     """Return the mean of the normals of the facets around each vertex, weighted with their area, (n, 3) unit."""
     facets = facet_vectors(points, corners)
     sums = np.zeros_like(points)
@@ -298,7 +301,7 @@ def read_dsk(path: Path) -> dict[str, npt.NDArray[Any]]:
     return {"vertices": np.concatenate([vertices for _, vertices, _ in segments]), "faces": np.concatenate(faces)}
 
 
-def _segments(spice: Any, handle: int) -> Iterator[tuple[int, _Points, npt.NDArray[np.int64]]]:
+def _segments(spice: Any, handle: int) -> Iterator[tuple[int, Floats, npt.NDArray[np.int64]]]:
     """Yield of each segment its frame's number, vertices, and plates that count vertices from 1."""
     segment = spice.dlabfs(handle)
     while segment is not None:

@@ -29,8 +29,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -40,8 +39,7 @@ class PlateTableError(ValueError):
     """The text has no valid format; the message names the line."""
 
 
-@dataclass(frozen=True)
-class PlateTable:
+class PlateTable(NamedTuple):
     """Contents of a file, before any check of the shape.
 
     Attributes
@@ -68,7 +66,8 @@ def parse_plates(text: str) -> PlateTable:
     tagged = rows[0][1][0] in ("v", "f")
     vertex_rows, facet_rows = _split_tagged(rows) if tagged else _split_counted(rows)
     vertices = _numbers(vertex_rows)
-    facets = _indices(facet_rows)
+    indices = [_whole_numbers(row, "three vertex numbers") for row in facet_rows]
+    facets = np.array(indices, np.int64).reshape(-1, 3)
     return PlateTable(vertices, facets - 1 if facets.size and facets.min() == 1 else facets)
 
 
@@ -101,9 +100,15 @@ def _split_counted(rows: list[_Row]) -> tuple[list[_Row], list[_Row]]:
 
 
 def _counts(row: _Row, allowed: tuple[int, ...]) -> list[int]:
+    if len(row[1]) not in allowed:
+        _refuse(*row, "a count")
+    return _whole_numbers(row, "a count")
+
+
+def _whole_numbers(row: _Row, expected: str) -> list[int]:
     line, words = row
-    if len(words) not in allowed or not all(word.isdecimal() and len(word) < 18 for word in words):
-        _refuse(line, words, "a count")
+    if not all(word.isdecimal() and len(word) < 18 for word in words):
+        _refuse(line, words, expected)
     return [int(word) for word in words]
 
 
@@ -126,16 +131,6 @@ def _numbers(rows: list[_Row]) -> npt.NDArray[np.float64]:
     return np.array(numbers, np.float64).reshape(-1, 3)
 
 
-def _indices(rows: list[_Row]) -> npt.NDArray[np.int64]:
-    """Read three whole numbers a line."""
-    indices: list[int] = []
-    for line, words in rows:
-        if not all(word.isdecimal() and len(word) < 18 for word in words):
-            _refuse(line, words, "three vertex numbers")
-        indices += [int(word) for word in words]
-    return np.array(indices, np.int64).reshape(-1, 3)
-
-
 def _refuse(line: int, words: list[str], expected: str) -> NoReturn:
     raise PlateTableError(f"line {line}: {' '.join(words)[:60]!r} is not {expected}")
 
@@ -156,7 +151,8 @@ def parse_wavefront(text: str) -> PlateTable:
             case ["v"]:
                 points += _point(number, words)
             case ["f"]:
-                corners += _triangles(_corners(number, words, len(points) // 3))
+                first, *others = _corners(number, words, len(points) // 3)
+                corners += [n for pair in itertools.pairwise(others) for n in (first, *pair)]
                 albedo += [now] * (len(corners) // 3 - len(albedo))
             case ["usemtl"]:
                 now = _albedo(number, words)
@@ -196,8 +192,3 @@ def _corners(number: int, words: list[str], count: int) -> list[int]:
     except ValueError:
         _refuse(number, words, "'f a b c' with whole numbers, each perhaps with /texture/normal")
     return [n - 1 if n > 0 else count + n if n < 0 else -1 for n in named]
-
-
-def _triangles(corners: list[int]) -> list[int]:
-    first = corners[0]
-    return [n for pair in itertools.pairwise(corners[1:]) for n in (first, *pair)]

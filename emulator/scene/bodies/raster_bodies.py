@@ -23,17 +23,16 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import NOTHING, LastArrays, Light, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Renderer, Screen, View
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
-from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.compiled import Floats, entry
 from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_thirds
 from emulator.scene.bodies.grain import GrainLayer, Ground, Placed
-from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
+from emulator.scene.bodies.lighting import Lighting, Motion, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
@@ -41,7 +40,6 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import BodyWorld, rigid_groups
 from emulator.scene.world import WorldScene
 from emulator.threads import available_threads
-from emulator.trajectory.pose import Pose
 
 NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 
@@ -55,18 +53,17 @@ class BodiesGeometry(SceneGeometry):
         self._world, self._rays = world, rays or Rays.straight(world.pinhole)
         self.names = _names(world.parameters.bodies)
         self._meshes = [world.as_seen(k) for k in range(len(world.meshes))]
+        self._poses = world.arrangement.poses_of(range(len(world.meshes)))
         surfaces = [(mesh.faces, len(mesh.vertices), mesh.open_edges > 0) for mesh in self._meshes]
         self._surfaces = NearestSurface(surfaces, world.pinhole, NEAREST_SHARE * world.distance_m)
         self._inverse_depth = np.zeros_like(self._rays.columns)
 
     def look(self, t_ns: int, out: Seen) -> None:
         """Write depth, flow and labels at `t_ns`."""
-        motion = motion_at(t_ns, self._world.camera, self._world.arrangement.poses, self._world.time)
+        motion = motion_at(t_ns, self._world.camera, self._poses, self._world.time)
         self._surfaces.look(self._vertices(motion), self._rays, out.labels, self._inverse_depth)
-        now, before, after = motion.now, motion.before, motion.after
-        camera = now.camera, before.camera, after.camera
-        bodies = [None, *zip(_in_order(now), _in_order(before), _in_order(after), strict=True)]  # None: the sky
-        motions = np.array([motion_of(camera, body, motion.between_s) for body in bodies])
+        camera, *bodies = zip(*((poses.camera, *poses.bodies.values()) for poses in motion.instants), strict=True)
+        motions = np.array([motion_of(camera, body, motion.between_s) for body in (None, *bodies)])  # None: the sky
         write_depth_and_flow(self._inverse_depth, motions, self._world.pinhole, self._rays, out)
 
     def places(self, t_ns: int) -> ScenePoses:
@@ -86,14 +83,9 @@ class BodiesGeometry(SceneGeometry):
             [
                 mesh.vertices @ (camera_from_world @ pose.world_from_body).T
                 + camera_from_world @ (pose.position_m - eye)
-                for mesh, pose in zip(self._meshes, _in_order(motion.now), strict=True)
+                for mesh, pose in zip(self._meshes, motion.now.bodies.values(), strict=True)
             ]
         )
-
-
-def _in_order(poses: Poses) -> list[Pose]:
-    """Return the poses of all bodies."""
-    return [poses.bodies[k] for k in range(len(poses.bodies))]
 
 
 def _names(bodies: Sequence[BodyTable]) -> tuple[str, ...]:
@@ -104,9 +96,6 @@ def _names(bodies: Sequence[BodyTable]) -> tuple[str, ...]:
         same = sum(other == name or other.startswith(f"{name} ") for other in names)
         names.append(f"{name} {same + 1}" if same else name)
     return tuple(names)
-
-
-Floats = npt.NDArray[np.float64]
 
 
 @entry
@@ -142,15 +131,6 @@ LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a s
 
 _NO_FACETS = np.zeros((0, 3), np.int32)
 _THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thread could start
-
-
-def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 0) -> RasterBodies:
-    """Return the bodies of `parameters` before `pinhole`; raises SceneError.
-
-    `threads` is the number of threads that draw; 0: those of the machine for a large light frame, else one.
-    """
-    large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
-    return RasterBodies(parameters, pinhole, threads=threads or (available_threads() if large else 1))
 
 
 class LitBodies:
@@ -246,13 +226,16 @@ class LitBodies:
 class RasterBodies(WorldScene[BodyWorld]):
     """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by the CPU; raises SceneError.
 
-    With any number of `threads` the light frames are the same to the last bit.
+    With any number of `threads` the light frames are the same to the last bit; 0: those of the machine for a large
+    light frame, else one.
     """
 
     has_rate = True
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
         super().__init__(BodyWorld(parameters, pinhole))
+        large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
+        threads = threads or (available_threads() if large else 1)
         self._lit = LitBodies(self._world, pinhole, threads)
         width, height = pinhole.size
         middle = width / 2, height / 2
@@ -314,10 +297,9 @@ def _in_camera_axes(parts: Sequence[tuple[int, Floats, float]], motion: Motion) 
     they are drawn, as a share of their own.
     """
     out = np.empty((2, sum(len(points) for _, points, _ in parts), 3))
-    instants = motion.now, motion.before, motion.after
     motions = {}  # turns and shifts of each body against the camera, with their rates, as `move` takes them
     for k in {k for k, _, _ in parts}:
-        now, before, after = (camera_from_body(poses.camera, poses.bodies[k]) for poses in instants)
+        now, before, after = (camera_from_body(poses.camera, poses.bodies[k]) for poses in motion.instants)
         turns, shifts = (np.stack([a, (c - b) / motion.between_s]) for a, b, c in zip(now, before, after, strict=True))
         motions[k] = turns, shifts
     row = 0

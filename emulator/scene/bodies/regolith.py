@@ -42,15 +42,16 @@ import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.albedo import clouded, with_albedo
+from emulator.scene.bodies.albedo import clouded, smooth_step, with_albedo
+from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.curved_sides import split_round
 from emulator.scene.bodies.grain import Octaves, fractal_noise, octaves, on_facets, tile, write_heights
-from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
+from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means, vertex_normals
 from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
 from emulator.scene.files import Kind, cached_arrays
@@ -60,7 +61,7 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-Floats = npt.NDArray[np.float64]
+Longs = npt.NDArray[np.int64]
 
 FADED = 1.5
 _NOTHING: Floats = np.empty((0, 3))
@@ -76,8 +77,7 @@ class Law:
     power: float
 
 
-@dataclass(frozen=True, eq=False)
-class Features:
+class Features(NamedTuple):
     """Boulders or craters of a body, in its frame.
 
     Attributes
@@ -102,16 +102,13 @@ def number_above(law: Law, diameter_m: float) -> float:
 
 def faded(diameters_m: Floats, smallest_m: float) -> Floats:
     """Return the share of their height, 0 to 1, that features have when `smallest_m` is the smallest there is."""
-    x = np.clip((diameters_m / smallest_m - 1) / (FADED - 1), 0, 1)
-    return np.asarray(x * x * (3 - 2 * x))
+    return smooth_step((diameters_m / smallest_m - 1) / (FADED - 1))
 
 
 def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: float) -> Features:
     """Return the features of a body between two sizes."""
     first, last = math.floor(math.log2(smallest_m)), math.ceil(math.log2(max(largest_m, smallest_m)))
-    octaves = [_octave(mesh, law, seed, k) for k in reversed(range(first, last))] if law.number > 0 else []
-    if not octaves:
-        octaves = [(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty((0, _PER_FEATURE)))]
+    octaves = [_octave(mesh, law, seed, k) for k in reversed(range(first, max(last, first + 1)))]
     places, normals, sizes, lots = (np.concatenate(parts) for parts in zip(*octaves, strict=True))
     chosen = np.flatnonzero((sizes > smallest_m) & (sizes <= largest_m))
     chosen = chosen[np.argsort(-sizes[chosen], kind="stable")]
@@ -132,7 +129,7 @@ def _octave(mesh: Mesh, law: Law, seed: int, k: int) -> tuple[Floats, Floats, Fl
 def _places(mesh: Mesh, lots: Floats) -> tuple[Floats, Floats]:
     """Return positions and normals, (n, 3) each, uniform by area; `lots` are (n, 3) random numbers from 0 to 1."""
     corners = mesh.vertices[mesh.faces]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
     upto = np.cumsum(areas)
     facet = np.minimum(np.searchsorted(upto, lots[:, 0] * upto[-1], side="right"), len(areas) - 1)
     s, t = np.sqrt(lots[:, 1]), lots[:, 2]
@@ -160,27 +157,15 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     corners = corners[(a != b) & (b != c) & (c != a)]
     turned = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3  # which corner comes first does not matter
     kept = np.unique(np.take_along_axis(corners, turned, axis=1), axis=0)
-    tints = mesh.tints(lambda values: _mean(mesh.at_vertices(values)[:, None], cell, count)[kept, 0])
+    tints = mesh.tints(lambda values: group_means(mesh.at_vertices(values)[:, None], cell, count)[kept, 0])
     if len(kept) > 0.9 * len(mesh.faces) or not len(kept):
         return mesh
-    vertices = _mean(mesh.vertices, cell, count)
-    normals = _mean(mesh.normals, cell, count)
+    vertices, normals = group_means(mesh.vertices, cell, count), group_means(mesh.normals, cell, count)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals serves
     normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
-    facets = kept.astype(np.int32)
-    return dataclasses.replace(mesh, vertices=vertices, faces=facets, normals=normals, **tints)
+    return dataclasses.replace(mesh, vertices=vertices, faces=kept.astype(np.int32), normals=normals, **tints)
 
-
-def _mean(
-    values: npt.NDArray[np.float64], cell: npt.NDArray[np.intp], count: npt.NDArray[np.intp]
-) -> npt.NDArray[np.float64]:
-    sums = np.column_stack([np.bincount(cell, column, len(count)) for column in values.T])
-    return np.asarray(sums / count[:, None])
-
-
-Numbers = npt.NDArray[np.int64]
-Bools = npt.NDArray[np.bool_]
 
 _BOULDER, _CRATER = range(2)
 _PATCHES, _ALBEDO = 1, 2
@@ -206,14 +191,12 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     size_m = facet_size_m(mesh)
     largest_m = _RESOLVED * size_m
     smallest_m = smallest_feature_m(mesh, p, pixel_m)
-    kinds = {
-        kind: features(mesh, law, p.seed, smallest_m, largest_m)
-        for kind, law in _laws(p).items()
-        if smallest_m < largest_m
-    }
+    laws = _laws(p) if smallest_m < largest_m else {}
+    kinds = {kind: features(mesh, law, p.seed, smallest_m, largest_m) for kind, law in laws.items()}
     smooth = smooth_ground(mesh, coarser(mesh, mesh.radius_m / _GRAVITY_CELLS), p.smooth_share)
-    if _BOULDER in kinds:
-        kinds[_BOULDER] = _without(kinds[_BOULDER], smooth(kinds[_BOULDER].places))
+    if _BOULDER in kinds:  # they are fewer near smooth ground, by a random number of each
+        kept = kinds[_BOULDER].lots[:, _CHANCE] >= smooth(kinds[_BOULDER].places)
+        kinds[_BOULDER] = Features(*(part[kept] for part in kinds[_BOULDER]))
     even = mesh
     for _ in range(_divisions(mesh, p, pixel_m)):
         even = split_round(even, np.ones(even.faces.shape, bool))
@@ -231,13 +214,6 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     return with_albedo(pushed, np.maximum(1 + p.albedo_rms * rough * mottled, 0.1) * tint)
 
 
-def _without(group: Features, smooth: Floats) -> Features:
-    """Return the features on rough ground; near smooth ground they are fewer, by a random number of each."""
-    left = np.flatnonzero(group.lots[:, _CHANCE] >= smooth)
-    parts = (group.places, group.normals, group.diameters_m, group.weights, group.lots)
-    return Features(*(part[left] for part in parts))
-
-
 def _divisions(mesh: Mesh, p: Regolith, pixel_m: float) -> int:
     """Return how often all facets are cut in four: while they are large in the light frame and not too many."""
     affordable = math.log(max(p.most_facets / len(mesh.faces), 1)) / math.log(4)
@@ -249,8 +225,8 @@ def grain_of(mesh: Mesh, p: Regolith, pixel_m: float) -> Octaves:
     """Return the octaves of roughness that `weathered` gives a shape model, and those below its facets."""
     size_m = facet_size_m(mesh)
     finest_m = size_m / 2 ** _divisions(mesh, p, pixel_m)
-    every = octaves(8 * size_m, min(_ACROSS * p.facet_px * pixel_m, 2 * finest_m), _GAIN, p.seed)
-    return on_facets(every, math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms, size_m, finest_m)
+    all_octaves = octaves(8 * size_m, min(_ACROSS * p.facet_px * pixel_m, 2 * finest_m), _GAIN, p.seed)
+    return on_facets(all_octaves, math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms, size_m, finest_m)
 
 
 def _patches(places: Floats, p: Regolith, size_m: float) -> Floats:
@@ -350,7 +326,7 @@ def _not_turned_over(mesh: Mesh, moved: Floats) -> Floats:
     return mesh.vertices
 
 
-def _near(tree: cKDTree, group: Features, reach: float, more_m: float) -> tuple[Numbers, Numbers]:
+def _near(tree: cKDTree, group: Features, reach: float, more_m: float) -> tuple[Longs, Longs]:
     """Return pairs of a feature and a point of the tree within `reach` of its radius, and `more_m`."""
     lists = tree.query_ball_point(group.places, reach * group.diameters_m / 2 + more_m)
     feature = np.repeat(np.arange(len(lists)), [len(points) for points in lists])
@@ -422,7 +398,7 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         digest.update(array.tobytes())
     sources = checksum_of(Path(__file__).parent)
     made_from = (digest.hexdigest(), detail, pixel_m, sources, np.__version__)
-    points, faces, albedo, water, rough = cached_arrays(
+    points, faces, *tints = cached_arrays(
         "detail",
         made_from,
         lambda: _arrays_of(
@@ -432,14 +408,10 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         ),
         (Kind(np.float64, 2), Kind(np.int32, 2), *3 * (Kind(np.float64, 2),)),
     )
+    vertices, normals = np.ascontiguousarray(points[:, :3]), np.ascontiguousarray(points[:, 3:])
+    albedo, water, rough = (tint if len(tint) else None for tint in tints)
     return dataclasses.replace(
-        mesh,
-        vertices=np.ascontiguousarray(points[:, :3]),
-        normals=np.ascontiguousarray(points[:, 3:]),
-        faces=faces,
-        albedo=albedo if len(albedo) else None,
-        water=water if len(water) else None,
-        rough=rough if len(rough) else None,
+        mesh, vertices=vertices, normals=normals, faces=faces, albedo=albedo, water=water, rough=rough
     )
 
 

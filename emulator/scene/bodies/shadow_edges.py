@@ -399,7 +399,6 @@ class ShadowEdges:
         self._body, self._tree, self._pool = body, RayTree.of(tree), pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
-        self._crossed = np.zeros(0, np.int64)
         self._sun, self._moved_rad = np.zeros(3), 0.0
         self._sides = [
             Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
@@ -428,9 +427,7 @@ class ShadowEdges:
         """Return the parts of facets that an edge crosses, by the results of `hidden_from_sun`."""
         hidden = self._is_hidden
         rows = facets.uncut[1] - facets.uncut[0] + facets.parts[1] - facets.parts[0]
-        if rows > len(self._crossed):
-            self._crossed = np.zeros(2 * rows, np.int64)
-        crossed = self._crossed
+        crossed = np.empty(rows, np.int64)
         count = list_crossed(self._receiver, facets, hidden, window, crossed)
         places, light = np.zeros((_ROWS * count, 6)), np.zeros((_ROWS * count, 2))
         faces, over = np.zeros((_TRIANGLES * count, 3), np.int32), np.full(_TRIANGLES * count, -1, np.int32)

@@ -20,6 +20,7 @@ only then.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -458,12 +459,9 @@ class SharpShadows:
                     self._rooms[thread] = blank_room(2 * share.shadows)
 
         self._pool.each(work, len(self._shares))
-        rows = np.cumsum([0, *(share.rows for share in self._shares)])
-        parts = [share.written for share in self._shares]
-        places = np.concatenate([part.places for part in parts])
-        light = np.concatenate([part.light for part in parts])
-        faces = np.concatenate([part.faces + np.int32(row) for part, row in zip(parts, rows, strict=False)])
-        over = np.concatenate([part.over for part in parts])
+        firsts = itertools.accumulate((share.rows for share in self._shares), initial=0)
+        parts = [share.written(first) for share, first in zip(self._shares, firsts, strict=False)]
+        places, light, faces, over = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return Polygons(self._body, places, light[:, 0], light[:, 1], faces, over)
 
 
@@ -478,11 +476,11 @@ class _Share:
         self.rows = self._count = self.shadows = 0
         self._make_room(_FIRST_ROWS)
 
-    @property
-    def written(self) -> Triangles:
-        """The shadows."""
+    def written(self, first: int) -> Triangles:
+        """Return the shadows, their corners counted from `first`."""
         places, light, faces, over = self._out
-        return Triangles(places[: self.rows], light[: self.rows], faces[: self._count], over[: self._count])
+        faces = faces[: self._count] + np.int32(first)
+        return Triangles(places[: self.rows], light[: self.rows], faces, over[: self._count])
 
     def cast(self, tree: TriangleTree, dark: Dark, around: Surroundings, near_m: float, room: Room) -> bool:
         """Compute the shadows; return whether there was room for all of them."""
@@ -501,8 +499,5 @@ class _Share:
 
 def _parts(receivers: Receivers) -> Iterator[Receivers]:
     """Yield consecutive parts of the facets, each the work of one thread."""
-    corners, planes, shades, numbers = receivers
-    parts = min(max(len(corners) // _FACETS_A_PART, 1), _MOST_PARTS)
-    for k in range(parts):
-        part = slice(len(corners) * k // parts, len(corners) * (k + 1) // parts)
-        yield Receivers(corners[part], planes[part], shades[part], numbers[part])
+    parts = min(max(len(receivers.corners) // _FACETS_A_PART, 1), _MOST_PARTS)
+    yield from itertools.starmap(Receivers, zip(*(np.array_split(field, parts) for field in receivers), strict=True))

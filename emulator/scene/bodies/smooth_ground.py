@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from emulator.scene.bodies.albedo import smooth_step
 from emulator.scene.bodies.compiled import Floats, dot, entry, minus, row
-from emulator.scene.bodies.mesh import Mesh, facet_vectors
+from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means
 
 _SHELLS = 6  # point masses along each cone from the origin to a facet
 _SHORE = 0.01  # of the surface, the part over which smooth ground passes into rough ground, on either side
@@ -43,8 +44,7 @@ def smooth_ground(mesh: Mesh, coarse: Mesh, share: float) -> Callable[[Floats], 
 
     def smoothness(places: Floats) -> Floats:
         rank = _between(mesh.vertices, order, places, 1e-6 * mesh.radius_m)
-        x = np.clip((share + _SHORE - rank) / (2 * _SHORE), 0, 1)
-        return np.asarray(x * x * (3 - 2 * x))
+        return smooth_step((share + _SHORE - rank) / (2 * _SHORE))
 
     return smoothness
 
@@ -73,8 +73,7 @@ def _unevenness(mesh: Mesh) -> Floats:
     facets = facet_vectors(mesh.vertices, mesh.faces)
     facets /= np.maximum(np.linalg.norm(facets, axis=1, keepdims=True), 1e-300)
     corners, count = mesh.faces.ravel(), np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices))
-    sums = [np.bincount(corners, np.repeat(column, 3), len(count)) for column in facets.T]
-    means = np.column_stack(sums) / np.maximum(count, 1)[:, None]
+    means = group_means(np.repeat(facets, 3, axis=0), corners, np.maximum(count, 1))
     for _ in range(_RINGS):
         means = around @ means
     spread = np.sqrt(np.maximum(1 - (means**2).sum(axis=1), 0))

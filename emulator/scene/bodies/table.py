@@ -161,21 +161,16 @@ class BodiesParameters:
         check_bounds(self)
         if not self.bodies:
             raise ValueError("bodies is empty: a [[scene.bodies]] table is needed for each body")
-        self._require_order()
-
-    def _require_order(self) -> None:
-        names: list[str] = []
-        for body in self.bodies:
-            if body.fixed_to and body.fixed_to not in names:
+        for k, body in enumerate(self.bodies):
+            if body.fixed_to and body.fixed_to not in {earlier.name for earlier in self.bodies[:k]}:
                 raise ValueError(
                     f"bodies: {body.fixed_to!r}, to which one is fixed, must be the name of an earlier one"
                 )
-            names.append(body.name)
 
 
 BODIES = SceneKind(
     BodiesParameters,
-    "emulator.scene.bodies.raster_bodies:build_bodies",
+    "emulator.scene.bodies.raster_bodies:RasterBodies",
     lens="applied",
     gl="emulator.scene.bodies.gl_bodies:GlBodies",
     threads=True,

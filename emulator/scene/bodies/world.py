@@ -19,6 +19,8 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
+from emulator.scene.bodies.compiled import Floats
+from emulator.scene.bodies.grain import Octaves
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.models import load_bodies
 from emulator.scene.bodies.regolith import coarser, detailed, facet_size_m, grain_of
@@ -49,7 +51,7 @@ class Arrangement:
     def __init__(self, camera: Trajectory, bodies: Sequence[PlacedBody], time: Timescale) -> None:
         self._camera, self._bodies = camera, bodies
         times = instants_over([camera, *(body.path for body in bodies)], time.scene_ns(0), _LOOKS)
-        relative = [[body.path.pose(t) for body in bodies] for t in times]
+        relative = [{k: body.path.pose(t) for k, body in enumerate(bodies)} for t in times]
         self._looks = [self._in_world(poses) for poses in relative]
         self._eyes = np.array([camera.pose(t).position_m for t in times])
         ranges_m = _norms(_places(self._looks) - self._eyes[:, None])
@@ -59,28 +61,14 @@ class Arrangement:
 
     def poses(self, scene_ns: int) -> list[Pose]:
         """Return each body's pose in the world."""
-        return self._in_world([body.path.pose(scene_ns) for body in self._bodies])
+        return list(self.poses_of(range(len(self._bodies)))(scene_ns).values())
 
     def poses_of(self, bodies: Collection[int]) -> Callable[[int], Mapping[int, Pose]]:
         """Return a function from scene time in ns to the poses of some bodies in the world, by number."""
         numbers = sorted({j for k in bodies for j in self._ancestry(k)})
+        return lambda scene_ns: self._in_world({k: self._bodies[k].path.pose(scene_ns) for k in numbers})
 
-        def poses(scene_ns: int) -> Mapping[int, Pose]:
-            placed: dict[int, Pose] = {}
-            for k in numbers:
-                body = self._bodies[k]
-                pose = body.path.pose(scene_ns)
-                placed[k] = pose if body.parent is None else placed[body.parent].after(pose)
-            return placed
-
-        return poses
-
-    @property
-    def distance_m(self) -> float:
-        """The closest range of any body, less its radius."""
-        return max(float(np.min(self.ranges_m - [body.radius_m for body in self._bodies])), 1e-3)
-
-    def median_distance_m(self, k: int, vertices: npt.NDArray[np.float64]) -> float:
+    def median_distance_m(self, k: int, vertices: Floats) -> float:
         """Return the median distance of the camera, while it moves, from the box around the vertices of body k, m."""
         poses = [look[k] for look in self._looks]
         eyes = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
@@ -96,11 +84,12 @@ class Arrangement:
             for k, (range_m, body) in enumerate(zip(self.ranges_m, self._bodies, strict=True))
         )
 
-    def _in_world(self, relative: Sequence[Pose]) -> list[Pose]:
-        """Return poses in the world, of poses each in the frame that the body is fixed to."""
-        poses: list[Pose] = []
-        for body, pose in zip(self._bodies, relative, strict=True):
-            poses.append(pose if body.parent is None else poses[body.parent].after(pose))
+    def _in_world(self, relative: Mapping[int, Pose]) -> dict[int, Pose]:
+        """Return poses in the world, of poses each in the frame that the body is fixed to, by ascending number."""
+        poses: dict[int, Pose] = {}
+        for k, pose in relative.items():
+            parent = self._bodies[k].parent
+            poses[k] = pose if parent is None else poses[parent].after(pose)
         return poses
 
     def _speed_bound_m_s(self, k: int) -> float:
@@ -119,12 +108,12 @@ class Arrangement:
             k = self._bodies[k].parent
 
 
-def _places(looks: Sequence[Sequence[Pose]]) -> npt.NDArray[np.float64]:
+def _places(looks: Sequence[Mapping[int, Pose]]) -> Floats:
     """Return positions, (looks, bodies, 3)."""
-    return np.array([[pose.position_m for pose in poses] for poses in looks])
+    return np.array([[pose.position_m for pose in poses.values()] for poses in looks])
 
 
-def _norms(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _norms(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=-1))
 
 
@@ -141,9 +130,11 @@ class BodyWorld:
     camera : the camera's path.
     meshes : the shape of each body, with its detail.
     grain : the octaves of its ground; None: it has no grain.
-    placed : the path of each body.
+    paths : of each body.
     arrangement : poses and ranges.
     ranges_m : (bodies,), the closest range of each body's origin.
+    distance_m : the closest range of any body, less its radius.
+    motion_bound_px_s : from the paths' speeds and turns, at the closest ranges.
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
@@ -153,39 +144,29 @@ class BodyWorld:
         self.meshes, self._notes = bodies.meshes, bodies.notes
         self.time = Timescale(parameters.time_scale)
         try:
-            self.camera, *paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])
-            self.placed = [self._placed(k, path) for k, path in enumerate(paths)]
+            self.camera, *self.paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene: {error}") from error
-        self.arrangement = Arrangement(self.camera, self.placed, self.time)
+        names, radii_m = [body.name for body in parameters.bodies], [mesh.radius_m for mesh in self.meshes]
+        parents = [names.index(body.fixed_to) if body.fixed_to else None for body in parameters.bodies]
+        placed = [PlacedBody(*of_body) for of_body in zip(self.paths, parents, radii_m, strict=True)]
+        self.arrangement = Arrangement(self.camera, placed, self.time)
         self.ranges_m = self.arrangement.ranges_m
-        self.grain = [
-            grain_of(mesh, body.detail, self.metres_a_pixel(k)) if isinstance(body.detail, Regolith) else None
-            for k, (mesh, body) in enumerate(zip(self.meshes, parameters.bodies, strict=True))
-        ]
-        self.meshes = [
-            detailed(mesh, body.detail, self.metres_a_pixel(k))
-            for k, (mesh, body) in enumerate(zip(self.meshes, parameters.bodies, strict=True))
-        ]
+        self.distance_m = max(float(np.min(self.ranges_m - radii_m)), 1e-3)
+        in_a_corner = 1 + math.tan(pinhole.widest_rad) ** 2
+        self.motion_bound_px_s = pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
+        self.grain: list[Octaves | None] = []
+        for k, body in enumerate(parameters.bodies):
+            mesh, pixel_m = self.meshes[k], self.metres_a_pixel(k)
+            self.grain.append(grain_of(mesh, body.detail, pixel_m) if isinstance(body.detail, Regolith) else None)
+            self.meshes[k] = detailed(mesh, body.detail, pixel_m)
         self._as_seen: dict[int, Mesh] = {}
-        self._require_outside()
-        self._require_seen()
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Bound from the paths' speeds and turns, at the closest ranges."""
-        in_a_corner = 1 + math.tan(self.pinhole.widest_rad) ** 2
-        return self.pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
-
-    @property
-    def distance_m(self) -> float:
-        """The closest range of any body, less its radius."""
-        return self.arrangement.distance_m
+        self._require_visible()
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Counts of poses received from outside."""
-        return live_counts(self.camera, *(placed.path for placed in self.placed))
+        return live_counts(self.camera, *self.paths)
 
     def notes(self, first_frame: npt.NDArray[np.float32]) -> tuple[str, ...]:
         """Return remarks on faults of the shapes, on detail that was left out, and on a black first frame."""
@@ -198,39 +179,30 @@ class BodyWorld:
             mesh, cell_m = self.meshes[k], self.parameters.detail_px * self.metres_a_pixel(k)
             seen = mesh if facet_size_m(mesh) > cell_m else coarser(mesh, cell_m)
             if seen is not mesh:
-                facets = f"{len(seen.faces)} of {len(mesh.faces)} facets"
-                name = self.parameters.bodies[k].shape
+                name, facets = self.parameters.bodies[k].shape, f"{len(seen.faces)} of {len(mesh.faces)} facets"
                 self._notes.append(f"{name}: {facets}: the others are too small to be seen")
             self._as_seen[k] = seen
         return self._as_seen[k]
 
-    def metres_a_pixel(self, k: int, ranges_m: npt.NDArray[np.float64] | None = None) -> float:
+    def metres_a_pixel(self, k: int, ranges_m: Floats | None = None) -> float:
         """Return the width of a pixel on body k at its closest range, m, or at others, (bodies,)."""
         range_m = float((self.ranges_m if ranges_m is None else ranges_m)[k])
         return max(range_m - self.meshes[k].radius_m, 1e-6) / self.pinhole.focal_px
 
     def close(self) -> None:
         """Close the ports of live poses; a second call does nothing."""
-        close_receivers(self.camera, *(placed.path for placed in self.placed))
+        close_receivers(self.camera, *self.paths)
 
-    def _placed(self, k: int, path: Trajectory) -> PlacedBody:
-        names, fixed_to = [body.name for body in self.parameters.bodies], self.parameters.bodies[k].fixed_to
-        return PlacedBody(path, names.index(fixed_to) if fixed_to else None, self.meshes[k].radius_m)
-
-    def _each(self) -> Sequence[tuple[BodyTable, Mesh, float]]:
-        return list(zip(self.parameters.bodies, self.meshes, map(float, self.ranges_m), strict=True))
-
-    def _require_outside(self) -> None:
-        for body, mesh, range_m in self._each():
+    def _require_visible(self) -> None:
+        for body, mesh, range_m in zip(self.parameters.bodies, self.meshes, self.ranges_m, strict=True):
             core_m = float(np.linalg.norm(mesh.vertices, axis=1).min())
             if range_m <= core_m:
                 raise SceneError(
                     f"the camera comes within {range_m:g} m of the middle of {body.shape}, whose surface is at least "
                     f"{core_m:g} m from it: it would be inside. Move it out, or look at units_m"
                 )
-
-    def _require_seen(self) -> None:
-        across_px = max(2 * mesh.radius_m / range_m for _, mesh, range_m in self._each()) * self.pinhole.focal_px
+        shares = (2 * mesh.radius_m / range_m for mesh, range_m in zip(self.meshes, self.ranges_m, strict=True))
+        across_px = float(max(shares)) * self.pinhole.focal_px
         if across_px < 2:
             raise SceneError(
                 f"the largest body is {across_px:.2g} px across at its closest and would be lost "
@@ -253,26 +225,19 @@ class RigidGroup:
 
 def rigid_groups(bodies: Sequence[BodyTable]) -> list[RigidGroup]:
     """Return the groups; each body is in one."""
-    anchors: list[tuple[int, Pose]] = []  # of each body, the moving one it stands on (-1: the world), its pose there
+    names = [body.name for body in bodies]
+    anchors: list[int] = []  # of each body, the moving one that it stands on; -1: the world
+    poses: list[Pose] = []  # of each body in the frame of its anchor
+    members: dict[int, list[int]] = {}  # of each anchor
     for k, body in enumerate(bodies):
-        anchors.append(_anchor(k, body, bodies, anchors))
-    numbers = [anchor for anchor, _ in anchors]
-    return [_group([k for k, n in enumerate(numbers) if n == first], anchors) for first in dict.fromkeys(numbers)]
-
-
-def _anchor(
-    k: int, body: BodyTable, bodies: Sequence[BodyTable], anchors: Sequence[tuple[int, Pose]]
-) -> tuple[int, Pose]:
-    if not isinstance(body.path, FixedPath):
-        return k, STILL
-    pose = build_trajectory(body.path).pose(0)
-    if not body.fixed_to:
-        return -1, pose
-    names = [other.name for other in bodies]
-    anchor, parent = anchors[names.index(body.fixed_to)]
-    return anchor, parent.after(pose)
-
-
-def _group(members: Sequence[int], anchors: Sequence[tuple[int, Pose]]) -> RigidGroup:
-    first = anchors[members[0]][1].inverse()
-    return RigidGroup(tuple(members), tuple(first.after(anchors[k][1]) for k in members))
+        anchor, pose = k, STILL
+        if isinstance(body.path, FixedPath):
+            anchor, pose = -1, build_trajectory(body.path).pose(0)
+            if body.fixed_to:
+                parent = names.index(body.fixed_to)
+                anchor, pose = anchors[parent], poses[parent].after(pose)
+        anchors.append(anchor)
+        poses.append(pose)
+        members.setdefault(anchor, []).append(k)
+    firsts = [(ks, poses[ks[0]].inverse()) for ks in members.values()]
+    return [RigidGroup(tuple(ks), tuple(first.after(poses[k]) for k in ks)) for ks, first in firsts]

@@ -84,6 +84,7 @@ class ImageQueue:
 
     def __init__(self, connection: RendererConnection, p: ExternalParameters, path: Trajectory | None = None) -> None:
         self._connection, self._p = connection, p
+        self._pushed = p.images == "pushed"
         self.path, self.time = path, Timescale(p.time_scale)
         self._table = _light_table(connection.hello)
         self._images: deque[TimedImage] = deque(maxlen=2)  # those around the last light frame
@@ -128,10 +129,6 @@ class ImageQueue:
                 raise RendererError(f"more than {_MOST_A_FRAME} images came for one light frame: give fewer")
             self._receive()
         self._request(self._p.ahead)
-
-    @property
-    def _pushed(self) -> bool:
-        return self._p.images == "pushed"
 
     def _restart(self, t_ns: int) -> None:
         """Leave all images, to begin again at `t_ns`."""

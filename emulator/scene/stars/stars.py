@@ -111,8 +111,7 @@ class StarField(SizedScene):
         self.camera_path = paths[0]
         self._paths: Sequence[Trajectory] = paths[1:]
         stars = stars_of(parameters)
-        self._directions = stars.directions
-        self._magnitudes = stars.magnitudes
+        self._directions, self._magnitudes = stars.directions, stars.magnitudes
         self._irradiance = stars.irradiance_w_m2
         self._sun = unit(parameters.sun.direction)
         self._boxes: Boxes = np.empty((0, 4), np.int64)

@@ -29,7 +29,7 @@ from msgspec import Meta
 
 from emulator.light import MachineLacks, SceneError
 from emulator.scene.kind import SceneKind
-from emulator.scene.video.video import Around, JoinedFrames, linear_light, resampled
+from emulator.scene.video.video import Around, Frames, JoinedFrames, linear_light, resampled
 from emulator.trajectory.live import SceneClock
 from firmware_protocol.bounds import check_bounds
 from firmware_protocol.ros2 import IMAGE, CdrError, ImageError, levels_of, parse_image
@@ -232,8 +232,7 @@ class Ros2Images(JoinedFrames):
             self._images.counts[f"images refused: {error}"] += 1
             return
         is_float = levels.dtype.kind == "f"
-        scale = 1.0 if is_float else float(np.iinfo(levels.dtype).max)
-        light = linear_light(levels, scale, is_linear=is_float or self._p.levels == "linear")
+        light = linear_light(levels, Frames(levels).full_scale, is_linear=is_float or self._p.levels == "linear")
         arrival_ns = self._scene_clock.scene_ns(message.written_ns)  # never after now
         self._images.add(self._log_light(resampled(light, self._size)), image.header.stamp_ns, arrival_ns)
 

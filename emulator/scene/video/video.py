@@ -282,7 +282,8 @@ class Video(JoinedFrames):
         self._p = parameters
         self._frames = read_frames(Path(parameters.path))
         self._times_ns = _times_ns(self._frames, parameters)
-        self._round_ns = _round_ns(self._times_ns)
+        last_ns, gaps = self._times_ns[-1], len(self._times_ns) - 1
+        self._round_ns = last_ns + max(1, last_ns // gaps) if gaps else 1  # the last frame is shown as long as the mean
         self._is_linear = parameters.levels == "linear" or self._frames.levels.dtype.kind == "f"
         self._kept: dict[int, _Float32s] = {}
 
@@ -335,11 +336,6 @@ def _times_ns(frames: Frames, p: VideoParameters) -> list[int]:
         return [int(Fraction(t) * 10**9 / scale) for t in frames.times_s]
     period = 10**9 / (Fraction(repr(float(p.frames_per_s))) * scale)
     return [int(k * period) for k in range(len(frames.levels))]
-
-
-def _round_ns(times_ns: list[int]) -> int:
-    """Return the time of one round: the last frame is shown for as long as the mean one."""
-    return times_ns[-1] + max(1, times_ns[-1] // max(1, len(times_ns) - 1)) if len(times_ns) > 1 else 1
 
 
 def resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
