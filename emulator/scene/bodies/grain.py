@@ -6,8 +6,9 @@ before and shifted by its own way:
     height = sum of height_k h(q / wave_k + shift_k)        slope: its gradient, along the surface
 
 Vertices carry the octaves that are long enough for their facets. The rest of each octave is added to the drawn light of
-the pixels whose middle shows a facet, so that a surface is the same however fine its facets are. There the normal turns
-by the slopes, and the light of the Sun is multiplied by the law of reflection with the turned normal over that without.
+the pixels whose middle shows a facet, so that a surface is the same however fine its facets are. There light is linear
+between the corners of the facet; it is multiplied by the law of reflection with the normal of the place, turned by the
+slopes, over the law at the corners, linear between. So smooth ground has the law at each pixel too.
 The mean of a pixel is that of four points of it (of one where a wave spans many pixels), whose slopes towards the Sun
 also tell how evenly it is lit where some of it turns away. What a pixel cannot resolve fades out.
 
@@ -49,9 +50,8 @@ _POINT = 0.5 / math.sqrt(3.0)  # pixels from the middle to the points of Gauss's
 _WAVE_OF_ONE, _FADED = 6.0, (0.65, 1.15)  # pixels a wave: from here on one point is enough; fading begins and ends
 _WIDTH2 = 1.2  # the mean of a wave over a pixel, sinc(width / wave), is about 1 - 1.6 (width / wave)^2 on the long side
 _LEAST_COSINE = 0.01  # of emission
-_FAINTEST = 3e-4  # reflected, 1/sr: below it the terminator is near, and its place in the pixel would decide
+_FAINT = 3e-4  # reflected, 1/sr: below it, near the terminator, light of other facets in the pixel would grow
 _MOST_SLANT = 0.05  # least cosine of emission for the width of a pixel on the ground
-_ROUNDED = 1.001  # of light, to float32
 _BETWEEN_S = 1e-6  # of rates
 _ROWS = 16  # a thread takes at a time
 
@@ -192,7 +192,7 @@ class Ground(NamedTuple):
     reflected : (n,), the law of reflection at its points, of the last light frame; 0 where none was computed.
     octaves, fields : the grain, and its `tile`.
     law : of its reflection.
-    brightest : W m-2, the most light of the Sun that it gets, times its relative albedo.
+    brightest : W m-2, no less than the most light of the Sun that it gets, times its relative albedo.
     """
 
     first: int
@@ -234,9 +234,11 @@ class Row(NamedTuple):
     across, down : (3, width) in the body's frame, m, from the middle of a pixel to the columns and rows of its points.
     widths_m : (width,), the longer side of a pixel on the ground.
     rough : (width,).
+    even : (width,), by the law at the corners of the facet, linear between.
+    ranges : (width,), by how much the facet's cosine of incidence differs within the pixel from that in its middle.
     fields : (9, width), slope and brightness, their rates, and the variance of the slope towards the Sun in the pixel.
     cosines : (5, width), of incidence and of emission, and the same an instant later; squared chords.
-    even, reflected : (width,) by the law at the corners of the facet, linear between; (2, width) with grain.
+    reflected : (2, width), by the law at these two.
     """
 
     columns: Numbers
@@ -248,18 +250,18 @@ class Row(NamedTuple):
     down: Floats
     widths_m: Floats
     rough: Floats
+    even: Floats
+    ranges: Floats
     fields: Floats
     cosines: Floats
     reflected: Floats
-    even: Floats
 
 
 def new_row(width: int) -> Row:
     """Return room for a row."""
-    vectors, numbers = np.zeros((6, 3, width)), np.zeros((2, width))
-    return Row(
-        np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((n, width)) for n in (9, 5, 2)), np.zeros(width)
-    )
+    vectors, numbers = list(np.zeros((6, 3, width))), list(np.zeros((4, width)))
+    arrays = (np.zeros((rows, width)) for rows in (9, 5, 2))
+    return Row(np.zeros(width, np.int32), *vectors, *numbers, *arrays)
 
 
 @entry
@@ -282,14 +284,13 @@ def add_grain(  # noqa: PLR0913, PLR0917
         for k in range(2):
             reflect(law.kind, law.parameters, cosines[2 * k], cosines[2 * k + 1], cosines[4], count, room.reflected[k])
         for i in range(count):
-            even, now, later = max(room.even[i], _FAINTEST), room.reflected[0, i], room.reflected[1, i]
-            c = room.columns[i]
-            # The Sun's light on the facet; more than there is comes from other facets in the pixel.
-            sunlight = light[r, c] / even
-            if sunlight > _ROUNDED * ground.brightest:
-                continue
-            value = sunlight * now
-            changing = rate[r, c] * now / even + sunlight * (later - now) / _BETWEEN_S
+            now, later, c = room.reflected[0, i], room.reflected[1, i], room.columns[i]
+            per_even = 1.0 / max(room.even[i], _FAINT)
+            if light[r, c] * per_even > ground.brightest:
+                continue  # light of other facets in the pixel
+            times = now * per_even
+            value = light[r, c] * times
+            changing = rate[r, c] * times + light[r, c] * per_even * (later - now) / _BETWEEN_S
             bright = 1.0 + room.rough[i] * room.fields[3, i]
             light[r, c] = max(value * bright, 0.0)
             rate[r, c] = changing * bright + value * room.rough[i] * room.fields[7, i]
@@ -301,7 +302,7 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
 ) -> int:
     """Write the lit pixels of a row that show the body, and the ground there; return their number."""
     height, width = light.shape
-    turn, m = placed.turn, placed.motion
+    turn, m, sun = placed.turn, placed.motion, row(placed.sun.reshape(1, 3), 0)
     y = r + 0.5
     away_y = (y - 0.5 * height) / placed.focal_px
     count = 0
@@ -334,6 +335,12 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
             out.rough[count] += shares[k] * ground.rough[points[k]]
             out.even[count] += shares[k] * ground.reflected[points[k]]
         length = math.sqrt(max(dot(normal, normal), 1e-300))
+        # Half of the change of the cosine of incidence over the pixel, at most as over the facet.
+        m0 = dot(row(ground.normals, points[0]), sun)
+        m1 = dot(row(ground.normals, points[1]), sun) - m0
+        m2 = dot(row(ground.normals, points[2]), sun) - m0
+        growth = math.sqrt((m1 * y2 - m2 * y1) ** 2 + (x1 * m2 - x2 * m1) ** 2) / abs(area)
+        out.ranges[count] = 0.5 * min(growth, max(abs(m1), abs(m2), abs(m2 - m1)))
         # Where the ray through the middle of the pixel meets the facet's plane, and how fast the body passes there.
         depth = 1.0 / w
         ray = ((x - 0.5 * width) / placed.focal_px, away_y, 1.0)
@@ -420,7 +427,7 @@ def _turn_normals(count: int, placed: Placed, out: Row) -> None:
         chord = minus(sun, eye)
         cosines[4, i] = min(dot(chord, chord), 4.0)
         # Cosines of incidence are taken as even over a range around their mean; below 0 there is no light.
-        reach = out.rough[i] * math.sqrt(3.0 * max(fields[8, i], 0.0))
+        reach = math.sqrt(3.0 * out.rough[i] ** 2 * max(fields[8, i], 0.0) + out.ranges[i] ** 2)
         for k in range(2):
             later_s = _BETWEEN_S * k
             slope = plus(
