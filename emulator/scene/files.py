@@ -12,7 +12,8 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -21,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import MachineLacks, SceneError
+from emulator.tables.toml_text import shortened
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 from transports.recording.record import ArrayFileError, load_array
 
@@ -45,6 +47,17 @@ def read_in_child(reader: str, path: Path, limits: Limits | None = None) -> dict
         return {name: np.asarray(values) for name, values in read_guarded(reader, path, limits=limits).items()}
     except ForeignFileError as error:
         raise (MachineLacks if error.lacks else SceneError)(f"{path}: {error}") from None
+
+
+@contextmanager
+def reader_errors(fault: str) -> Iterator[None]:
+    """Raise SceneError with `fault` in place of the arbitrary exceptions of a library's reader for a damaged file."""
+    try:
+        yield
+    except (MemoryError, ImportError, SceneError):
+        raise
+    except Exception as error:
+        raise SceneError(f"{fault}: {shortened(error)}") from error
 
 
 T = TypeVar("T", bound=np.generic)

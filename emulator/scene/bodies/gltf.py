@@ -29,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
+from emulator.scene.files import reader_errors
 
 _MOST_BYTES = 1 << 28
 _MOST = {"nodes": 10_000, "parts": 256, "facets": 4_000_000, "corners": 12_000_000, "animated properties": 1024}
@@ -519,21 +520,17 @@ def decoded(data: bytes, where: str, most_pixels: int) -> npt.NDArray[np.uint8]:
     """Return red, green and blue, (height, width, 3), of a PNG or JPEG within limits; raises SceneError."""
     from PIL import Image  # an extra; in the child process alone
 
-    try:
-        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
-            if image.width * image.height > min(_MOST_OF_IMAGE, most_pixels):
-                raise SceneError(
-                    f"{where} has {image.width} x {image.height} pixels: at most {_MOST_OF_IMAGE} of one image and "
-                    f"{_MOST_PIXELS} of all are read, {_MOST_SIDE} on a side are used; make the images smaller"
-                )
-            if image.mode.startswith("I"):  # 16 bit grey, which Pillow would cut off at 255
-                grey = np.asarray(image) >> 8
-                return np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)
-            return np.asarray(image.convert("RGB"))
-    except (SceneError, MemoryError):
-        raise
-    except Exception as error:  # noqa: BLE001 its readers raise arbitrary exceptions for a broken file
-        raise SceneError(f"{where} cannot be read as PNG or JPEG ({str(error)[:80]})") from None
+    formats, fault = ("PNG", "JPEG"), f"{where} cannot be read as PNG or JPEG"
+    with reader_errors(fault), Image.open(io.BytesIO(data), formats=formats) as image:
+        if image.width * image.height > min(_MOST_OF_IMAGE, most_pixels):
+            raise SceneError(
+                f"{where} has {image.width} x {image.height} pixels: at most {_MOST_OF_IMAGE} of one image and "
+                f"{_MOST_PIXELS} of all are read, {_MOST_SIDE} on a side are used; make the images smaller"
+            )
+        if image.mode.startswith("I"):  # 16 bit grey, which Pillow would cut off at 255
+            grey = np.asarray(image) >> 8
+            return np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)
+        return np.asarray(image.convert("RGB"))
 
 
 def base_colour(pixels: npt.NDArray[np.uint8], weights: Sequence[float]) -> npt.NDArray[np.float32]:

@@ -36,7 +36,7 @@ from emulator.photometry.reflection_kernels import Law, law_of, reflect
 from emulator.raster import Facets, join, prepare
 from emulator.raster.surfaces import camera_from_body, motion_of
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
-from emulator.scene.bodies.compiled import Floats, Numbers, entry, row
+from emulator.scene.bodies.compiled import Floats, Numbers, dot, entry, minus, row
 from emulator.scene.bodies.curved_sides import Sides, mark
 from emulator.scene.bodies.grain import Ground, Octaves, Placed, tile
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
@@ -70,27 +70,26 @@ def choose(
     """
     count = 0
     for k in range(len(points)):
-        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-        if marked[k] == 0 or not nx * suns[0, 0] + ny * suns[0, 1] + nz * suns[0, 2] > lowest:
+        normal = row(normals, k)
+        if marked[k] == 0 or not dot(normal, row(suns, 0)) > lowest:
             continue
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        dx, dy, dz = eyes[0, 0] - x, eyes[0, 1] - y, eyes[0, 2] - z
-        facing, range2 = nx * dx + ny * dy + nz * dz, dx * dx + dy * dy + dz * dz
-        if not (facing > 0.0 or facing * facing < lean[k] * lean[k] * range2):
+        away = minus(row(eyes, 0), row(points, k))
+        facing = dot(normal, away)
+        if not (facing > 0.0 or facing * facing < lean[k] * lean[k] * dot(away, away)):
             continue
         chosen[count] = k
         count += 1
     for i in range(count):
         k = chosen[i]
-        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+        point, normal = row(points, k), row(normals, k)
         for m in range(2):
-            sx, sy, sz = suns[m, 0], suns[m, 1], suns[m, 2]
-            dx, dy, dz = eyes[m, 0] - points[k, 0], eyes[m, 1] - points[k, 1], eyes[m, 2] - points[k, 2]
-            per_m = 1.0 / math.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-300))
-            dx, dy, dz = dx * per_m, dy * per_m, dz * per_m
-            angles[m, i] = nx * sx + ny * sy + nz * sz
-            angles[2 + m, i] = nx * dx + ny * dy + nz * dz
-            angles[4 + m, i] = min((sx - dx) ** 2 + (sy - dy) ** 2 + (sz - dz) ** 2, 4.0)
+            sun, away = row(suns, m), minus(row(eyes, m), point)
+            per_m = 1.0 / math.sqrt(max(dot(away, away), 1e-300))
+            eye = away[0] * per_m, away[1] * per_m, away[2] * per_m
+            chord = minus(sun, eye)
+            angles[m, i] = dot(normal, sun)
+            angles[2 + m, i] = dot(normal, eye)
+            angles[4 + m, i] = min(dot(chord, chord), 4.0)
     return count
 
 

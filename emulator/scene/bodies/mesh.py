@@ -31,7 +31,7 @@ from emulator.light import SceneError
 from emulator.scene.bodies import mesh_files
 from emulator.scene.bodies.compiled import Floats, Numbers
 from emulator.scene.bodies.mesh_files import PlateTable, PlateTableError, parse_plates, parse_wavefront
-from emulator.scene.files import Kind, cached_arrays, read_in_child
+from emulator.scene.files import Kind, cached_arrays, read_in_child, reader_errors
 from emulator.tables.toml_text import TextFileError, read_text, shortened
 from firmware_protocol.compiled import checksum_of
 
@@ -40,7 +40,6 @@ SHAPES = Path(__file__).parent / "shapes"
 
 _MOST_BYTES = 1 << 28
 _CACHED_BYTES = 1 << 19  # a smaller file is parsed as soon
-_SHAPE_KERNELS = (".bds", ".dsk")
 _PLATES = 2  # data type of a segment of plates; the only other one, 4, holds heights
 _FARTHEST_M = 1e15  # squares and cubes of it stay finite; the solar system ends before
 
@@ -168,7 +167,7 @@ def _read(path: Path) -> PlateTable:
     """Return vertices, facets and their albedo: two formats by own readers, others by libraries in a child process."""
     parse = {".tab": parse_plates, ".obj": parse_wavefront}.get(path.suffix.lower())
     if parse is None:
-        reader = "read_dsk" if path.suffix.lower() in _SHAPE_KERNELS else "read_surface"
+        reader = "read_dsk" if path.suffix.lower() in (".bds", ".dsk") else "read_surface"
         arrays = read_in_child(f"{__name__}:{reader}", path)
         return PlateTable(arrays["vertices"], arrays["faces"])
     try:
@@ -267,14 +266,9 @@ def read_surface(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return `vertices` (n, 3) float64 in the file's unit and `faces` (m, 3) int64; textures are ignored."""
     import trimesh  # in the child process alone: it takes a second
 
-    with path.open("rb") as file:
-        try:
-            loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
-            vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
-        except (MemoryError, ImportError):
-            raise
-        except Exception as error:  # its readers raise arbitrary exceptions for a broken file
-            raise SceneError(f"trimesh cannot read it as a surface ({shortened(error)})") from error
+    with path.open("rb") as file, reader_errors("trimesh cannot read it as a surface"):
+        loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
+        vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
     return {"vertices": vertices, "faces": faces}
 
 

@@ -151,8 +151,8 @@ def parse_wavefront(text: str) -> PlateTable:
             case ["v"]:
                 points += _point(number, words)
             case ["f"]:
-                first, *others = _corners(number, words, len(points) // 3)
-                corners += [n for pair in itertools.pairwise(others) for n in (first, *pair)]
+                first, *later = _corners(number, words, len(points) // 3)
+                corners += [n for pair in itertools.pairwise(later) for n in (first, *pair)]
                 albedo += [now] * (len(corners) // 3 - len(albedo))
             case ["usemtl"]:
                 now = _albedo(number, words)

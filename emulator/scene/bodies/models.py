@@ -30,7 +30,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -65,8 +65,7 @@ _Floats = npt.NDArray[np.float64]
 _Array = npt.NDArray[Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Bodies:
+class Bodies(NamedTuple):
     """The bodies of a scene with their shapes.
 
     Attributes
@@ -83,23 +82,21 @@ class Bodies:
 
 def load_bodies(parameters: BodiesParameters) -> Bodies:
     """Return the bodies of a scene, each node of a model file as one; raises SceneError."""
-    tables: list[BodyTable] = []
-    meshes: list[Mesh] = []
+    bodies: list[tuple[BodyTable, Mesh]] = []
     notes: list[str] = []
     names = [body.name for body in parameters.bodies if body.name]
     for body in parameters.bodies:
         path = find_shape(body.shape)
         if path.suffix.lower() in MODEL_READERS:
             model = read_model(path)
-            bodies = _bodies(body, model, _unused(body.name or path.stem, names, is_given=bool(body.name)))
+            bodies += _bodies(body, model, _unused(body.name or path.stem, names, is_given=bool(body.name)))
             notes += [f"{body.shape}: {note}" for note in model.header["notes"]]
         else:
             mesh = load_mesh(path, body.units_m)
-            bodies = [(body, mesh)]
+            bodies.append((body, mesh))
             notes += [f"{body.shape}: {warning}" for warning in mesh.warnings]
-        tables += [table for table, _ in bodies]
-        meshes += [mesh for _, mesh in bodies]
-    return Bodies(replace(parameters, bodies=tuple(tables)), meshes, notes)
+    tables, meshes = zip(*bodies, strict=True)
+    return Bodies(replace(parameters, bodies=tables), list(meshes), notes)
 
 
 def _unused(name: str, names: list[str], *, is_given: bool) -> str:

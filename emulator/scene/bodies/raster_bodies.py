@@ -238,8 +238,7 @@ class RasterBodies(WorldScene[BodyWorld]):
         threads = threads or (available_threads() if large else 1)
         self._lit = LitBodies(self._world, pinhole, threads)
         width, height = pinhole.size
-        middle = width / 2, height / 2
-        screen = Screen(width, height, pinhole.focal_px, middle, NEAREST_SHARE * self.distance_m)
+        screen = Screen(width, height, pinhole.focal_px, (width / 2, height / 2), NEAREST_SHARE * self.distance_m)
         self._renderer = Renderer(self._lit.topology, screen, threads)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
@@ -302,7 +301,7 @@ def _in_camera_axes(parts: Sequence[tuple[int, Floats, float]], motion: Motion) 
         now, before, after = (camera_from_body(poses.camera, poses.bodies[k]) for poses in motion.instants)
         turns, shifts = (np.stack([a, (c - b) / motion.between_s]) for a, b, c in zip(now, before, after, strict=True))
         motions[k] = turns, shifts
-    row = 0
+    first = 0
     for k, points, share in parts:
-        row = move(points, *motions[k], share, row, out[0], out[1])
+        first = move(points, *motions[k], share, first, out[0], out[1])
     return out[0], out[1]

@@ -42,7 +42,7 @@ import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -64,7 +64,6 @@ if TYPE_CHECKING:
 Longs = npt.NDArray[np.int64]
 
 FADED = 1.5
-_NOTHING: Floats = np.empty((0, 3))
 _PER_FEATURE = 8  # numbers between 0 and 1 that shape one of them
 
 
@@ -396,8 +395,7 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
     digest = hashlib.sha256()
     for array in _arrays_of(mesh):
         digest.update(array.tobytes())
-    sources = checksum_of(Path(__file__).parent)
-    made_from = (digest.hexdigest(), detail, pixel_m, sources, np.__version__)
+    made_from = (digest.hexdigest(), detail, pixel_m, checksum_of(Path(__file__).parent), np.__version__)
     points, faces, *tints = cached_arrays(
         "detail",
         made_from,
@@ -415,8 +413,7 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
     )
 
 
-def _arrays_of(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int32], Floats, Floats, Floats]:
+def _arrays_of(mesh: Mesh) -> tuple[npt.NDArray[Any], ...]:
     """Return vertices beside normals (n, 6), facets, and tints; these are empty where the mesh has none."""
-    tints = mesh.tints(lambda values: values)
-    albedo, water, rough = (tints.get(name, _NOTHING) for name in ("albedo", "water", "rough"))
-    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, albedo, water, rough
+    tints = (np.empty((0, 3)) if tint is None else tint for tint in (mesh.albedo, mesh.water, mesh.rough))
+    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, *tints

@@ -318,11 +318,8 @@ def list_crossed(
         for f in range(rows[0], rows[1]):
             a, b, c = _corners(facets.corners, f, receiver)
             lowest = min(is_hidden[a], is_hidden[b], is_hidden[c])
-            if (
-                lowest == 0
-                and max(is_hidden[a], is_hidden[b], is_hidden[c]) == 1
-                and _area_px(receiver, a, b, c, window) > _LEAST_PX
-            ):
+            highest = max(is_hidden[a], is_hidden[b], is_hidden[c])
+            if lowest == 0 and highest == 1 and _area_px(receiver, a, b, c, window) > _LEAST_PX:
                 crossed[count] = f
                 count += 1
     return count

@@ -54,10 +54,10 @@ class Arrangement:
         relative = [{k: body.path.pose(t) for k, body in enumerate(bodies)} for t in times]
         self._looks = [self._in_world(poses) for poses in relative]
         self._eyes = np.array([camera.pose(t).position_m for t in times])
-        ranges_m = _norms(_places(self._looks) - self._eyes[:, None])
+        ranges_m = np.linalg.norm(_places(self._looks) - self._eyes[:, None], axis=-1)
         self._under_way = slice(int(np.searchsorted(times[1:], camera.span_ns[1], "right")) or None)
         self.ranges_m, self.median_ranges_m = ranges_m.min(axis=0), np.median(ranges_m[self._under_way], axis=0)
-        self._offsets_m = _norms(_places(relative)).max(axis=0)
+        self._offsets_m = np.linalg.norm(_places(relative), axis=-1).max(axis=0)
 
     def poses(self, scene_ns: int) -> list[Pose]:
         """Return each body's pose in the world."""
@@ -73,7 +73,7 @@ class Arrangement:
         poses = [look[k] for look in self._looks]
         eyes = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
         beside = np.maximum(np.maximum(vertices.min(axis=0) - eyes, eyes - vertices.max(axis=0)), 0.0)
-        return float(np.median(_norms(beside)[self._under_way]))
+        return float(np.median(np.linalg.norm(beside, axis=-1)[self._under_way]))
 
     @property
     def turn_bound_rad_s(self) -> float:
@@ -113,10 +113,6 @@ def _places(looks: Sequence[Mapping[int, Pose]]) -> Floats:
     return np.array([[pose.position_m for pose in poses.values()] for poses in looks])
 
 
-def _norms(vectors: Floats) -> Floats:
-    return np.asarray(np.linalg.norm(vectors, axis=-1))
-
-
 class BodyWorld:
     """The bodies of `parameters` before `pinhole`, as every renderer needs them.
 
@@ -138,10 +134,8 @@ class BodyWorld:
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
-        bodies = load_bodies(parameters)
-        self.parameters, self.pinhole = bodies.parameters, pinhole
-        parameters = bodies.parameters
-        self.meshes, self._notes = bodies.meshes, bodies.notes
+        self.parameters, self.meshes, self._notes = load_bodies(parameters)
+        parameters, self.pinhole = self.parameters, pinhole
         self.time = Timescale(parameters.time_scale)
         try:
             self.camera, *self.paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])

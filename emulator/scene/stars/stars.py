@@ -105,11 +105,11 @@ class StarField(SizedScene):
         self._bend = Distortion.of(lens)
         self.path_time = Timescale(parameters.time_scale)
         try:
-            paths = build_trajectories([parameters.camera, *(point.path for point in parameters.points)])
+            self.camera_path, *self._paths = build_trajectories(
+                [parameters.camera, *(point.path for point in parameters.points)]
+            )
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene: {error}") from error
-        self.camera_path = paths[0]
-        self._paths: Sequence[Trajectory] = paths[1:]
         stars = stars_of(parameters)
         self._directions, self._magnitudes = stars.directions, stars.magnitudes
         self._irradiance = stars.irradiance_w_m2

@@ -36,6 +36,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from emulator.raster.layout import Floats
 from emulator.scene.terrain.box_moments import to_half
 from emulator.scene.terrain.tile import BP, BPP, BPQ, BQ, BQQ, MOMENTS, B, P, Q
 from emulator.threads import ThreadPool, available_threads
@@ -50,7 +51,6 @@ map_entry = entry_of(*_SOURCES, error_model="python")
 """Compile a loop over a map, which may allocate; a division by zero raises."""
 
 Heights = npt.NDArray[np.float32]
-Vector = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class Pyramid:
     shadows: Halves
 
 
-def build_pyramid(ground: Ground, sun_radii: Heights, sun: Vector, levels: int) -> Pyramid:
+def build_pyramid(ground: Ground, sun_radii: Heights, sun: Floats, levels: int) -> Pyramid:
     """Return `levels` levels of `ground`, in the light of `sun`, (2, 3): towards it, and from its middle to its top.
 
     `sun_radii`, (grids, rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
@@ -242,7 +242,7 @@ _LIT = 6  # moments that light weights: the first ones
 _BAND = 64  # rows that a thread takes at a time
 
 
-def _moments_at_posts(z: Heights, post_m: float, sun_radii: Heights, albedo: Heights, sun: Vector) -> _Moments:
+def _moments_at_posts(z: Heights, post_m: float, sun_radii: Heights, albedo: Heights, sun: Floats) -> _Moments:
     """Return the moments of a grid's posts, (rows, columns, MOMENTS)."""
     north, east = np.gradient(z, post_m)
     fields = np.stack(np.broadcast_arrays(east, north, sun_radii, albedo))
@@ -254,7 +254,7 @@ def _moments_at_posts(z: Heights, post_m: float, sun_radii: Heights, albedo: Hei
 
 
 @map_entry
-def _add_light(fields: Heights, sun: Vector, first: int, end: int, out: _Moments) -> None:
+def _add_light(fields: Heights, sun: Floats, first: int, end: int, out: _Moments) -> None:
     """Write the moments that light weights, of the rows from `first` to before `end`, from light there and between.
 
     `fields` are slopes to the east and north, the height of the Sun in its radii, and albedo, (4, rows, columns).
@@ -277,7 +277,7 @@ def _add_light(fields: Heights, sun: Vector, first: int, end: int, out: _Moments
 
 
 @map_entry
-def _write_light(posts: Heights, sun: Vector, out: _Moments) -> None:
+def _write_light(posts: Heights, sun: Floats, out: _Moments) -> None:
     """Write b and its moments on a line, at the posts and half way to the next, (2, moments, posts)."""
     last = posts.shape[1] - 1
     for j in range(last + 1):

@@ -26,10 +26,9 @@ import numpy.typing as npt
 
 from emulator.light import SceneError
 from emulator.raster.layout import Floats
-from emulator.scene.files import read_array, read_in_child
+from emulator.scene.files import read_array, read_in_child, reader_errors
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
-from emulator.tables.toml_text import shortened
 
 _STEEPEST_DEG = 75.0
 _FARTHEST = 100.0  # tangent of half the angle from the projection's pole: 1 is the equator
@@ -162,15 +161,13 @@ def read_geotiff(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return `heights`, `scale` and `tie` (empty where the file has none), and `nodata`, a text."""
     from PIL import Image, UnidentifiedImageError
 
-    try:
-        with warnings.catch_warnings(action="error"), Image.open(path) as image:
+    with reader_errors("is damaged, or too large"), warnings.catch_warnings(action="error"):
+        try:
+            image = Image.open(path)
+        except UnidentifiedImageError as error:
+            raise SceneError("is not a TIFF that pillow reads") from error
+        with image:
             tags = dict(getattr(image, "tag_v2", {}))
             values = {name: tags.get(tag) for name, tag in _NUMBER_TAGS.items()}
             numbers = {name: np.array(v if isinstance(v, tuple) else (), np.float64) for name, v in values.items()}
             return numbers | {"heights": np.array(image), "nodata": np.array(str(tags.get(_NODATA, ""))[:100])}
-    except UnidentifiedImageError as error:
-        raise SceneError("is not a TIFF that pillow reads") from error
-    except (MemoryError, ImportError):
-        raise
-    except Exception as error:  # pillow raises arbitrary exceptions for a damaged file
-        raise SceneError(f"is damaged, or too large: {shortened(error)}") from error

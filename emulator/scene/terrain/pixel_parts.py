@@ -319,10 +319,8 @@ def _way(ray: _Ray, along: float, posts: Posts, peaks: Peaks) -> float:
         left, low = levels[level, 2] + j * size, levels[level, 3] + i * size
         end = min(_side_end(ray.x, ray.dx, left, left + size), _side_end(ray.y, ray.dy, low, low + size))
         end = max(end, along + inside)
-        if (
-            ray.z + ray.dz * (end if ray.dz < 0.0 else along)
-            <= peaks.heights[levels[level, 4] + i * levels[level, 1] + j]
-        ):
+        peak = peaks.heights[levels[level, 4] + i * levels[level, 1] + j]
+        if ray.z + ray.dz * (end if ray.dz < 0.0 else along) <= peak:
             finer = max(level - 1, 0)
             right, up = left + 0.5 * size - posts.levels[finer, 3], low + 0.5 * size - posts.levels[finer, 4]
             is_within = 0.0 < right < posts.levels[finer, 5] and 0.0 < up < posts.levels[finer, 6]

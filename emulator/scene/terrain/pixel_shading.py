@@ -35,9 +35,8 @@ _STEEPEST = 10.0
 _TINY = 1e-9
 _LEAST_SHARE, _MOST_SHARE = 0.5, 2.0  # of the light of the footprint, that of its parts, for the rate
 
-_MU0, _MU, _CHORD2, _SUNLIGHT, _AROUND = range(5)
-_LOW, _HIGH, _TOTAL, _RANGE, _MEAN, _VALUE, _LEAST = range(5, 12)
-ROW_FIELDS = 12
+_LOW, _HIGH, _TOTAL, _RANGE, _MEAN, _VALUE, _LEAST = range(t.MEANS, t.MEANS + 7)  # after the law's inputs
+ROW_FIELDS = t.MEANS + 7
 
 
 class Smooth(NamedTuple):
@@ -120,9 +119,9 @@ def shade_doubtful(
             by_rays = first < doubtful
             part_means(row, first, last, by_rays, sight, posts, peaks, samples, sun, tile, line)
         _angles(row, count, sight, sun, line, s)
-        reflect(sun.law, sun.law_parameters, s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
+        reflect(sun.law, sun.law_parameters, s[t.MU0], s[t.MU], s[t.CHORD2], count, s[t.MU0])
         for k in range(count):
-            s[_VALUE, int(line[parts.COLUMN, k])] = s[_MU0, k] * s[_SUNLIGHT, k] + s[_AROUND, k]
+            s[_VALUE, int(line[parts.COLUMN, k])] = s[t.MU0, k] * s[t.SUNLIGHT, k] + s[t.AROUND, k]
         for column in range(sight.owner.shape[1]):
             if sight.owner[row, column] >= 0 or smooth.doubtful[row, column] > 0:
                 light[row, column] = s[_VALUE, column]
@@ -196,8 +195,8 @@ def _angles(row: int, count: int, sight: Sight, sun: Sunlight, line: Floats, s: 
         ex, ey, ez = dx * per_d, dy * per_d, dz * per_d
         mu0 = max((sun_z - p * sun_x - q * sun_y) * up, b, 1e-6)
         gx, gy, gz = ex - sun_x, ey - sun_y, ez - sun_z
-        s[_MU0, k] = mu0
-        s[_MU, k] = max(b / max(line[parts.MEAN_REFLECTED, k], _TINY) - mu0, GRAZING)
-        s[_CHORD2, k] = gx * gx + gy * gy + gz * gz
-        s[_SUNLIGHT, k] = b / mu0 * sun.irradiance_w_m2
-        s[_AROUND, k] = line[parts.SEEN, k] * around(sun.ambient, ez)
+        s[t.MU0, k] = mu0
+        s[t.MU, k] = max(b / max(line[parts.MEAN_REFLECTED, k], _TINY) - mu0, GRAZING)
+        s[t.CHORD2, k] = gx * gx + gy * gy + gz * gz
+        s[t.SUNLIGHT, k] = b / mu0 * sun.irradiance_w_m2
+        s[t.AROUND, k] = line[parts.SEEN, k] * around(sun.ambient, ez)

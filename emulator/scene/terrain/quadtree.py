@@ -80,7 +80,10 @@ class Quadtree:
         bounds = _bounds(ground)
         self._low = np.concatenate([low.ravel() for low, _ in bounds])
         self.highest = np.concatenate([high.ravel() for _, high in bounds])
-        self.levels = self._table([low.shape for low, _ in bounds])
+        shapes = np.array([low.shape for low, _ in bounds])
+        firsts = [ground.first(min(level, ground.grids - 1)) for level in range(len(bounds))]
+        blocks_before = np.cumsum([0, *shapes.prod(axis=1)[:-1]])
+        self.levels: Ints = np.column_stack([shapes, firsts, blocks_before])
 
     def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:
         """Return the blocks to draw of each grid: (n, 3) first column and row, posts from vertex to vertex; near first.
@@ -112,15 +115,6 @@ class Quadtree:
         split = _Split(ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
         blocks, distance = _select(self.levels, self._low, self.highest, split, camera_m, planes)
         return blocks[np.argsort(distance, kind="stable")]
-
-    def _table(self, shapes: list[tuple[int, ...]]) -> Ints:
-        """Return a row for each level: rows, columns, first x and y, offset in the bounds."""
-        table = np.zeros((len(shapes), 5), np.int64)
-        offset = 0
-        for level, (rows, columns) in enumerate(shapes):
-            table[level] = rows, columns, *self._ground.first(min(level, self._ground.grids - 1)), offset
-            offset += rows * columns
-        return table
 
 
 def level_count(ground: Ground) -> int:

@@ -105,21 +105,16 @@ _FAINT = 0.1  # of the mean of the light frame: changes of less light are not re
 _HEIGHTS = 4097  # of the eye's direction, in the table of the ambient light
 
 
-def build_terrain(parameters: TerrainParameters, pinhole: Pinhole, threads: int = 0) -> RasterTerrain:
-    """Return the ground of `parameters` before `pinhole`, drawn by `threads`, 0: the machine's; raises SceneError."""
-    return RasterTerrain(parameters, pinhole, threads=threads or available_threads())
-
-
 class RasterTerrain(WorldScene[TerrainWorld]):
     """The ground of `parameters` as `pinhole` sees it, in radiance, drawn by the CPU; raises SceneError.
 
-    With any number of `threads` the light frames are the same to the last bit.
+    With any number of `threads`, 0: the machine's, the light frames are the same to the last bit.
     """
 
     has_rate = True
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, threads: int = 1) -> None:
-        world = TerrainWorld(parameters, pinhole)
+        world, threads = TerrainWorld(parameters, pinhole), threads or available_threads()
         super().__init__(world)
         self._reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX, _COARSER), LEAST_REACH)
         self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.disc, level_count(world.ground) + 1)
@@ -133,16 +128,15 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         law = parameters.reflectance
         ambient = parameters.ambient_w_m2 * law.reflect(heights, heights, 0.0)
         self._sun = Sunlight(world.disc, world.irradiance_w_m2, *law_of(law), ambient)
-        self._block = prepare(block_facets()[1])
-        self._blocks = _Blocks(self._block, _FIRST_BLOCKS)
+        self._blocks = _Blocks(prepare(block_facets()[1]), _FIRST_BLOCKS)
         width, height = pinhole.size
         screen = Screen(width, height, pinhole.focal_px, (width / 2, height / 2), _NEAREST_SHARE * world.distance_m)
         self._renderer = Renderer(self._blocks.topology(0), screen, threads)
         self._pool = ThreadPool(threads)
         self._tiles = [new_tile() for _ in range(threads)]
         self._lines = [(np.zeros((ROW_FIELDS, width + 2)), np.zeros((LINE_FIELDS, width + 2))) for _ in range(threads)]
-        pyramid, ground = self._pyramid, world.ground
-        grids = Grids(ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2)
+        pyramid = self._pyramid
+        grids = Grids(world.ground.unit_m, world.ground.grids, (min(world.ground.shape) - 1) / 2)
         self._posts = Posts(pyramid.heights, pyramid.moments, pyramid.levels, grids, pyramid.shadows)
         light, rate = (np.zeros((height, width), np.float32) for _ in range(2))
         self._smooth = Smooth(light, np.zeros((height, width), np.uint8), rate)
@@ -218,13 +212,8 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         world.height_m(world.time.scene_ns(t_ns), pose)
         chosen = self._tree.by_level(pose.position_m, world.planes(pose))
         self._renderer.topology = self._blocks.topology(len(chosen))
-        self._fill(chosen, camera)
-        return self._blocks.view(len(chosen))
-
-    def _fill(self, chosen: npt.NDArray[np.int64], camera: Camera) -> None:
-        """Write the vertices of the chosen blocks."""
         share = -(-len(chosen) // self._pool.threads)
-        unit_m, posts = self._world.ground.unit_m, self._posts
+        unit_m, posts = world.ground.unit_m, self._posts
 
         def fill(k: int, _: int) -> None:
             first, last = k * share, min((k + 1) * share, len(chosen))
@@ -232,6 +221,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
             block_vertices(chosen, first, last, posts.heights, posts.levels, unit_m, reach_m, crowd, camera, room)
 
         self._pool.each(fill, self._pool.threads)
+        return self._blocks.view(len(chosen))
 
 
 class _Blocks:

@@ -89,9 +89,6 @@ class Heightmap:
             raise ValueError("path is missing: name a .npy or .tif file")
 
 
-GroundParameters = Ridge | Heightmap
-
-
 @dataclass(frozen=True)
 class TerrainParameters:
     """Ground in the light of a low Sun, seen from a camera on its path.
@@ -117,7 +114,7 @@ class TerrainParameters:
     """
 
     kind: ClassVar[str] = "terrain"
-    ground: GroundParameters = field(default_factory=Ridge)
+    ground: Ridge | Heightmap = field(default_factory=Ridge)
     camera: TrajectoryParameters = field(default_factory=DescentPath)
     sun_azimuth_deg: Annotated[float, Meta(ge=-360, le=360)] = 60.0
     sun_elevation_deg: Annotated[float, Meta(ge=-90, le=90)] = 4.0
@@ -143,7 +140,7 @@ def _needs(parameters: TerrainParameters) -> tuple[Need, ...]:
 
 TERRAIN = SceneKind(
     TerrainParameters,
-    "emulator.scene.terrain.raster_terrain:build_terrain",
+    "emulator.scene.terrain.raster_terrain:RasterTerrain",
     lens="applied",
     gl="emulator.scene.terrain.gl_terrain:GlTerrain",
     threads=True,

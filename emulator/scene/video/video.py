@@ -35,7 +35,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from emulator.light import Light, SceneError
-from emulator.scene.files import read_array, read_in_child
+from emulator.scene.files import read_array, read_in_child, reader_errors
 from emulator.scene.kind import SceneKind, SizedScene
 from emulator.tables.toml_text import shortened
 from emulator.tables.typed_table import NO_FILE, RigFile
@@ -136,14 +136,9 @@ def _frames(paths: list[Path]) -> Iterator[tuple[str, Levels]]:
     from PIL import Image, ImageSequence
 
     for path in paths:
-        try:
-            with Image.open(path) as image:
-                for k, frame in enumerate(ImageSequence.Iterator(image)):
-                    yield f"{path.name}, frame {k}", _grey(frame)
-        except (MemoryError, ImportError, SceneError):
-            raise
-        except Exception as error:  # pillow raises arbitrary exceptions for a damaged file
-            raise SceneError(f"{path.name}: cannot be read as an image: {shortened(error)}") from error
+        with reader_errors(f"{path.name}: cannot be read as an image"), Image.open(path) as image:
+            for k, frame in enumerate(ImageSequence.Iterator(image)):
+                yield f"{path.name}, frame {k}", _grey(frame)
 
 
 def _grey(frame: Any) -> Levels:
