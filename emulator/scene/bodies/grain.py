@@ -10,7 +10,7 @@ the pixels whose middle shows a facet, so that a surface is the same however fin
 between the corners of the facet; it is multiplied by the law of reflection with the normal of the place, turned by the
 slopes, over the law at the corners, linear between. So smooth ground has the law at each pixel too.
 The mean of a pixel is that of four points of it (of one where a wave spans many pixels), whose slopes towards the Sun
-also tell how evenly it is lit where some of it turns away. What a pixel cannot resolve fades out.
+also show how evenly it is lit where some of it turns away. What a pixel cannot resolve fades out.
 
 The rate of light at a fixed pixel is that of the place q below it in the body's frame. With the facet's plane A P = 1,
 a ray P = s d, and the body's velocity v = M P + c there (see `raster.surfaces`),

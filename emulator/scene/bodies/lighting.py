@@ -140,6 +140,7 @@ def write_radiance(
 
 
 _BEYOND = -0.5  # least cosine of incidence of a corner whose facet an edge may cross
+_ROUNDED = 1.001  # no less than light is rounded by to float32
 _NEAR = 1e-7  # of a tree's radius: points are above a plane from this height on
 _TURN_RAD = 1e-7  # rotation between the two instants of a rate
 _SIDE_NS = 1_000_000  # of scene time, between the poses for rates
@@ -277,7 +278,9 @@ class Lighting:
         grounds: dict[int, list[Ground]] = {}
         for octaves, surface, body in zip(grain, surfaces, self._bodies, strict=True):
             if octaves is not None and surface.rough is not None and body.reflected is not None:
-                brightest = self._sun.irradiance_w_m2 * (1.0 if body.albedo is None else float(body.albedo.max()))
+                brightest = (
+                    _ROUNDED * self._sun.irradiance_w_m2 * (1.0 if body.albedo is None else float(body.albedo.max()))
+                )
                 normals = np.ascontiguousarray(body.normals)
                 ground = Ground(
                     body.first_point, normals, surface.rough, body.reflected, octaves, tile(), body.law, brightest
