@@ -260,8 +260,7 @@ class Row(NamedTuple):
 def new_row(width: int) -> Row:
     """Return room for a row."""
     vectors, numbers = list(np.zeros((6, 3, width))), list(np.zeros((4, width)))
-    arrays = (np.zeros((rows, width)) for rows in (9, 5, 2))
-    return Row(np.zeros(width, np.int32), *vectors, *numbers, *arrays)
+    return Row(np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((rows, width)) for rows in (9, 5, 2)))
 
 
 @entry

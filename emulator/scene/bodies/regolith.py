@@ -181,6 +181,7 @@ _PLANES = 7
 _CHANCE = 3  # number of the random number of a feature that decides whether it lies beside smooth ground
 _GRAVITY_CELLS = 16  # cells of the body's radius, for its gravity
 _FINE_ALBEDO = 0.23  # of the variation of albedo, in octaves below facets
+_FINEST_PX = 4.0  # of the waves of roughness, whatever the facets: finer ones are hardly seen through a lens
 _GAIN = 0.5  # of the height of an octave of roughness over that of the one before
 _SMOOTHED = 0.9  # of the roughness and the variation of albedo, missing on smooth ground
 
@@ -224,7 +225,7 @@ def grain_of(mesh: Mesh, p: Regolith, pixel_m: float) -> Octaves:
     """Return the octaves of roughness that `weathered` gives a shape model, and those below its facets."""
     size_m = facet_size_m(mesh)
     finest_m = size_m / 2 ** _divisions(mesh, p, pixel_m)
-    all_octaves = octaves(8 * size_m, min(_ACROSS * p.facet_px * pixel_m, 2 * finest_m), _GAIN, p.seed)
+    all_octaves = octaves(8 * size_m, min(_FINEST_PX * pixel_m, 2 * finest_m), _GAIN, p.seed)
     return on_facets(all_octaves, math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms, size_m, finest_m)
 
 

@@ -36,7 +36,7 @@ class Regolith:
     craters
         N(> D) D^2, craters larger than D per m2 times D^2: 0.046 where they are 3 % of geometric saturation; 0: none.
     crater_depth : depth over diameter of a fresh crater; old ones are shallower, to a quarter of it.
-    slope_deg : root mean square slope that roughness adds to facets of rough ground.
+    slope_deg : root mean square slope that roughness adds to facets of rough ground; grain below them continues it.
     albedo_rms : root mean square variation of albedo, relative; its mean is that of the body's reflectance.
     smooth_share
         Share of the surface, low by its gravity and even, without boulders and nearly without roughness and
