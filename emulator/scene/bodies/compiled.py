@@ -12,7 +12,7 @@ from firmware_protocol.compiled import entry_of, kernel
 
 __all__ = ["ZERO", "Point", "cross", "dot", "entry", "kernel", "minus", "plus", "row", "vertex"]
 
-_SOURCES = ("emulator.scene.bodies", "emulator.photometry")
+_SOURCES = "emulator.scene.bodies", "emulator.photometry", "emulator.raster.layout", "emulator.sensor.numerics.compiled"
 
 entry = entry_of(*_SOURCES, _nrt=False)
 """Compile a function for calls from Python; it releases the GIL."""
