@@ -9,8 +9,8 @@ Vertices carry the octaves that are long enough for their facets. The rest of ea
 the pixels whose middle shows a facet, so that a surface is the same however fine its facets are. There light is linear
 between the corners of the facet; it is multiplied by the law of reflection with the normal of the place, turned by the
 slopes, over the law at the corners, linear between. So smooth ground has the law at each pixel too.
-The mean of a pixel is that of four points of it (of one where a wave spans many pixels), whose slopes towards the Sun
-also show how evenly it is lit where some of it turns away. What a pixel cannot resolve fades out.
+The mean of a wave over a pixel is a share of that in its middle; what a pixel cannot resolve fades out. Where some of a
+pixel turns away from the Sun, the range of its facet's cosine of incidence shows how much.
 
 The rate of light at a fixed pixel is that of the place q below it in the body's frame. With the facet's plane A P = 1,
 a ray P = s d, and the body's velocity v = M P + c there (see `raster.surfaces`),
@@ -46,8 +46,7 @@ _SIDE, _LAST = (
     31,
 )  # texels of the tile along each axis: with 64 it does not fit a cache, and takes 1.5 times as long
 TEXELS = 8.0  # a wavelength
-_POINT = 0.5 / math.sqrt(3.0)  # pixels from the middle to the points of Gauss's quadrature
-_WAVE_OF_ONE, _FADED = 6.0, (0.65, 1.15)  # pixels a wave: from here on one point is enough; fading begins and ends
+_FADED = 1.0, 2.0  # pixels a wave: fading begins and ends
 _WIDTH2 = 1.2  # the mean of a wave over a pixel, sinc(width / wave), is about 1 - 1.6 (width / wave)^2 on the long side
 _LEAST_COSINE = 0.01  # of emission
 _FAINT = 3e-4  # reflected, 1/sr: below it, near the terminator, light of other facets in the pixel would grow
@@ -231,12 +230,11 @@ class Row(NamedTuple):
     columns : (width,).
     normals, eyes : (3, width) in the body's frame, of the facet, and towards the camera.
     places, drifts : (3, width) in the body's frame, m, and their rates at the fixed pixel, a second.
-    across, down : (3, width) in the body's frame, m, from the middle of a pixel to the columns and rows of its points.
     widths_m : (width,), the longer side of a pixel on the ground.
     rough : (width,).
     even : (width,), by the law at the corners of the facet, linear between.
     ranges : (width,), by how much the facet's cosine of incidence differs within the pixel from that in its middle.
-    fields : (9, width), slope and brightness, their rates, and the variance of the slope towards the Sun in the pixel.
+    fields : (8, width), slope and brightness, and their rates.
     cosines : (5, width), of incidence and of emission, and the same an instant later; squared chords.
     reflected : (2, width), by the law at these two.
     """
@@ -246,8 +244,6 @@ class Row(NamedTuple):
     eyes: Floats
     places: Floats
     drifts: Floats
-    across: Floats
-    down: Floats
     widths_m: Floats
     rough: Floats
     even: Floats
@@ -259,8 +255,8 @@ class Row(NamedTuple):
 
 def new_row(width: int) -> Row:
     """Return room for a row."""
-    vectors, numbers = list(np.zeros((6, 3, width))), list(np.zeros((4, width)))
-    return Row(np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((rows, width)) for rows in (9, 5, 2)))
+    vectors, numbers = list(np.zeros((4, 3, width))), list(np.zeros((4, width)))
+    return Row(np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((rows, width)) for rows in (8, 5, 2)))
 
 
 @entry
@@ -277,7 +273,7 @@ def add_grain(  # noqa: PLR0913, PLR0917
     """
     for r in range(first, last):
         count = _list_ground(r, light, owners, data, shades, ground, placed, room)
-        _sum_octaves(count, ground, placed, room)
+        _sum_octaves(count, ground, room)
         _turn_normals(count, placed, room)
         cosines, law = room.cosines, ground.law
         for k in range(2):
@@ -351,10 +347,6 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
         )
         speed = (dot(row(m, 0), place) + m[0, 3], dot(row(m, 1), place) + m[1, 3], dot(row(m, 2), place) + m[2, 3])
         drift = plus(plus(ZERO, depth * dot(upright, speed), ray), -1.0, speed)
-        # From the middle of the pixel to the columns and rows of its four points, on the plane.
-        step = _POINT * depth
-        across = plus((step / placed.focal_px, 0.0, 0.0), -step * facet[W + 1], place)
-        down = plus((0.0, step / placed.focal_px, 0.0), -step * facet[W + 2], place)
         per_ray = 1.0 / math.sqrt(dot(ray, ray))
         from_body = minus(place, row(placed.shift.reshape(1, 3), 0))
         emission = 0.0
@@ -362,8 +354,6 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
             axis = (turn[0, k], turn[1, k], turn[2, k])
             out.places[k, count] = dot(axis, from_body)
             out.drifts[k, count] = dot(axis, drift)
-            out.across[k, count] = dot(axis, across)
-            out.down[k, count] = dot(axis, down)
             out.eyes[k, count] = -per_ray * dot(axis, ray)
             out.normals[k, count] = normal[k] / length
             emission += out.eyes[k, count] * out.normals[k, count]
@@ -374,9 +364,9 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
 
 
 @lane
-def _sum_octaves(count: int, ground: Ground, placed: Placed, out: Row) -> None:
+def _sum_octaves(count: int, ground: Ground, out: Row) -> None:
     """Write slope and brightness of the grain in the pixels of a row, and their rates, one octave after another."""
-    o, fields, sun = ground.octaves, out.fields, row(placed.sun.reshape(1, 3), 0)
+    o, fields = ground.octaves, out.fields
     fields[:, :count] = 0.0
     for n in range(len(o.waves_m)):
         per_m = 1.0 / o.waves_m[n]
@@ -388,32 +378,18 @@ def _sum_octaves(count: int, ground: Ground, placed: Placed, out: Row) -> None:
             share = min((wave_px - _FADED[0]) / (_FADED[1] - _FADED[0]), 1.0)
             if share <= 0.0:
                 continue
-            middle = plus(row(o.shifts, n), per_m, (out.places[0, i], out.places[1, i], out.places[2, i]))
+            share *= 1.0 - _WIDTH2 / (wave_px * wave_px)
+            place = plus(row(o.shifts, n), per_m, (out.places[0, i], out.places[1, i], out.places[2, i]))
             drift = plus(ZERO, per_m, (out.drifts[0, i], out.drifts[1, i], out.drifts[2, i]))
-            looks = 1 if wave_px > _WAVE_OF_ONE else 4
-            share /= looks
-            if looks == 1:
-                share *= 1.0 - _WIDTH2 / (wave_px * wave_px)
-            towards = towards2 = 0.0
-            for look in range(looks):
-                place = middle
-                if looks == 4:
-                    right, below = per_m * (1 - 2 * (look & 1)), per_m * (1 - (look & 2))
-                    place = plus(place, right, (out.across[0, i], out.across[1, i], out.across[2, i]))
-                    place = plus(place, below, (out.down[0, i], out.down[1, i], out.down[2, i]))
-                at = look_up(ground.fields, place, drift)
-                fields[0, i] += slope * share * at[0]
-                fields[1, i] += slope * share * at[1]
-                fields[2, i] += slope * share * at[2]
-                fields[3, i] += tint * share * at[3]
-                fields[4, i] += slope * share * at[4]
-                fields[5, i] += slope * share * at[5]
-                fields[6, i] += slope * share * at[6]
-                fields[7, i] += tint * share * at[7]
-                to_sun = slope * dot((at[0], at[1], at[2]), sun)
-                towards += to_sun
-                towards2 += to_sun * to_sun
-            fields[8, i] += (towards2 - towards * towards / looks) / looks
+            at = look_up(ground.fields, place, drift)
+            fields[0, i] += slope * share * at[0]
+            fields[1, i] += slope * share * at[1]
+            fields[2, i] += slope * share * at[2]
+            fields[3, i] += tint * share * at[3]
+            fields[4, i] += slope * share * at[4]
+            fields[5, i] += slope * share * at[5]
+            fields[6, i] += slope * share * at[6]
+            fields[7, i] += tint * share * at[7]
 
 
 @lane
@@ -425,8 +401,8 @@ def _turn_normals(count: int, placed: Placed, out: Row) -> None:
         eye = (out.eyes[0, i], out.eyes[1, i], out.eyes[2, i])
         chord = minus(sun, eye)
         cosines[4, i] = min(dot(chord, chord), 4.0)
-        # Cosines of incidence are taken as even over a range around their mean; below 0 there is no light.
-        reach = math.sqrt(3.0 * out.rough[i] ** 2 * max(fields[8, i], 0.0) + out.ranges[i] ** 2)
+        # Cosines of incidence are taken as even over the pixel's range around their mean; below 0 there is no light.
+        reach = out.ranges[i]
         for k in range(2):
             later_s = _BETWEEN_S * k
             slope = plus(
