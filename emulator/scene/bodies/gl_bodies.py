@@ -3,8 +3,8 @@
     poses at t --> facets, and the light at their corners (`LitBodies`) --> GL --> mean of samples x samples points
 
 Light, W m-2 sr-1, is linear over a facet on the screen, shadows are patches on facets, all as in `raster_bodies`; what
-differs is the mean of a pixel, which is exact there. There is no time derivative: one from two draws has more error at
-edges than a straight line between light frames.
+differs is the mean of a pixel, which is exact there, and that GL draws no `grain` below facets. There is no time
+derivative: one from two draws has more error at edges than a straight line between light frames.
 
 The vertex shader reads the corners of its facet from buffers, as the CPU wrote them, so that no array is written anew
 for each corner: it finds there too whether the facet is seen from its back. Of depth its logarithm is compared, in 24

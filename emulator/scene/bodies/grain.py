@@ -41,13 +41,13 @@ from emulator.threads import ThreadPool
 
 Tile = npt.NDArray[np.float32]
 
-_SIDE, _LAST = (
-    32,
-    31,
-)  # texels of the tile along each axis: with 64 it does not fit a cache, and takes 1.5 times as long
+_SIDE = 32  # texels of the tile along each axis: with 64 it does not fit a cache, and takes 1.5 times as long
+_LAST = _SIDE - 1
 TEXELS = 8.0  # a wavelength
 _FADED = 1.0, 2.0  # pixels a wave: fading begins and ends
-_WIDTH2 = 1.2  # the mean of a wave over a pixel, sinc(width / wave), is about 1 - 1.6 (width / wave)^2 on the long side
+_WIDTH2 = (
+    1.2  # a pixel's mean of a wave is 1 - 1.2 (longer side / wave)^2 of it; sinc has 1.6 by the mean square of both
+)
 _LEAST_COSINE = 0.01  # of emission
 _FAINT = 3e-4  # reflected, 1/sr: below it, near the terminator, light of other facets in the pixel would grow
 _MOST_SLANT = 0.05  # least cosine of emission for the width of a pixel on the ground
