@@ -42,7 +42,7 @@ from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole
 from emulator.light import Light, MachineLacks, Scene, SceneError
 from emulator.photometry.reflectance import PLANET_ALBEDO, Sun, Water, air_light
-from emulator.scene.bodies.grain import TEXELS, Octaves, tile
+from emulator.scene.bodies.grain import TEXELS, Octaves
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds
 from emulator.scene.bodies.world import BodyWorld
@@ -271,8 +271,8 @@ def _at_hits(
 def _grain(places_m: _Floats, o: Octaves) -> _Floats:
     """Return slope and brightness of the grain below facets at places, (n, 4)."""
     out, weights = np.zeros((len(places_m), 4)), (1 - o.on_facets) * o.heights_m / o.waves_m
-    fields = tile().reshape(32, 32, 32, 4)
-    for n in np.flatnonzero(weights):
+    fields = o.fields.reshape(32, 32, 32, 4)
+    for n in np.flatnonzero((weights != 0) | (o.tints != 0)):
         at = TEXELS * (places_m / o.waves_m[n] + o.shifts[n]).T
         for k in range(4):
             height = map_coordinates(fields[..., k], at, np.float64, order=1, mode="grid-wrap")

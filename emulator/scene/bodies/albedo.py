@@ -218,8 +218,8 @@ def clouded(mesh: Mesh, p: Clouds, facet_m: float) -> Mesh:
     round_ = _round(mesh, radius_m)
     while facet_m**2 < _TOO_LARGE * round_.area_m2 / len(round_.faces) and 4 * len(round_.faces) <= _MOST_FACETS:
         round_ = _round(split_sides(round_, np.ones(round_.faces.shape, bool)), radius_m)
-    albedo, water = _albedo_and_water(round_.vertices / radius_m, p)
-    return replace(with_albedo(round_, albedo), water=water[round_.faces])
+    albedo, water, cover = _albedo_and_water(round_.vertices / radius_m, p)
+    return replace(with_albedo(round_, albedo), water=water[round_.faces], rough=cover[round_.faces])
 
 
 def _round(mesh: Mesh, radius_m: float) -> Mesh:
@@ -227,8 +227,8 @@ def _round(mesh: Mesh, radius_m: float) -> Mesh:
     return replace(mesh, vertices=radius_m * normals, normals=normals)
 
 
-def _albedo_and_water(places: Floats, p: Clouds) -> tuple[Floats, Floats]:
-    """Return the albedo at places on the unit sphere, not yet brought to any mean, and the share of open water."""
+def _albedo_and_water(places: Floats, p: Clouds) -> tuple[Floats, Floats, Floats]:
+    """Return the albedo at places on the unit sphere, of any mean, and the shares of open water and of cloud."""
     height = fractal_noise(places, 1.6, 0.04, 0.6, 3 * p.seed)
     dryness = 0.5 + 0.25 * fractal_noise(places, 0.8, 0.1, 0.5, 3 * p.seed + 1)
     land = smooth_step((height - np.quantile(height, 1 - _LAND)) / 0.1)
@@ -236,7 +236,7 @@ def _albedo_and_water(places: Floats, p: Clouds) -> tuple[Floats, Floats]:
     ice = smooth_step((np.abs(places[:, 2]) + 0.02 * height - _ICE_SINE) / 0.03)
     ground = ground + ice * (_ICE - ground)
     cover = _cover(places, p)
-    return ground + cover * (_CLOUD - ground), (1 - land) * (1 - ice) * (1 - cover)
+    return ground + cover * (_CLOUD - ground), (1 - land) * (1 - ice) * (1 - cover), cover
 
 
 def _cover(places: Floats, p: Clouds) -> Floats:

@@ -1,14 +1,13 @@
-"""Grain of ground: noise at all scales, at the vertices of facets and, below facets, in each pixel.
+"""Grain of ground: craters, boulders or noise at all scales, at the vertices of facets and, below them, in each pixel.
 
-A sum of octaves. All are the same random function of the place in space, `tile`, each at half the wavelength of the one
+A sum of octaves. All are the same random function of the place in space, a tile, each at half the wavelength of the one
 before and shifted by its own way:
 
     height = sum of height_k h(q / wave_k + shift_k)        slope: its gradient, along the surface
 
 Vertices carry the octaves that are long enough for their facets. The rest of each octave is added to the drawn light of
-the pixels whose middle shows a facet, so that a surface is the same however fine its facets are. There light is linear
-between the corners of the facet; it is multiplied by the law of reflection with the normal of the place, turned by the
-slopes, over the law at the corners, linear between. So smooth ground has the law at each pixel too.
+the pixels whose middle shows a facet, so that a surface is the same however fine its facets are. There light is
+multiplied by the law of reflection with the normal of the place, turned by the slopes, over the law with that normal.
 The mean of a wave over a pixel is a share of that in its middle; what a pixel cannot resolve fades out. Where some of a
 pixel turns away from the Sun, the range of its facet's cosine of incidence shows how much.
 
@@ -44,25 +43,66 @@ Tile = npt.NDArray[np.float32]
 _SIDE = 32  # texels of the tile along each axis: with 64 it does not fit a cache, and takes 1.5 times as long
 _LAST = _SIDE - 1
 TEXELS = 8.0  # a wavelength
+RIM = 0.25  # of a crater's depth, its height over the ground around
+CRATER_REACH = 1.7  # radii
+_CRATERED = 0.3  # of an octave's ground, if craters did not overlap
+_NOISE = 0.6  # rms, of that of craters
+_SHARPEST = 2.0  # waves in a wavelength of the octave: finer ones would be lost between texels
 _FADED = 1.0, 2.0  # pixels a wave: fading begins and ends
 _WIDTH2 = (
     1.2  # a pixel's mean of a wave is 1 - 1.2 (longer side / wave)^2 of it; sinc has 1.6 by the mean square of both
 )
 _LEAST_COSINE = 0.01  # of emission
-_FAINT = 3e-4  # reflected, 1/sr: below it, near the terminator, light of other facets in the pixel would grow
+_FAINT, _DARK = 3e-4, 1e-9  # reflected, 1/sr
 _MOST_SLANT = 0.05  # least cosine of emission for the width of a pixel on the ground
 _BETWEEN_S = 1e-6  # of rates
 _ROWS = 16  # a thread takes at a time
 
 
 @cache
-def tile() -> Tile:
-    """Return slope, (3,), for a wavelength of 1, and height, rms 1, of an octave that repeats, (32^3, 4)."""
-    waves = np.meshgrid(*2 * [np.fft.fftfreq(_SIDE, 1 / _SIDE)], np.fft.rfftfreq(_SIDE, 1 / _SIDE), indexing="ij")
-    octave = np.hypot(np.hypot(waves[0], waves[1]), waves[2]) * TEXELS / _SIDE
+def noise_tile() -> Tile:
+    """Return slope, (3,), for a wavelength of 1, and height, rms 1, of an octave of noise that repeats, (32^3, 4)."""
     noise = np.fft.rfftn(np.random.default_rng(11).standard_normal(3 * (_SIDE,)))
-    noise[(octave <= math.sqrt(0.5)) | (octave >= math.sqrt(2))] = 0
-    spectra = [*(2j * math.pi * TEXELS / _SIDE * wave * noise for wave in waves), noise]
+    waves = np.linalg.norm(_waves(), axis=0)
+    noise[(waves <= math.sqrt(0.5)) | (waves >= math.sqrt(2))] = 0
+    return _with_slopes(noise)
+
+
+@cache
+def crater_tile() -> Tile:
+    """Return the same for craters of all ages on noise. In space they are balls, which the ground cuts anywhere."""
+    rng, extent = np.random.default_rng(12), _SIDE / TEXELS
+    along, bowls, filled = np.arange(_SIDE) / TEXELS, np.zeros(3 * (_SIDE,)), 0.0
+    while filled < _CRATERED:
+        radius, age = 0.35 * 2 ** rng.random(), crater_age(rng.random())
+        x, y, z = ((along - middle + extent / 2) % extent - extent / 2 for middle in extent * rng.random(3))
+        r = np.sqrt(x[:, None, None] ** 2 + y[:, None] ** 2 + z**2) / radius
+        bowls += radius * crater_height(r, age, RIM * age)
+        filled += 4 / 3 * math.pi * (radius / extent) ** 3
+    waves = np.linalg.norm(_waves(), axis=0)
+    bowls = np.fft.irfftn(np.fft.rfftn(bowls) * np.exp(-((waves / _SHARPEST) ** 4)) * (waves > 0))
+    return _with_slopes(np.fft.rfftn(bowls / bowls.std() + _NOISE * noise_tile()[:, 3].reshape(bowls.shape)))
+
+
+def crater_age(lot: npt.ArrayLike) -> Floats:
+    """Return the share of the depth of fresh craters that is left, of random numbers from 0 to 1: most are old."""
+    return np.asarray(0.25 + 0.75 * np.square(lot))
+
+
+def crater_height(r: Floats, depth: Floats, rim: Floats) -> Floats:
+    """Return the height in radii of a crater's floor and rim over the ground around, at `r` radii from its middle."""
+    apron = np.clip((CRATER_REACH - r) / (CRATER_REACH - 1), 0, 1)
+    return np.where(r < 1, depth * (r * r - 1 + rim * np.minimum(r, 1) ** 2), depth * rim * apron**2)
+
+
+def _waves() -> Floats:
+    """Return the waves of a tile's spectrum along each axis, in a wavelength of the octave, (3, 32, 32, 17)."""
+    counts = np.fft.fftfreq(_SIDE, 1 / TEXELS)
+    return np.stack(np.meshgrid(counts, counts, np.fft.rfftfreq(_SIDE, 1 / TEXELS), indexing="ij"))
+
+
+def _with_slopes(heights: npt.NDArray[np.complex128]) -> Tile:
+    spectra = [*(2j * math.pi * wave * heights for wave in _waves()), heights]
     fields = np.stack([np.fft.irfftn(spectrum).ravel() for spectrum in spectra], axis=1)
     return np.ascontiguousarray(fields / fields[:, 3].std(), np.float32)
 
@@ -124,6 +164,7 @@ class Octaves(NamedTuple):
     on_facets : (n,), share of each that vertices carry.
     tints : (n,), rms relative albedo below facets.
     shifts : (n, 3) wavelengths.
+    fields : the tile.
     """
 
     waves_m: Floats
@@ -131,9 +172,10 @@ class Octaves(NamedTuple):
     on_facets: Floats
     tints: Floats
     shifts: Floats
+    fields: Tile
 
 
-def octaves(longest_m: float, shortest_m: float, gain: float, seed: int) -> Octaves:
+def octaves(longest_m: float, shortest_m: float, gain: float, seed: int, fields: Tile) -> Octaves:
     """Return octaves of a total rms height of 1 m, all at vertices; the last ones fade in as `shortest_m` shrinks.
 
     `gain` is the height of an octave over that of the one before.
@@ -143,7 +185,7 @@ def octaves(longest_m: float, shortest_m: float, gain: float, seed: int) -> Octa
     heights = np.float_power(gain, np.arange(count, dtype=np.float64))
     heights *= np.clip(waves_m / shortest_m - 1, 0, 1) / math.sqrt(float((heights**2).sum())) if count else 1.0
     shifts = _SIDE / TEXELS * np.random.default_rng([seed, 17]).random((count, 3))
-    return Octaves(waves_m, heights, np.ones(count), np.zeros(count), shifts)
+    return Octaves(waves_m, heights, np.ones(count), np.zeros(count), shifts, fields)
 
 
 def on_facets(o: Octaves, slope: float, tint: float, model_m: float, facet_m: float) -> Octaves:
@@ -155,7 +197,7 @@ def on_facets(o: Octaves, slope: float, tint: float, model_m: float, facet_m: fl
     tint : rms relative albedo of each octave below facets.
     """
     # Slope for a wavelength of 1, between texels; a triangle shows the mean slope over its sides.
-    steep = TEXELS * math.sqrt(2.0) * float(np.diff(tile()[:, 3].reshape(-1, _SIDE).astype(float), axis=1).std())
+    steep = TEXELS * math.sqrt(2.0) * float(np.diff(o.fields[:, 3].reshape(-1, _SIDE).astype(float), axis=1).std())
     seen = o.heights_m / o.waves_m * np.sinc(math.sqrt(4 / math.sqrt(3)) * model_m / o.waves_m)
     heights_m = o.heights_m * slope / (steep * max(float(np.linalg.norm(seen[:2])), 1e-12))
     carried = np.clip(o.waves_m / (2 * facet_m) - 1, 0, 1)
@@ -163,21 +205,21 @@ def on_facets(o: Octaves, slope: float, tint: float, model_m: float, facet_m: fl
 
 
 @entry
-def write_heights(points: Floats, fields: Tile, o: Octaves, out: Floats) -> None:
+def write_heights(points: Floats, o: Octaves, out: Floats) -> None:
     """Write the heights, m, of what vertices carry at points, (n, 3) m."""
     for k in range(len(points)):
         out[k] = 0.0
         for n in range(len(o.waves_m)):
             height_m = o.on_facets[n] * o.heights_m[n]
-            if height_m > 0.0:
+            if height_m != 0.0:
                 place = plus(row(o.shifts, n), 1.0 / o.waves_m[n], row(points, k))
-                out[k] += height_m * look_up(fields, place, ZERO)[3]
+                out[k] += height_m * look_up(o.fields, place, ZERO)[3]
 
 
 def fractal_noise(points: Floats, longest: float, shortest: float, gain: float, seed: int) -> Floats:
     """Return noise at places, (n,), its root mean square about 1 where all octaves are there; see `octaves`."""
     out = np.empty(len(points))
-    write_heights(points, tile(), octaves(longest, shortest, gain, seed), out)
+    write_heights(points, octaves(longest, shortest, gain, seed, noise_tile()), out)
     return out
 
 
@@ -188,8 +230,7 @@ class Ground(NamedTuple):
     ----------
     first : number of its first point among those of all bodies.
     normals, rough : (n, 3) and (n,) of its points, as in `Surface`.
-    reflected : (n,), the law of reflection at its points, of the last light frame; 0 where none was computed.
-    octaves, fields : the grain, and its `tile`.
+    octaves : the grain.
     law : of its reflection.
     brightest : W m-2, no less than the most light of the Sun that it gets, times its relative albedo.
     """
@@ -197,9 +238,7 @@ class Ground(NamedTuple):
     first: int
     normals: Floats
     rough: Floats
-    reflected: Floats
     octaves: Octaves
-    fields: Tile
     law: Law
     brightest: float
 
@@ -228,35 +267,35 @@ class Row(NamedTuple):
     Attributes
     ----------
     columns : (width,).
+    fields : (8, width), slope and brightness, and their rates.
     normals, eyes : (3, width) in the body's frame, of the facet, and towards the camera.
     places, drifts : (3, width) in the body's frame, m, and their rates at the fixed pixel, a second.
+    incidence, emission, reflected : (3, width), cosines and law without slopes, with them, and an instant later.
     widths_m : (width,), the longer side of a pixel on the ground.
     rough : (width,).
-    even : (width,), by the law at the corners of the facet, linear between.
-    ranges : (width,), by how much the facet's cosine of incidence differs within the pixel from that in its middle.
-    fields : (8, width), slope and brightness, and their rates.
-    cosines : (5, width), of incidence and of emission, and the same an instant later; squared chords.
-    reflected : (2, width), by the law at these two.
+    ranges : (width,), by how much cosines of incidence differ within the pixel from that in its middle.
+    chords : (width,), squared, between the Sun and the eye.
     """
 
     columns: Numbers
+    fields: Floats
     normals: Floats
     eyes: Floats
     places: Floats
     drifts: Floats
+    incidence: Floats
+    emission: Floats
+    reflected: Floats
     widths_m: Floats
     rough: Floats
-    even: Floats
     ranges: Floats
-    fields: Floats
-    cosines: Floats
-    reflected: Floats
+    chords: Floats
 
 
 def new_row(width: int) -> Row:
     """Return room for a row."""
-    vectors, numbers = list(np.zeros((4, 3, width))), list(np.zeros((4, width)))
-    return Row(np.zeros(width, np.int32), *vectors, *numbers, *(np.zeros((rows, width)) for rows in (8, 5, 2)))
+    vectors, numbers = np.zeros((7, 3, width)), np.zeros((4, width))
+    return Row(np.zeros(width, np.int32), np.zeros((8, width)), *vectors, *numbers)
 
 
 @entry
@@ -275,17 +314,19 @@ def add_grain(  # noqa: PLR0913, PLR0917
         count = _list_ground(r, light, owners, data, shades, ground, placed, room)
         _sum_octaves(count, ground, room)
         _turn_normals(count, placed, room)
-        cosines, law = room.cosines, ground.law
-        for k in range(2):
-            reflect(law.kind, law.parameters, cosines[2 * k], cosines[2 * k + 1], cosines[4], count, room.reflected[k])
+        law = ground.law
+        for k in range(3):
+            reflect(
+                law.kind, law.parameters, room.incidence[k], room.emission[k], room.chords, count, room.reflected[k]
+            )
         for i in range(count):
-            now, later, c = room.reflected[0, i], room.reflected[1, i], room.columns[i]
-            per_even = 1.0 / max(room.even[i], _FAINT)
+            even, now, later, c = room.reflected[0, i], room.reflected[1, i], room.reflected[2, i], room.columns[i]
+            # Near the terminator light may be that of brighter facets in the pixel, which must not grow much.
+            per_even = 1.0 / max(even, min(now, _FAINT), _DARK)
             if light[r, c] * per_even > ground.brightest:
-                continue  # light of other facets in the pixel
-            times = now * per_even
-            value = light[r, c] * times
-            changing = rate[r, c] * times + light[r, c] * per_even * (later - now) / _BETWEEN_S
+                continue
+            value = light[r, c] * now * per_even
+            changing = (rate[r, c] * now + light[r, c] * (later - now) / _BETWEEN_S) * per_even
             bright = 1.0 + room.rough[i] * room.fields[3, i]
             light[r, c] = max(value * bright, 0.0)
             rate[r, c] = changing * bright + value * room.rough[i] * room.fields[7, i]
@@ -324,18 +365,17 @@ def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
         third = min(max((x1 * (y - y0) - y1 * (x - x0)) / area, 0.0), 1.0 - second)
         shares = (1.0 - second - third, second, third)
         normal = ZERO
-        out.rough[count] = out.even[count] = 0.0
+        out.rough[count] = 0.0
         for k in range(3):
             normal = plus(normal, shares[k], row(ground.normals, points[k]))
             out.rough[count] += shares[k] * ground.rough[points[k]]
-            out.even[count] += shares[k] * ground.reflected[points[k]]
         length = math.sqrt(max(dot(normal, normal), 1e-300))
-        # Half of the change of the cosine of incidence over the pixel, at most as over the facet.
+        # Somewhat more than half of the change of the cosine of incidence over the pixel: its other facets differ too.
         m0 = dot(row(ground.normals, points[0]), sun)
         m1 = dot(row(ground.normals, points[1]), sun) - m0
         m2 = dot(row(ground.normals, points[2]), sun) - m0
         growth = math.sqrt((m1 * y2 - m2 * y1) ** 2 + (x1 * m2 - x2 * m1) ** 2) / abs(area)
-        out.ranges[count] = 0.5 * min(growth, max(abs(m1), abs(m2), abs(m2 - m1)))
+        out.ranges[count] = 0.6 * growth
         # Where the ray through the middle of the pixel meets the facet's plane, and how fast the body passes there.
         depth = 1.0 / w
         ray = ((x - 0.5 * width) / placed.focal_px, away_y, 1.0)
@@ -371,7 +411,7 @@ def _sum_octaves(count: int, ground: Ground, out: Row) -> None:
     for n in range(len(o.waves_m)):
         per_m = 1.0 / o.waves_m[n]
         slope, tint = (1.0 - o.on_facets[n]) * o.heights_m[n] * per_m, o.tints[n]
-        if slope == 0.0:
+        if slope == tint == 0.0:
             continue
         for i in range(count):
             wave_px = 1.0 / (out.widths_m[i] * per_m)
@@ -381,7 +421,7 @@ def _sum_octaves(count: int, ground: Ground, out: Row) -> None:
             share *= 1.0 - _WIDTH2 / (wave_px * wave_px)
             place = plus(row(o.shifts, n), per_m, (out.places[0, i], out.places[1, i], out.places[2, i]))
             drift = plus(ZERO, per_m, (out.drifts[0, i], out.drifts[1, i], out.drifts[2, i]))
-            at = look_up(ground.fields, place, drift)
+            at = look_up(o.fields, place, drift)
             fields[0, i] += slope * share * at[0]
             fields[1, i] += slope * share * at[1]
             fields[2, i] += slope * share * at[2]
@@ -394,27 +434,29 @@ def _sum_octaves(count: int, ground: Ground, out: Row) -> None:
 
 @lane
 def _turn_normals(count: int, placed: Placed, out: Row) -> None:
-    """Write the cosines of incidence and emission with the slopes of now, and with those of an instant later."""
-    sun, cosines, fields = row(placed.sun.reshape(1, 3), 0), out.cosines, out.fields
+    """Write the cosines of incidence and emission without slopes, with those of now, and those of an instant later."""
+    sun, fields = row(placed.sun.reshape(1, 3), 0), out.fields
     for i in range(count):
         normal = (out.normals[0, i], out.normals[1, i], out.normals[2, i])
         eye = (out.eyes[0, i], out.eyes[1, i], out.eyes[2, i])
         chord = minus(sun, eye)
-        cosines[4, i] = min(dot(chord, chord), 4.0)
+        out.chords[i] = min(dot(chord, chord), 4.0)
         # Cosines of incidence are taken as even over the pixel's range around their mean; below 0 there is no light.
         reach = out.ranges[i]
-        for k in range(2):
-            later_s = _BETWEEN_S * k
-            slope = plus(
-                (fields[0, i], fields[1, i], fields[2, i]), later_s, (fields[4, i], fields[5, i], fields[6, i])
-            )
-            turned = plus(plus(normal, -out.rough[i], slope), out.rough[i] * dot(slope, normal), normal)
+        for k in range(3):
+            turned = normal
+            if k > 0:
+                later_s = _BETWEEN_S * (k - 1)
+                slope = plus(
+                    (fields[0, i], fields[1, i], fields[2, i]), later_s, (fields[4, i], fields[5, i], fields[6, i])
+                )
+                turned = plus(plus(normal, -out.rough[i], slope), out.rough[i] * dot(slope, normal), normal)
             length = math.sqrt(dot(turned, turned))
             incidence = dot(turned, sun) / length
             if abs(incidence) < reach:
                 incidence = (incidence + reach) ** 2 / (4.0 * reach)
-            cosines[2 * k, i] = incidence
-            cosines[2 * k + 1, i] = max(dot(turned, eye) / length, _LEAST_COSINE)
+            out.incidence[k, i] = incidence
+            out.emission[k, i] = max(dot(turned, eye) / length, _LEAST_COSINE)
 
 
 class GrainLayer:

@@ -38,7 +38,7 @@ from emulator.raster.surfaces import camera_from_body, motion_of
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
 from emulator.scene.bodies.compiled import Floats, Numbers, dot, entry, minus, row
 from emulator.scene.bodies.curved_sides import Sides, mark
-from emulator.scene.bodies.grain import Ground, Octaves, Placed, tile
+from emulator.scene.bodies.grain import Ground, Octaves, Placed
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_edges import MARGIN_PX, FrameFacets, Lights, ShadowEdges, Suns
@@ -198,7 +198,6 @@ class _Lit:
     law: Law
     albedo: Floats | None
     water: Floats | None
-    reflected: Floats | None
     group: int
     middle_m: Vector
     radius_m: float
@@ -277,14 +276,12 @@ class Lighting:
         """Return the bodies with grain, `grain` by body, by the number of the first body of their group."""
         grounds: dict[int, list[Ground]] = {}
         for octaves, surface, body in zip(grain, surfaces, self._bodies, strict=True):
-            if octaves is not None and surface.rough is not None and body.reflected is not None:
+            if octaves is not None and surface.rough is not None and (octaves.on_facets < 1).any():
                 brightest = (
                     _ROUNDED * self._sun.irradiance_w_m2 * (1.0 if body.albedo is None else float(body.albedo.max()))
                 )
                 normals = np.ascontiguousarray(body.normals)
-                ground = Ground(
-                    body.first_point, normals, surface.rough, body.reflected, octaves, tile(), body.law, brightest
-                )
+                ground = Ground(body.first_point, normals, surface.rough, octaves, body.law, brightest)
                 grounds.setdefault(self._groups[body.group].members[0], []).append(ground)
         return grounds
 
@@ -400,10 +397,6 @@ class Lighting:
                 self._cast(body, tree, group, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
         irradiance = self._sun.irradiance_w_m2
-        if body.reflected is not None:
-            reflect(*body.law, angles[0], angles[2], angles[4], count, room[0])
-            body.reflected.fill(0)
-            body.reflected[chosen[:count]] = room[0, :count]
         planet = self._sea_and_air(body, count)  # before `write_radiance` overwrites the angles
         write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
         if (body.sharp or body.edges is not None) and self._ambient > 0:
@@ -494,9 +487,8 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) ->
         points, normals = points @ turn + pose.position_m, normals @ turn
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    reflected = None if surface.rough is None else np.zeros(len(points))
-    tints = surface.albedo, surface.water, reflected
-    return _Lit(points, normals, surface.lean, law, *tints, group, middle, radius_m, marked)
+    albedo, water = surface.albedo, surface.water
+    return _Lit(points, normals, surface.lean, law, albedo, water, group, middle, radius_m, marked)
 
 
 def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:

@@ -50,7 +50,19 @@ import numpy.typing as npt
 from emulator.scene.bodies.albedo import clouded, smooth_step, with_albedo
 from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.curved_sides import split_round
-from emulator.scene.bodies.grain import Octaves, fractal_noise, octaves, on_facets, tile, write_heights
+from emulator.scene.bodies.grain import (
+    CRATER_REACH,
+    RIM,
+    Octaves,
+    crater_age,
+    crater_height,
+    crater_tile,
+    fractal_noise,
+    noise_tile,
+    octaves,
+    on_facets,
+    write_heights,
+)
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means, vertex_normals
 from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
@@ -173,15 +185,15 @@ _RESOLVED = 6.0  # facets of the shape model across a feature that the model has
 _SIDES = {_BOULDER: 1.8, _CRATER: 2.6}  # of facets across a feature, at least
 _FACETS_EACH = 90.0  # of one feature, with those around it
 _DRAWN = 0.45  # radii on both sides of a rim from which vertices are drawn towards it
-_REACH = {_BOULDER: 1.15, _CRATER: 1.7}  # of the radius
-_RIM = 0.25  # of the depth, its height over the ground around
+_REACH = {_BOULDER: 1.15, _CRATER: CRATER_REACH}  # of the radius
 _UNLIKE = 0.12  # rms albedo of boulders
 _FRESH = 0.2  # by which the youngest craters are brighter
 _PLANES = 7
 _CHANCE = 3  # number of the random number of a feature that decides whether it lies beside smooth ground
 _GRAVITY_CELLS = 16  # cells of the body's radius, for its gravity
 _FINE_ALBEDO = 0.23  # of the variation of albedo, in octaves below facets
-_FINEST_PX = 4.0  # of the waves of roughness, whatever the facets: finer ones are hardly seen through a lens
+_FINE_CLOUD, _CLOUD_GAIN = 0.3, 0.68  # the same of clouds, in the first octave, and over that of the one before
+_FINEST_PX = 6.0  # of the waves of roughness, whatever the facets: finer ones are hardly seen through a lens
 _GAIN = 0.5  # of the height of an octave of roughness over that of the one before
 _SMOOTHED = 0.9  # of the roughness and the variation of albedo, missing on smooth ground
 
@@ -206,7 +218,7 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     moved, tint = _shaped(fine, kinds, p)
     rough = 1 - _SMOOTHED * smooth(fine.vertices)
     in_patches, height_m = rough * _patches(fine.vertices, p, size_m), np.empty(len(fine.vertices))
-    write_heights(fine.vertices, tile(), grain_of(mesh, p, pixel_m), height_m)
+    write_heights(fine.vertices, grain_of(mesh, p, pixel_m), height_m)
     vertices = fine.vertices + moved + (in_patches * height_m)[:, None] * fine.normals
     normals = vertex_normals(vertices, fine.faces)
     pushed = dataclasses.replace(fine, vertices=vertices, normals=normals, rough=in_patches[fine.faces])
@@ -225,8 +237,22 @@ def grain_of(mesh: Mesh, p: Regolith, pixel_m: float) -> Octaves:
     """Return the octaves of roughness that `weathered` gives a shape model, and those below its facets."""
     size_m = facet_size_m(mesh)
     finest_m = size_m / 2 ** _divisions(mesh, p, pixel_m)
-    all_octaves = octaves(8 * size_m, min(_FINEST_PX * pixel_m, 2 * finest_m), _GAIN, p.seed)
-    return on_facets(all_octaves, math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms, size_m, finest_m)
+    all_octaves = octaves(8 * size_m, min(_FINEST_PX * pixel_m, 2 * finest_m), _GAIN, p.seed, crater_tile())
+    slope, tint = math.tan(math.radians(p.slope_deg)), _FINE_ALBEDO * p.albedo_rms
+    grain, laws = on_facets(all_octaves, slope, tint, size_m, finest_m), _laws(p)
+    # Craters upside down are boulders.
+    boulders, craters = (np.array([number_above(laws[k], d) for d in grain.waves_m]) for k in (_BOULDER, _CRATER))
+    upwards = np.where(boulders > craters, -1.0, 1.0)
+    return grain._replace(heights_m=upwards * grain.heights_m, tints=upwards * grain.tints)
+
+
+def cloud_grain(mesh: Mesh, p: Clouds, pixel_m: float) -> Octaves:
+    """Return the octaves of clouds below the facets of a `clouded` body: albedo alone."""
+    facet_m = facet_size_m(mesh)
+    finest_m = min(_FINEST_PX * pixel_m, 2 * facet_m)
+    grain = on_facets(octaves(4 * facet_m, finest_m, _CLOUD_GAIN, p.seed, noise_tile()), 0.0, 0.0, facet_m, facet_m)
+    tints = _FINE_CLOUD * _CLOUD_GAIN ** np.arange(len(grain.waves_m)) * (1 - grain.on_facets)
+    return grain._replace(tints=tints)
 
 
 def _patches(places: Floats, p: Regolith, size_m: float) -> Floats:
@@ -362,12 +388,8 @@ def _local(offsets: Floats, normals: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _crater(x: Floats, y: Floats, lots: Floats, p: Regolith) -> tuple[Floats, Floats]:
     """Return height in radii and added brightness at (x, y) radii from the middle."""
-    r = np.hypot(x, y)
-    age = 0.25 + 0.75 * lots[:, 0] ** 2
-    depth = 2 * p.crater_depth * age
-    rim = _RIM * age * depth
-    apron = np.clip((_REACH[_CRATER] - r) / (_REACH[_CRATER] - 1), 0, 1)
-    height = np.where(r < 1, depth * (r * r - 1) + rim * np.minimum(r, 1) ** 2, rim * apron**2)
+    r, age = np.hypot(x, y), crater_age(lots[:, 0])
+    height = crater_height(r, 2 * p.crater_depth * age, RIM * age)
     return height, _FRESH * np.clip((age - 0.7) / 0.3, 0, 1) * np.clip((1.6 - r) / 0.8, 0, 1)
 
 

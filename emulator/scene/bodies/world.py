@@ -23,8 +23,8 @@ from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.grain import Octaves
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.models import load_bodies
-from emulator.scene.bodies.regolith import coarser, detailed, facet_size_m, grain_of
-from emulator.scene.bodies.table import BodiesParameters, BodyTable, Regolith
+from emulator.scene.bodies.regolith import cloud_grain, coarser, detailed, facet_size_m, grain_of
+from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds, Regolith
 from emulator.trajectory.building import build_trajectories, build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
@@ -152,8 +152,14 @@ class BodyWorld:
         self.grain: list[Octaves | None] = []
         for k, body in enumerate(parameters.bodies):
             mesh, pixel_m = self.meshes[k], self.metres_a_pixel(k)
-            self.grain.append(grain_of(mesh, body.detail, pixel_m) if isinstance(body.detail, Regolith) else None)
             self.meshes[k] = detailed(mesh, body.detail, pixel_m)
+            match body.detail:
+                case Regolith():
+                    self.grain.append(grain_of(mesh, body.detail, pixel_m))
+                case Clouds():
+                    self.grain.append(cloud_grain(self.meshes[k], body.detail, pixel_m))
+                case _:
+                    self.grain.append(None)
         self._as_seen: dict[int, Mesh] = {}
         self._require_visible()
 

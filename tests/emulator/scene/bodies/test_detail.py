@@ -263,9 +263,10 @@ def test_smooth_ground_of_itokawa_stays_even_and_rough_ground_becomes_rough():
         return np.degrees(np.arctan(np.sqrt((slopes[part] ** 2).mean())))
 
     assert degrees(smooth > 0.99) < 2.5
-    for octant in range(8):  # as rough everywhere
+    assert degrees(smooth < 0.01) == pytest.approx(16.0, rel=0.05)
+    for octant in range(8):  # as rough everywhere, but for chance: an octant has 75 waves of 23 m, few of them boulders
         part = (4 * x + 2 * y + z == octant) & (smooth < 0.01)
-        assert degrees(part) == pytest.approx(16.0, rel=0.1)
+        assert degrees(part) == pytest.approx(16.0, rel=0.2)
     assert body.albedo[smooth > 0.99].std() < 0.2 * body.albedo[smooth < 0.01].std()
 
 

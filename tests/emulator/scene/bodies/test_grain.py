@@ -18,14 +18,17 @@ from emulator.scene.bodies.grain import (
     Ground,
     Octaves,
     Placed,
+    crater_tile,
     look_up,
+    noise_tile,
     octaves,
     on_facets,
-    tile,
     write_heights,
 )
+from emulator.scene.bodies.models import load_bodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.table import BodiesParameters, BodyTable, Regolith
+from emulator.scene.bodies.regolith import grain_of
+from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds, Regolith
 from emulator.sensor.numerics.compiled import kernel
 from emulator.trajectory.parameters import FixedPath, SpinPath
 
@@ -41,12 +44,12 @@ def _look(fields, place, drift, out):
 
 def test_the_noise_and_its_rate_are_those_of_another_library():
     rng = np.random.default_rng(3)
-    fields = tile().reshape(SIDE, SIDE, SIDE, 4)
+    fields = crater_tile().reshape(SIDE, SIDE, SIDE, 4)
     out, drift, h = np.empty(8), np.array([0.3, -0.7, 0.2]), 1e-3
     for place in rng.uniform(-30, 30, (50, 3)):
         if np.abs((place * TEXELS) % 1 - 0.5).max() > 0.49:
             continue  # too near to a texel, where the rate has a step
-        _look(tile(), place, drift, out)
+        _look(crater_tile(), place, drift, out)
         around = TEXELS * (place + np.outer([0, -h, h], drift)).T
         true = np.array([map_coordinates(fields[..., k], around, np.float64, 1, "grid-wrap") for k in range(4)])
         np.testing.assert_allclose(out[:4], true[:, 0], atol=1e-4)
@@ -54,7 +57,7 @@ def test_the_noise_and_its_rate_are_those_of_another_library():
 
 
 def test_the_slope_is_the_gradient_of_the_height():
-    fields = tile().astype(float).reshape(SIDE, SIDE, SIDE, 4)
+    fields = crater_tile().astype(float).reshape(SIDE, SIDE, SIDE, 4)
     assert fields[..., 3].std() == pytest.approx(1, abs=1e-6)
     for axis in range(3):
         height = np.fft.fft(fields[..., 3], axis=axis)
@@ -63,8 +66,31 @@ def test_the_slope_is_the_gradient_of_the_height():
         np.testing.assert_allclose(fields[..., axis], np.fft.ifft(turned, axis=axis).real, atol=1e-4)
 
 
+def test_craters_of_the_tile_have_floors_and_rims():
+    """The deepest place is the middle of a crater: height rises to a rim and falls beyond it."""
+    field = crater_tile()[:, 3].reshape(SIDE, SIDE, SIDE)
+    deepest = np.unravel_index(field.argmin(), field.shape)
+    apart = (np.indices(field.shape) - np.reshape(deepest, (3, 1, 1, 1)) + SIDE // 2) % SIDE - SIDE // 2
+    waves = np.sqrt((apart**2).sum(axis=0)) / TEXELS
+    floor, wall, rim, around = (field[(waves >= low) & (waves < low + 0.15)].mean() for low in (0.0, 0.35, 0.7, 1.2))
+    assert floor < 2 * wall < -2
+    assert rim > around + 0.1
+    noise = noise_tile()[:, 3]
+    assert abs((noise**3).mean()) < 0.2 < 1 < -(field**3).mean()
+
+
+def test_octaves_are_boulders_where_these_are_more_and_craters_elsewhere():
+    mesh = load_bodies(BodiesParameters(bodies=(BodyTable(shape="globe", units_m=300.0),)))[1][0]
+    many, few = (grain_of(mesh, dataclasses.replace(GROUND, boulders_km2=n, craters=0.01), 1.0) for n in (1e6, 1.0))
+    assert len(few.heights_m) > 3
+    np.testing.assert_array_equal(many.heights_m, -few.heights_m)
+    np.testing.assert_array_equal(many.tints, -few.tints)
+    assert (few.heights_m > 0).all()
+
+
 def test_finer_facets_carry_more_of_the_same_surface():
-    coarse, fine = (on_facets(octaves(80.0, 1.0, 0.5, 4), 0.1, 0.01, 10.0, facet_m) for facet_m in (10.0, 2.5))
+    of_all = octaves(80.0, 1.0, 0.5, 4, noise_tile())
+    coarse, fine = (on_facets(of_all, 0.1, 0.01, 10.0, facet_m) for facet_m in (10.0, 2.5))
     np.testing.assert_array_equal(coarse.heights_m, fine.heights_m)
     np.testing.assert_array_equal(coarse.shifts, fine.shifts)
     assert (fine.on_facets >= coarse.on_facets).all()
@@ -72,7 +98,7 @@ def test_finer_facets_carry_more_of_the_same_surface():
     assert coarse.on_facets[2:].tolist() == [0.0] * 5
     points = np.random.default_rng(1).uniform(-300, 300, (50_000, 3))
     height = np.empty(len(points))
-    write_heights(points, tile(), fine, height)
+    write_heights(points, fine, height)
     between = 0.93  # straight lines between texels are flatter
     assert height.std() == pytest.approx(between * np.linalg.norm(fine.on_facets * fine.heights_m), rel=0.04)
 
@@ -100,10 +126,10 @@ def plane_with_waves(shift_m, velocity_m_s, layer_threads=1):
     )
     mu0 = -TO_SUN[2]
     flat = np.full(3, ALBEDO / math.pi * mu0)
-    layer_of = Octaves(np.array([WAVE_M]), np.array([HEIGHT_M]), np.zeros(1), np.zeros(1), np.zeros((1, 3)))
+    layer_of = Octaves(np.array([WAVE_M]), np.array([HEIGHT_M]), np.zeros(1), np.zeros(1), np.zeros((1, 3)), waves())
     normals = np.tile([0.0, 0.0, -1.0], (3, 1))
     law = law_of(Lambert(albedo=ALBEDO))
-    ground = Ground(0, normals, np.ones(3), flat, layer_of, waves(), law, SUN_W_M2)
+    ground = Ground(0, normals, np.ones(3), layer_of, law, SUN_W_M2)
     layer = GrainLayer({0: [ground]}, (WIDTH, HEIGHT), layer_threads)
     light, rate = np.zeros((2, HEIGHT, WIDTH), np.float32)
     view = View(corners @ TILT.T + at_m, np.tile(velocity_m_s, (3, 1)), SUN_W_M2 * flat, np.zeros(3))
@@ -203,9 +229,26 @@ def test_a_ball_with_grain_is_lit_as_by_rays():
     assert error.std() < 0.08 * grain.std()
 
 
+def test_clouds_below_facets_are_lit_as_by_rays(monkeypatch):
+    pytest.importorskip("embreex", reason="the truth casts rays by embree")
+    from laboratory.accuracy.sampled_scenes import SampledBodies
+
+    parameters, pinhole = rough_ball(Clouds(seed=3, facet_px=16.0))
+    true = np.zeros((128, 128), np.float32)
+    SampledBodies(parameters, pinhole, 8).light(0, true)
+    fine, _ = drawn(parameters, pinhole)
+    monkeypatch.setattr("emulator.scene.bodies.world.cloud_grain", lambda *_: None)
+    even, _ = drawn(parameters, pinhole)
+    lit = true > 0.2 * true.max()
+    error, grain = np.log(fine[lit] / true[lit]), np.log(even[lit] / true[lit])
+    assert lit.sum() > 2500
+    assert grain.std() > 0.1
+    assert error.std() < 0.4 * grain.std()  # air above clouds is not part of the truth's clouds
+
+
 def test_the_rate_of_a_turning_ball_with_grain_is_that_of_its_light():
     parameters, pinhole = rough_ball()
-    h_ns = 2_000_000
+    h_ns = 500_000
     before, _ = drawn(parameters, pinhole, 10**9 - h_ns)
     light, rate = drawn(parameters, pinhole, 10**9)
     after, _ = drawn(parameters, pinhole, 10**9 + h_ns)
