@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from emulator.geometry.camera import Pinhole
 from emulator.light import Light, Region
 from emulator.photometry.reflection_kernels import Law, reflect
 from emulator.raster import Owners, Renderer
@@ -48,6 +49,7 @@ CRATER_REACH = 1.7  # radii
 _CRATERED = 0.3  # of an octave's ground, if craters did not overlap
 _NOISE = 0.6  # rms, of that of craters
 _SHARPEST = 2.0  # waves in a wavelength of the octave: finer ones would be lost between texels
+_FADED_IN = 0.05  # octaves: fainter ones are left out
 _FADED = 1.0, 2.0  # pixels a wave: fading begins and ends
 _WIDTH2 = (
     1.2  # a pixel's mean of a wave is 1 - 1.2 (longer side / wave)^2 of it; sinc has 1.6 by the mean square of both
@@ -180,7 +182,7 @@ def octaves(longest_m: float, shortest_m: float, gain: float, seed: int, fields:
 
     `gain` is the height of an octave over that of the one before.
     """
-    count = min(max(math.ceil(math.log2(longest_m / shortest_m)), 0), 24)
+    count = min(max(math.ceil(math.log2(longest_m / shortest_m) - _FADED_IN), 0), 24)
     waves_m = longest_m * np.exp2(-np.arange(count, dtype=np.float64))
     heights = np.float_power(gain, np.arange(count, dtype=np.float64))
     heights *= np.clip(waves_m / shortest_m - 1, 0, 1) / math.sqrt(float((heights**2).sum())) if count else 1.0
@@ -244,21 +246,38 @@ class Ground(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A body before the camera, m and s.
+    """A body before the camera, m and s; a pixel's place is (x, y, 1).
 
     Attributes
     ----------
-    turn, shift : camera_from_body, (3, 3), and its place in the camera's axes, (3,).
-    motion : M and c, (3, 4), of `surfaces.motion_of`.
-    sun : (3,), direction of the Sun in the body's frame.
+    rays : (3, 3), ray of depth 1, in the body's frame, of a pixel's place.
+    motion : (3, 4), M and c of `surfaces.motion_of` for places times depth.
+    eye : (3,), the camera's place in the body's frame.
+    sun : (3,), direction of the Sun there.
     focal_px : of the camera.
     """
 
-    turn: Floats
-    shift: Floats
+    rays: Floats
     motion: Floats
+    eye: Floats
     sun: Floats
     focal_px: float
+
+
+def placed(turn: Floats, shift: Floats, motion: Floats, sun: Floats, pinhole: Pinhole) -> Placed:
+    """Return where a body is.
+
+    Parameters
+    ----------
+    turn, shift : camera_from_body, (3, 3), and its place in the camera's axes, (3,).
+    motion : (3, 4), of `surfaces.motion_of`.
+    """
+    x, y, focal_px = pinhole.width / 2, pinhole.height / 2, pinhole.focal_px
+    to_pixels = np.array([[focal_px, 0, x], [0, focal_px, y], [0, 0, 1.0]])
+    from_pixels = np.linalg.inv(to_pixels)
+    moved = to_pixels @ motion
+    moved[:, :3] = moved[:, :3] @ from_pixels
+    return Placed(np.ascontiguousarray(turn.T @ from_pixels), moved, -shift @ turn, sun, focal_px)
 
 
 class Row(NamedTuple):
@@ -333,71 +352,77 @@ def add_grain(  # noqa: PLR0913, PLR0917
 
 
 @lane
-def _list_ground(  # noqa: PLR0913, PLR0915, PLR0917
+def _list_ground(  # noqa: PLR0913, PLR0917
     r: int, light: Tile, owners: Numbers, data: Data, shades: Numbers, ground: Ground, placed: Placed, out: Row
 ) -> int:
     """Write the lit pixels of a row that show the body, and the ground there; return their number."""
-    height, width = light.shape
-    turn, m, sun = placed.turn, placed.motion, row(placed.sun.reshape(1, 3), 0)
-    y = r + 0.5
-    away_y = (y - 0.5 * height) / placed.focal_px
-    count = 0
-    for c in range(width):
-        f = owners[r, c]
-        if f < 0 or not light[r, c] > 0.0:
-            continue
-        if data.over[f] >= 0:
-            f = data.over[f]
-        points = (shades[f, 0] - ground.first, shades[f, 1] - ground.first, shades[f, 2] - ground.first)
-        if points[0] < 0 or max(points[0], points[1], points[2]) >= len(ground.rough):
-            continue
-        # The shares of the facet's corners at the middle of the pixel.
+    count = last = 0
+    while last < light.shape[1]:
+        first, f = last, owners[r, last]
+        while last < light.shape[1] and owners[r, last] == f:
+            last += 1
+        if f >= 0:
+            f = data.over[f] if data.over[f] >= 0 else f
+            count = _list_facet(r, first, last, f, count, light, data, shades, ground, placed, out)
+    return count
+
+
+@lane
+def _list_facet(  # noqa: PLR0913, PLR0915, PLR0917
+    r: int, first: int, last: int, f: int, count: int,
+    light: Tile, data: Data, shades: Numbers, ground: Ground, placed: Placed, out: Row,
+) -> int:  # fmt: skip
+    """Write the ground in the lit ones of the pixels first to last - 1 of a row, which show facet f.
+
+    What is the same for all of them is computed once; a facet has some four pixels of a row.
+    """
+    points = (shades[f, 0] - ground.first, shades[f, 1] - ground.first, shades[f, 2] - ground.first)
+    if min(points[0], points[1], points[2]) < 0 or max(points[0], points[1], points[2]) >= len(ground.rough):
+        return count
+    # What the second and the third corner add to what is at the first one.
+    normal, rough = row(ground.normals, points[0]), ground.rough[points[0]]
+    normal1, rough1 = minus(row(ground.normals, points[1]), normal), ground.rough[points[1]] - rough
+    normal2, rough2 = minus(row(ground.normals, points[2]), normal), ground.rough[points[2]] - rough
+    corners, plane, y = data.faces[f], data.facets[f], r + 0.5
+    x0, y0 = data.vertices[corners[0], 0], data.vertices[corners[0], 1]
+    x1, y1 = data.vertices[corners[1], 0] - x0, data.vertices[corners[1], 1] - y0
+    x2, y2 = data.vertices[corners[2], 0] - x0, data.vertices[corners[2], 1] - y0
+    area = x1 * y2 - y1 * x2
+    if area == 0.0:
+        return count
+    per_area = 1.0 / area
+    # Somewhat more than half of the change of the cosine of incidence over the pixel: its other facets differ too.
+    sun = row(placed.sun.reshape(1, 3), 0)
+    of_x = dot(normal1, sun) * y2 - dot(normal2, sun) * y1
+    of_y = dot(normal2, sun) * x1 - dot(normal1, sun) * x2
+    reach = 0.6 * math.sqrt(of_x * of_x + of_y * of_y) * abs(per_area)
+    m, turn, eye = placed.motion, placed.rays, row(placed.eye.reshape(1, 3), 0)
+    for c in range(first, last):
         x = c + 0.5
-        corners, facet = data.faces[f], data.facets[f]
-        x0, y0 = data.vertices[corners[0], 0], data.vertices[corners[0], 1]
-        x1, y1 = data.vertices[corners[1], 0] - x0, data.vertices[corners[1], 1] - y0
-        x2, y2 = data.vertices[corners[2], 0] - x0, data.vertices[corners[2], 1] - y0
-        area = x1 * y2 - y1 * x2
-        w = facet[W] + facet[W + 1] * x + facet[W + 2] * y
-        if not (w > 0.0 and abs(area) > 0.0):
+        w = plane[W] + plane[W + 1] * x + plane[W + 2] * y
+        if not (light[r, c] > 0.0 and w > 0.0):
             continue
-        second = min(max(((x - x0) * y2 - (y - y0) * x2) / area, 0.0), 1.0)
-        third = min(max((x1 * (y - y0) - y1 * (x - x0)) / area, 0.0), 1.0 - second)
-        shares = (1.0 - second - third, second, third)
-        normal = ZERO
-        out.rough[count] = 0.0
-        for k in range(3):
-            normal = plus(normal, shares[k], row(ground.normals, points[k]))
-            out.rough[count] += shares[k] * ground.rough[points[k]]
-        length = math.sqrt(max(dot(normal, normal), 1e-300))
-        # Somewhat more than half of the change of the cosine of incidence over the pixel: its other facets differ too.
-        m0 = dot(row(ground.normals, points[0]), sun)
-        m1 = dot(row(ground.normals, points[1]), sun) - m0
-        m2 = dot(row(ground.normals, points[2]), sun) - m0
-        growth = math.sqrt((m1 * y2 - m2 * y1) ** 2 + (x1 * m2 - x2 * m1) ** 2) / abs(area)
-        out.ranges[count] = 0.6 * growth
+        second = min(max(((x - x0) * y2 - (y - y0) * x2) * per_area, 0.0), 1.0)
+        third = min(max((x1 * (y - y0) - y1 * (x - x0)) * per_area, 0.0), 1.0 - second)
+        upright = plus(plus(normal, second, normal1), third, normal2)
+        per_upright = 1.0 / math.sqrt(max(dot(upright, upright), 1e-300))
         # Where the ray through the middle of the pixel meets the facet's plane, and how fast the body passes there.
-        depth = 1.0 / w
-        ray = ((x - 0.5 * width) / placed.focal_px, away_y, 1.0)
-        place = (depth * ray[0], depth * ray[1], depth)
-        upright = (
-            placed.focal_px * facet[W + 1],
-            placed.focal_px * facet[W + 2],
-            facet[W] + 0.5 * width * facet[W + 1] + 0.5 * height * facet[W + 2],
-        )
-        speed = (dot(row(m, 0), place) + m[0, 3], dot(row(m, 1), place) + m[1, 3], dot(row(m, 2), place) + m[2, 3])
-        drift = plus(plus(ZERO, depth * dot(upright, speed), ray), -1.0, speed)
+        depth, place = 1.0 / w, (x, y, 1.0)
+        moved = (dot(row(m, 0), place), dot(row(m, 1), place), dot(row(m, 2), place))
+        speed = plus((m[0, 3], m[1, 3], m[2, 3]), depth, moved)
+        nearer = depth * (plane[W + 1] * speed[0] + plane[W + 2] * speed[1] + plane[W] * speed[2])
+        drift = plus((nearer * x, nearer * y, nearer), -1.0, speed)
+        ray = (dot(row(turn, 0), place), dot(row(turn, 1), place), dot(row(turn, 2), place))
         per_ray = 1.0 / math.sqrt(dot(ray, ray))
-        from_body = minus(place, row(placed.shift.reshape(1, 3), 0))
-        emission = 0.0
         for k in range(3):
-            axis = (turn[0, k], turn[1, k], turn[2, k])
-            out.places[k, count] = dot(axis, from_body)
-            out.drifts[k, count] = dot(axis, drift)
-            out.eyes[k, count] = -per_ray * dot(axis, ray)
-            out.normals[k, count] = normal[k] / length
-            emission += out.eyes[k, count] * out.normals[k, count]
-        out.widths_m[count] = depth / (placed.focal_px * max(emission, _MOST_SLANT))
+            out.places[k, count] = eye[k] + depth * ray[k]
+            out.drifts[k, count] = dot(row(turn, k), drift)
+            out.eyes[k, count] = -per_ray * ray[k]
+            out.normals[k, count] = per_upright * upright[k]
+        slant = max(-per_ray * per_upright * dot(upright, ray), _MOST_SLANT)
+        out.widths_m[count] = depth / (placed.focal_px * slant)
+        out.rough[count] = rough + second * rough1 + third * rough2
+        out.ranges[count] = reach
         out.columns[count] = c
         count += 1
     return count

@@ -38,7 +38,7 @@ from emulator.raster.surfaces import camera_from_body, motion_of
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
 from emulator.scene.bodies.compiled import Floats, Numbers, dot, entry, minus, row
 from emulator.scene.bodies.curved_sides import Sides, mark
-from emulator.scene.bodies.grain import Ground, Octaves, Placed
+from emulator.scene.bodies.grain import Ground, Octaves, Placed, placed
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_edges import MARGIN_PX, FrameFacets, Lights, ShadowEdges, Suns
@@ -287,13 +287,12 @@ class Lighting:
 
     def placed(self, motion: Motion, bodies: Collection[int]) -> dict[int, Placed]:
         """Return where some bodies are before the camera, by number."""
-        placed = {}
+        places = {}
         for k in bodies:
             cameras, poses = zip(*((poses.camera, poses.bodies[k]) for poses in motion.instants), strict=True)
-            turn, shift = camera_from_body(cameras[0], poses[0])
             rates, sun = motion_of(cameras, poses, motion.between_s), self._towards @ poses[0].world_from_body
-            placed[k] = Placed(np.ascontiguousarray(turn), shift, rates, sun, self._pinhole.focal_px)
-        return placed
+            places[k] = placed(*camera_from_body(cameras[0], poses[0]), rates, sun, self._pinhole)
+        return places
 
     def light(self, motion: Motion) -> list[Radiance]:
         """Return the light of each body at its points."""

@@ -17,12 +17,12 @@ from emulator.scene.bodies.grain import (
     GrainLayer,
     Ground,
     Octaves,
-    Placed,
     crater_tile,
     look_up,
     noise_tile,
     octaves,
     on_facets,
+    placed,
     write_heights,
 )
 from emulator.scene.bodies.models import load_bodies
@@ -135,8 +135,8 @@ def plane_with_waves(shift_m, velocity_m_s, layer_threads=1):
     view = View(corners @ TILT.T + at_m, np.tile(velocity_m_s, (3, 1)), SUN_W_M2 * flat, np.zeros(3))
     renderer.draw(view, light, rate, None, layer.owners)
     motion = np.column_stack([np.zeros((3, 3)), velocity_m_s])
-    placed = Placed(TILT, at_m, motion, TO_SUN, FOCAL_PX)
-    layer.add(renderer, {0: placed}, Region(0, HEIGHT, 0, WIDTH), light, rate)
+    place = placed(TILT, at_m, motion, TO_SUN, Pinhole(WIDTH, HEIGHT, FOCAL_PX))
+    layer.add(renderer, {0: place}, Region(0, HEIGHT, 0, WIDTH), light, rate)
     renderer.close()
     layer.close()
     return light.astype(float), rate.astype(float)
