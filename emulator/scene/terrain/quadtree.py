@@ -69,19 +69,19 @@ class Quadtree:
     ----------
     crowd : see the module docstring; 0 for a single grid.
     highest : height of the highest post of each block, level by level, row by row.
-    levels : a row for each level: rows, columns, first x and y, number of the first block.
+    levels
+        A row for each grid, and for each level above the last one until a block holds all: rows, columns, first x and
+        y, number of the first block.
     """
 
     def __init__(self, ground: Ground, reach: float) -> None:
-        self._ground = ground
-        self._reach_m = reach * ground.unit_m
         half = (min(ground.shape) - 1) // 2
         self.crowd = 1.002 * reach / half if ground.grids > 1 else 0.0
-        bounds = _bounds(ground)
-        self._low = np.concatenate([low.ravel() for low, _ in bounds])
-        self.highest = np.concatenate([high.ravel() for _, high in bounds])
-        shapes = np.array([low.shape for low, _ in bounds])
-        firsts = [ground.first(min(level, ground.grids - 1)) for level in range(len(bounds))]
+        self._split = _Split(ground.unit_m, reach * ground.unit_m, self.crowd, ground.grids, *ground.shape)
+        lowest, highest = (_of_blocks(ground, extreme) for extreme in (np.minimum, np.maximum))
+        self._low, self.highest = (np.concatenate([level.ravel() for level in of]) for of in (lowest, highest))
+        shapes = np.array([level.shape for level in lowest])
+        firsts = [ground.first(min(level, ground.grids - 1)) for level in range(len(shapes))]
         blocks_before = np.cumsum([0, *shapes.prod(axis=1)[:-1]])
         self.levels: Ints = np.column_stack([shapes, firsts, blocks_before])
 
@@ -92,35 +92,19 @@ class Quadtree:
         planes through the camera that bound the view.
         """
         chosen = self._chosen(camera_m, planes)
-        return [np.ascontiguousarray(chosen[chosen[:, 0] == k, 1:]) for k in range(self._ground.grids)]
+        return [np.ascontiguousarray(chosen[chosen[:, 3] == k, 4:]) for k in range(self._split.grids)]
 
     def by_level(self, camera_m: Floats, planes: Floats) -> Ints:
         """Return the same blocks, (n, 3): level, first column and row in posts of the level's own array; near first.
 
         See `Pyramid.levels` for these arrays.
         """
-        chosen = self._chosen(camera_m, planes).astype(np.int64)
-        grid, stride = chosen[:, 0], chosen[:, 3]
-        level = grid + np.round(np.log2(stride)).astype(np.int64)
-        # First posts on the lattice, from the first post of the level.
-        x, y = (
-            ((chosen[:, 1 + axis] - (self._ground.shape[1 - axis] - 1) // 2) << grid) - self.levels[level, 2 + axis]
-            for axis in (0, 1)
-        )
-        return np.stack([level, x >> level, y >> level], axis=1)
+        return np.ascontiguousarray(self._chosen(camera_m, planes)[:, :3], np.int64)
 
     def _chosen(self, camera_m: Floats, planes: Floats) -> npt.NDArray[np.int32]:
-        """Return (n, 4) grid, column, row, posts from vertex to vertex; near first."""
-        ground = self._ground
-        split = _Split(ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
-        blocks, distance = _select(self.levels, self._low, self.highest, split, camera_m, planes)
+        """Return the blocks, (n, 7) as `_select` does; near first."""
+        blocks, distance = _select(self.levels, self._low, self.highest, self._split, camera_m, planes)
         return blocks[np.argsort(distance, kind="stable")]
-
-
-def level_count(ground: Ground) -> int:
-    """Return the number of levels of blocks: a level for each grid, and above the last one until a block holds all."""
-    blocks = -(-(max(ground.shape) - 1) // BLOCK)
-    return ground.grids + max(blocks - 1, 0).bit_length()
 
 
 def block_facets() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
@@ -132,23 +116,24 @@ def block_facets() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
     return corners, np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3).astype(np.int32)
 
 
-def _bounds(ground: Ground) -> list[tuple[Floats, Floats]]:
-    """Return the lowest and highest post of each block, level by level, with those of finer levels within."""
-    levels: list[tuple[Floats, Floats]] = []
-    for grid in range(ground.grids):
-        low, high = (_over_blocks(ground.heights_m[grid], f) for f in (np.minimum, np.maximum))
+def _of_blocks(ground: Ground, extreme: np.ufunc) -> list[Floats]:
+    """Return the extreme of the posts of each block, level by level, with that of finer levels within."""
+    levels: list[Floats] = []
+    for heights in ground.heights_m:
+        level = _of_grid(heights, extreme)
         if levels:
-            _take_finer(ground, low, levels[-1][0], np.minimum)
-            _take_finer(ground, high, levels[-1][1], np.maximum)
-        levels.append((low, high))
-    while max(levels[-1][0].shape) > 1:
-        low, high = levels[-1]
-        levels.append((_quarters(low, np.inf, np.minimum), _quarters(high, -np.inf, np.maximum)))
+            finer = _quarters(levels[-1], extreme)
+            top, left = ((n - 1) // 4 // BLOCK for n in ground.shape)
+            inner = level[top : top + len(finer), left : left + finer.shape[1]]
+            extreme(inner, finer, out=inner)
+        levels.append(level)
+    while max(levels[-1].shape) > 1:
+        levels.append(_quarters(levels[-1], extreme))
     return levels
 
 
-def _over_blocks(heights: Heights, extreme: np.ufunc) -> Floats:
-    """Return the extreme of the posts of each block, its last row and column with it."""
+def _of_grid(heights: Heights, extreme: np.ufunc) -> Floats:
+    """Return the extreme of the posts of each block of a grid, its last row and column with it."""
     rows, columns = (max(n - 1, 1) for n in heights.shape)
     shared = extreme(heights[:rows, :columns], heights[1:, :columns])
     shared = extreme(shared, extreme(heights[:rows, 1:], heights[1:, 1:]))
@@ -156,17 +141,10 @@ def _over_blocks(heights: Heights, extreme: np.ufunc) -> Floats:
     return np.asarray(extreme.reduceat(by_rows, np.arange(0, columns, BLOCK), axis=1), np.float64)
 
 
-def _take_finer(ground: Ground, coarse: Floats, finer: Floats, extreme: np.ufunc) -> None:
-    quarters = _quarters(finer, np.nan, extreme)
-    top, left = ((n - 1) // 4 // BLOCK for n in ground.shape)
-    inner = coarse[top : top + quarters.shape[0], left : left + quarters.shape[1]]
-    extreme(inner, quarters, out=inner)
-
-
-def _quarters(values: Floats, padding: float, extreme: np.ufunc) -> Floats:
+def _quarters(values: Floats, extreme: np.ufunc) -> Floats:
     """Return the extreme of two by two."""
     rows, columns = values.shape
-    even = np.pad(values, ((0, rows % 2), (0, columns % 2)), constant_values=padding)
+    even = np.pad(values, ((0, rows % 2), (0, columns % 2)), mode="edge")
     by_rows = extreme(even[::2], even[1::2])
     return np.asarray(extreme(by_rows[:, ::2], by_rows[:, 1::2]))
 
@@ -175,8 +153,12 @@ def _quarters(values: Floats, padding: float, extreme: np.ufunc) -> Floats:
 def _select(
     levels: Ints, low: Floats, high: Floats, split: _Split, camera: Floats, planes: Floats
 ) -> tuple[npt.NDArray[np.int32], Floats]:
-    """Return (n, 4) grid, column, row, posts from vertex to vertex, and the distances."""
-    blocks, distances = np.empty((_MOST_BLOCKS, 4), np.int32), np.empty(_MOST_BLOCKS)
+    """Return blocks and their distances.
+
+    Blocks are (n, 7): level, first column and row of the level; grid, first column and row of that, posts from vertex
+    to vertex.
+    """
+    blocks, distances = np.empty((_MOST_BLOCKS, 7), np.int32), np.empty(_MOST_BLOCKS)
     stack = np.empty((4 * len(levels) + 4, 3), np.int64)
     stack[0] = len(levels) - 1, 0, 0
     waiting, count = 1, 0
@@ -193,10 +175,8 @@ def _select(
         distance = max(_distance(box, camera), split.crowd * from_site)
         if level == 0 or distance > split.reach_m * (1 << (level - 1)):
             grid = _finest_around(x, y, size, min(level, split.grids - 1), (split.rows, split.columns))
-            blocks[count, 0] = grid
-            blocks[count, 1] = (x >> grid) + (split.columns - 1) // 2
-            blocks[count, 2] = (y >> grid) + (split.rows - 1) // 2
-            blocks[count, 3] = 1 << (level - grid)
+            column, row = (x >> grid) + (split.columns - 1) // 2, (y >> grid) + (split.rows - 1) // 2
+            blocks[count] = level, j * BLOCK, i * BLOCK, grid, column, row, 1 << (level - grid)
             distances[count] = distance
             count += 1
             continue

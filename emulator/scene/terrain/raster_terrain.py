@@ -41,7 +41,6 @@ from emulator.scene.terrain.quadtree import (
     Vertices,
     block_facets,
     block_vertices,
-    level_count,
 )
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.tile import new_tile
@@ -117,12 +116,12 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         world, threads = TerrainWorld(parameters, pinhole), threads or available_threads()
         super().__init__(world)
         self._reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX, _COARSER), LEAST_REACH)
-        self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.disc, level_count(world.ground) + 1)
+        self._tree = Quadtree(world.ground, self._reach)
+        self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.disc, len(self._tree.levels) + 1)
         # A map is large: albedo is part of the light now, and the pyramid begins with the same heights.
         shape = world.ground.heights_m.shape
         heights_m = self._pyramid.heights[: math.prod(shape)].reshape(shape)
         world.ground = dataclasses.replace(world.ground, heights_m=heights_m, albedo=None)
-        self._tree = Quadtree(world.ground, self._reach)
         self._peaks = Peaks(self._tree.highest, self._tree.levels)
         heights = np.linspace(0, 1, _HEIGHTS)
         law = parameters.reflectance

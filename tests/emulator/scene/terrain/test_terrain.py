@@ -12,7 +12,7 @@ from emulator.light import SceneError
 from emulator.photometry.reflectance import SUN_W_M2, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
 from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.ground import nested
-from emulator.scene.terrain.quadtree import BLOCK, Quadtree, _bounds, level_count
+from emulator.scene.terrain.quadtree import BLOCK, Quadtree
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
@@ -79,10 +79,11 @@ def test_blocks_cover_the_ground_once(place):
 
 
 @pytest.mark.parametrize("shape", [(4, 4), (9, 9), (10, 5), (41, 71), (129, 129), (257, 33)])
-def test_levels_are_counted_without_their_blocks(shape):
-    ground = nested(1.0, [np.zeros(shape)])
-    assert level_count(ground) == len(_bounds(ground))
-    assert level_count(make_ridge(RIDGE)) == len(_bounds(make_ridge(RIDGE)))
+def test_a_block_of_the_last_level_alone_holds_all(shape):
+    for ground in (nested(1.0, [np.zeros(shape)]), make_ridge(RIDGE)):
+        blocks = Quadtree(ground, 80.0).levels[:, :2].prod(axis=1)
+        assert blocks[-1] == 1
+        assert (blocks[ground.grids - 1 : -1] > 1).all()
 
 
 def test_blocks_out_of_sight_are_left_out():
