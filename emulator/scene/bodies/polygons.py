@@ -61,13 +61,6 @@ class Seen(NamedTuple):
     extent: Extent
 
 
-class Wide(NamedTuple):
-    """Tangent and sine of an angle by which the Sun may turn."""
-
-    tangent: float
-    sine: float
-
-
 @kernel
 def _velocity(polygon: Floats, k: int) -> Point:
     """Return the velocity of corner k."""
@@ -282,43 +275,38 @@ def _height(triangle: Floats, axis: Point) -> float:
 
 
 @kernel
-def _nears(corners: Floats, plane: Floats, near_m: float, seen: Seen, wide: Wide) -> bool:
-    """Return whether a triangle may cover a part of a facet while the Sun turns by at most so much."""
+def covers(triangle: Floats, plane: Floats, above: float, seen: Seen, sine: float, tangent: float) -> bool:
+    """Return whether a triangle may show the Sun its inside and cover a part of a facet.
+
+    `sine` and `tangent` are those of the angle by which the Sun may turn.
+    """
     axes, extent = seen
-    outward = outward_of(corners)
-    if dot(outward, axes.w) >= wide.sine * math.sqrt(dot(outward, outward)):
+    outward = outward_of(triangle)
+    if dot(outward, axes.w) >= sine * math.sqrt(dot(outward, outward)):
         return False
-    if not _height(corners, (plane[0], plane[1], plane[2])) > plane[3] + near_m:
+    if not _height(triangle, (plane[0], plane[1], plane[2])) > above:
         return False
-    wider = max(_height(corners, axes.w) - extent.low_w, 0.0) * wide.tangent
-    return not _is_beside(extent_of(corners, axes), wider, extent)
+    wider = max(_height(triangle, axes.w) - extent.low_w, 0.0) * tangent
+    return not _is_beside(extent_of(triangle, axes), wider, extent)
 
 
 @kernel
-def list_near(tree: TriangleTree, plane: Floats, near_m: float, seen: Seen, wide: Wide, listed: Numbers) -> int:
+def list_near(tree: TriangleTree, plane: Floats, above: float, seen: Seen, wide_rad: float, listed: Numbers) -> int:
     """Write the triangles that may cover a part of a facet, as many as there is room for; return their number."""
     boxes, sizes, triangles = tree
+    sine, tangent = math.sin(wide_rad), math.tan(wide_rad)
     leaves, node, count = len(sizes), 1, 0
     while True:
-        if may_cover(boxes, node, plane, plane[3] + near_m, seen, wide.tangent):
+        if may_cover(boxes, node, plane, above, seen, tangent):
             if node < leaves:
                 node *= 2
                 continue
             leaf = node - leaves
             for j in range(sizes[leaf]):
-                if _nears(triangles[leaf, :, j], plane, near_m, seen, wide):
+                if covers(triangles[leaf, :, j], plane, above, seen, sine, tangent):
                     if count < len(listed):
                         listed[count] = triangles.shape[2] * leaf + j
                     count += 1
         node = after(node)
         if node == 1:
             return count
-
-
-@kernel
-def covers(triangle: Floats, plane: Floats, above: float, seen: Seen) -> bool:
-    """Return whether a triangle that shows the Sun its inside may cover a part of a facet."""
-    if dot(outward_of(triangle), seen.axes.w) >= 0.0:
-        return False
-    is_above = _height(triangle, (plane[0], plane[1], plane[2])) > above
-    return is_above and not _is_beside(extent_of(triangle, seen.axes), 0.0, seen.extent)

@@ -39,7 +39,6 @@ from emulator.scene.bodies.polygons import (
     Cutter,
     Pieces,
     Seen,
-    Wide,
     copy_corners,
     covers,
     cut,
@@ -231,7 +230,7 @@ def _add(
     pieces = room.pieces.corners
     width = tree.corners.shape[2]
     triangle = tree.corners[k // width, :, k % width]
-    if not covers(triangle, plane, plane[3] + near_m, seen):
+    if not covers(triangle, plane, plane[3] + near_m, seen, 0.0, 0.0):
         return count
     n = _shade(corners, plane, triangle, around.sun, around.turning, pieces[0])
     n = without_short_sides(pieces[0, 0], n, near_m)
@@ -341,7 +340,7 @@ def cast_polygons(
             for j in range(3):
                 suns[f, j] = sun[j]
             suns[f, 3] = math.cos(wide)
-            count = list_near(tree, plane, near_m, seen, Wide(math.tan(wide), math.sin(wide)), listed[f, 1:])
+            count = list_near(tree, plane, plane[3] + near_m, seen, wide, listed[f, 1:])
             listed[f, 0] = count
         shadows = 0
         if count < listed.shape[1]:
@@ -386,16 +385,6 @@ class Polygons:
     rate: Floats
     faces: Numbers
     over: Numbers
-
-    @property
-    def places_m(self) -> Floats:
-        """Of the corners, (n, 3)."""
-        return self.corners[:, :3]
-
-    @property
-    def velocities_m_s(self) -> Floats:
-        """Of the corners, (n, 3)."""
-        return self.corners[:, 3:]
 
 
 def with_narrow_penumbras(parameters: BodiesParameters, meshes: Sequence[Mesh], widest_m: float) -> frozenset[int]:

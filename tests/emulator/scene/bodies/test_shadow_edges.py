@@ -61,7 +61,7 @@ class Plate:
 def dark_part(plate, hidden, parts, at_s=0.0):
     """Return area and middle of dark facets and dark parts, when the corners of parts have moved on."""
     whole = plate.vertices[plate.faces[(hidden[plate.faces] == 1).all(axis=1)]]
-    places = (parts.places_m + at_s * parts.velocities_m_s)[parts.faces]
+    places = (parts.corners[:, :3] + at_s * parts.corners[:, 3:])[parts.faces]
     dark = places[(parts.radiance[parts.faces] == 0).all(axis=1)]
     triangles = np.concatenate([whole, dark])
     sides = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
@@ -85,8 +85,8 @@ def test_the_shadow_of_a_bar_has_its_area(azimuth):
     area, middle = dark_part(plate, hidden, parts)
     assert area == pytest.approx(6.0 + 0.5 * (3.0 * abs(sun[0]) + 2.0 * abs(sun[1])) / sun[2], rel=0.01)
     np.testing.assert_allclose(middle[:2], np.array([0.3, -0.2]) - 2.0 * sun[:2] / sun[2], atol=0.01)
-    assert np.abs(parts.places_m[:, 2]).max() < 1e-9
-    a, b, c = (parts.places_m[parts.faces[:, k]] for k in range(3))
+    assert np.abs(parts.corners[:, 2]).max() < 1e-9
+    a, b, c = (parts.corners[parts.faces[:, k], :3] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] > -1e-12).all()  # counter-clockwise
 
 
@@ -109,9 +109,9 @@ def test_a_penumbra_is_as_wide_as_the_disc():
     wall.apply_translation((-15.1, 0.0, 10.0))  # its edge is at x = -0.1
     plate = Plate(wall, focal_px=1e5)
     _, parts = plate.cast(np.array([0.0, 0.0, 1.0]))
-    x, lit = parts.places_m[:, 0], parts.radiance > 0
+    x, lit = parts.corners[:, 0], parts.radiance > 0
     on_side = np.isin(np.arange(len(x)) % 7, (1, 2, 3, 4))  # a facet has seven corners, three of them its own
-    edge = on_side & (np.abs(parts.places_m[:, 1]) < 8)
+    edge = on_side & (np.abs(parts.corners[:, 1]) < 8)
     half = math.sqrt(3) / 2 * RADIUS * 10.0
     np.testing.assert_allclose(x[edge & lit], -0.1 + half, atol=0.01 * half)
     np.testing.assert_allclose(x[edge & ~lit], -0.1 - half, atol=0.01 * half)
@@ -136,7 +136,7 @@ def test_sides_with_one_place_in_the_cache_are_crossed_each():
     parts = edges.cut(
         Lights(none + 1, none), Suns(tuple(sun), tuple(sun), 1e-7, RADIUS), ABOVE._replace(focal_px=2e3), drawn
     )
-    np.testing.assert_allclose(parts.places_m[1:5, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(parts.corners[1:5, 0], 0.0, atol=1e-9)
 
 
 def test_light_ends_at_the_terminator_and_moves_with_it():
@@ -158,8 +158,8 @@ def test_light_ends_at_the_terminator_and_moves_with_it():
     sides = vertices[2] - vertices[:2]
     rates = ((1 - shares) * normals[:2, 2] + shares * normals[2, 2]) / (cosines[:2] - cosines[2])
     for rows in ([1, 2], [3, 4]):
-        np.testing.assert_allclose(parts.places_m[rows], vertices[:2] + shares[:, None] * sides, atol=1e-12)
-        np.testing.assert_allclose(parts.velocities_m_s[rows], rates[:, None] * sides, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(parts.corners[rows, :3], vertices[:2] + shares[:, None] * sides, atol=1e-12)
+        np.testing.assert_allclose(parts.corners[rows, 3:], rates[:, None] * sides, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(parts.radiance[rows], 0.3, rtol=1e-12)
         np.testing.assert_allclose(parts.rate[rows], 0.0, atol=1e-6)
 

@@ -63,7 +63,7 @@ def shadows(shapes, sun, *casters, turning=(0.0, 0.0, 0.0)):
 
 def areas(found, at_s=0.0):
     """Return the signed areas of the triangles in the plane, when their corners have moved on."""
-    places = (found.places_m + at_s * found.velocities_m_s)[found.faces]
+    places = (found.corners[:, :3] + at_s * found.corners[:, 3:])[found.faces]
     e, f = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
     return (e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]) / 2
 
@@ -80,7 +80,7 @@ def test_a_box_on_a_plate_hides_what_geometry_says(shapes):
     assert (areas(found) > 0).all()
     beside = box_shadow(sun) - 2.0
     assert areas(found).sum() == pytest.approx(beside, rel=1e-5)
-    assert np.abs(found.places_m[:, 2]).max() < 1e-9
+    assert np.abs(found.corners[:, 2]).max() < 1e-9
     assert found.radiance == pytest.approx(3.0)
 
 
@@ -106,7 +106,7 @@ def test_layers_are_cut_around_each_other(shapes):
 def covers(found, grid):
     """Return in how many triangles, 1e-5 m within their sides, each point of a plane lies."""
     count = np.zeros(len(grid), int)
-    for a, b, c in found.places_m[found.faces][:, :, :2]:
+    for a, b, c in found.corners[found.faces, :2]:
         inside = np.ones(len(grid), bool)
         for p, q in ((a, b), (b, c), (c, a)):
             way = q - p
@@ -277,7 +277,7 @@ def test_a_facet_in_the_dark_gets_one_triangle(shapes):
     top = np.flatnonzero(box.planes[:, 2] > 0.5)
     assert sorted(found.over) == sorted(top)
     assert areas(found).sum() == pytest.approx(2.0, rel=1e-12)
-    assert np.abs(found.velocities_m_s).max() == 0.0
+    assert np.abs(found.corners[:, 3:]).max() == 0.0
 
 
 @pytest.mark.system
