@@ -283,14 +283,6 @@ def _area_px(receiver: Receiver, a: int, b: int, c: int, window: Window) -> floa
 
 
 @kernel
-def _narrow(receiver: Receiver, a: int, b: int, window: Window) -> float:
-    """Return the share of the side from vertex a to vertex b that is as long as a narrow penumbra."""
-    first = row(receiver.vertices, a)
-    side = minus(row(receiver.vertices, b), first)
-    return _NARROW_PX * depth_in(window, first) / (window.focal_px * math.sqrt(max(dot(side, side), 1e-300)))
-
-
-@kernel
 def _cross_once(  # noqa: PLR0913, PLR0917
     tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, window: Window, sides: Sides
 ) -> _Crossing:
@@ -298,7 +290,10 @@ def _cross_once(  # noqa: PLR0913, PLR0917
     k = (lit * 31 + dark) % _LAST_SIDES
     if sides.ends[k, 0] != lit or sides.ends[k, 1] != dark:
         sides.ends[k, 0], sides.ends[k, 1] = lit, dark
-        x = _cross(tree, receiver, lit, dark, suns, _narrow(receiver, lit, dark, window))
+        first = row(receiver.vertices, lit)
+        side = minus(row(receiver.vertices, dark), first)
+        narrow = _NARROW_PX * depth_in(window, first) / (window.focal_px * math.sqrt(max(dot(side, side), 1e-300)))
+        x = _cross(tree, receiver, lit, dark, suns, narrow)
         for j in range(4):
             sides.crossings[k, j] = x[j]
     at = sides.crossings[k]
