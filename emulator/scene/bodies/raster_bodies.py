@@ -61,7 +61,9 @@ class BodiesGeometry(SceneGeometry):
     def look(self, t_ns: int, out: Seen) -> None:
         """Write depth, flow and labels at `t_ns`."""
         motion = motion_at(t_ns, self._world.camera, self._poses, self._world.time)
-        self._surfaces.look(self._vertices(motion), self._rays, out.labels, self._inverse_depth)
+        now = (camera_from_body(motion.now.camera, pose) for pose in motion.now.bodies.values())
+        vertices = [mesh.vertices @ turn.T + shift for mesh, (turn, shift) in zip(self._meshes, now, strict=True)]
+        self._surfaces.look(np.concatenate(vertices), self._rays, out.labels, self._inverse_depth)
         camera, *bodies = zip(*((poses.camera, *poses.bodies.values()) for poses in motion.instants), strict=True)
         motions = np.array([motion_of(camera, body, motion.between_s) for body in (None, *bodies)])  # None: the sky
         write_depth_and_flow(self._inverse_depth, motions, self._world.pinhole, self._rays, out)
@@ -70,22 +72,9 @@ class BodiesGeometry(SceneGeometry):
         """Return the poses at `t_ns`."""
         scene_ns = self._world.time.scene_ns(t_ns)
         camera, bodies = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
-        return ScenePoses(
-            camera.position_m,
-            camera.q_world_from_body,
-            np.array([pose.position_m for pose in bodies]),
-            np.array([pose.q_world_from_body for pose in bodies]),
-        )
-
-    def _vertices(self, motion: Motion) -> np.ndarray:
-        eye, camera_from_world = motion.now.camera.position_m, motion.now.camera.world_from_body.T
-        return np.concatenate(
-            [
-                mesh.vertices @ (camera_from_world @ pose.world_from_body).T
-                + camera_from_world @ (pose.position_m - eye)
-                for mesh, pose in zip(self._meshes, motion.now.bodies.values(), strict=True)
-            ]
-        )
+        places = np.array([pose.position_m for pose in bodies])
+        turns = np.array([pose.q_world_from_body for pose in bodies])
+        return ScenePoses(camera.position_m, camera.q_world_from_body, places, turns)
 
 
 def _names(bodies: Sequence[BodyTable]) -> tuple[str, ...]:
