@@ -63,10 +63,8 @@ class Surface:
 
 def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:
     """Return where a mesh is to be lit."""
-    return _smooth(mesh) if smooth else _flat(mesh)
-
-
-def _smooth(mesh: Mesh) -> Surface:
+    if not smooth:
+        return _flat(mesh)
     least = np.ones(len(mesh.vertices))
     _lower_to_facets(mesh.vertices, mesh.faces, mesh.normals, least)
     lean = np.where(least > 0, np.sqrt(np.maximum(1 - least * least, 0)), 1.0) + 1e-9
@@ -191,29 +189,25 @@ def split_sides(mesh: Mesh, split: Bools) -> Mesh:
 def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools) -> npt.NDArray[Any]:
     """Return the entries at the corners of facets, (n, 3), that `split_sides` makes.
 
-    `corners` and `middle`, (m, 3), are the entries at corners and in the middle of sides from corner k to k + 1.
+    `corners` and `middle`, (m, 3), are the entries at corners and in the middle of sides from corner k to k + 1:
+    numbers of vertices, or values there. Facets with fewer cut sides come first.
     """
-    return np.concatenate([_cut(corners, middle, split, count) for count in range(4)])
-
-
-def _cut(faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools, count: int) -> npt.NDArray[Any]:
-    """Return the parts of the facets of which `count` sides are split; the first side that differs is turned first.
-
-    `faces` and `middle` are the entries at corners and in the middle of sides: numbers of vertices, or values there.
-    """
-    chosen = np.flatnonzero(split.sum(axis=1) == count)
-    odd = split if count == 1 else ~split  # one side is split, or one is not
-    turn = odd[chosen].argmax(axis=1)[:, None]
-    columns = (turn + np.arange(3)) % 3
-    a, b, c = np.take_along_axis(faces[chosen], columns, axis=1).T
-    ab, bc, ca = np.take_along_axis(middle[chosen], columns, axis=1).T
-    parts = {
-        0: [(a, b, c)],
-        1: [(a, ab, c), (ab, b, c)],
-        2: [(bc, c, ca), (a, b, bc), (a, bc, ca)],
-        3: [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)],
-    }[count]
-    return np.concatenate([np.column_stack(part) for part in parts])
+    parts: list[npt.NDArray[Any]] = []
+    for count in range(4):
+        chosen = np.flatnonzero(split.sum(axis=1) == count)
+        # The side that differs from the others is turned first: one side is split, or one is not.
+        turn = (split if count == 1 else ~split)[chosen].argmax(axis=1)[:, None]
+        columns = (turn + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(corners[chosen], columns, axis=1).T
+        ab, bc, ca = np.take_along_axis(middle[chosen], columns, axis=1).T
+        of_facet = (
+            [(a, b, c)],
+            [(a, ab, c), (ab, b, c)],
+            [(bc, c, ca), (a, b, bc), (a, bc, ca)],
+            [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)],
+        )[count]
+        parts += [np.column_stack(part) for part in of_facet]
+    return np.concatenate(parts)
 
 
 @entry
