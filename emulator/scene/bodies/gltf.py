@@ -345,9 +345,7 @@ class _File(ModelContents):
         uv = self._accessor(attributes.get(name), 2, f"{where}, {name}").astype(np.float64)
         if len(uv) != count or not (np.abs(uv) < _FARTHEST_UV).all():
             raise SceneError(f"{where}: {name} must be {count} finite places, within {_FARTHEST_UV:g} images")
-        offset, scale = (
-            _floats(transform, key, [default] * 2, where) for key, default in (("offset", 0), ("scale", 1))
-        )
+        offset, scale = _floats(transform, "offset", [0, 0], where), _floats(transform, "scale", [1, 1], where)
         angle = _floats({"rotation": [transform.get("rotation", 0.0)]}, "rotation", [0.0], where)[0]
         uv = transformed(uv, offset, scale, angle)
         weights = tuple(LUMINANCE * _floats(surface, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)[:3])
@@ -413,7 +411,12 @@ class _File(ModelContents):
             raise SceneError(f"{where}: its times must be 0 to 1e9 s")
         values = values.reshape(len(times), per_time, width)
         if path == "rotation":
-            values = _unit_quaternions(np.roll(values, 1, axis=2), per_time // 2, where)
+            values = np.roll(values, 1, axis=2)
+            lengths = np.linalg.norm(values[:, per_time // 2], axis=1)
+            if ((lengths < 0.9) | (lengths > 1.1)).any():
+                raise SceneError(f"{where}: a rotation is no unit quaternion")
+            if per_time == 1:
+                values /= lengths[:, None, None]
         return {"path": path, "times": self._keep(times), "values": self._keep(values)}
 
     # --- bytes
@@ -505,15 +508,6 @@ def _is_flat(points: _Array, faces: _Array, normals: _Array | None) -> bool:
     with np.errstate(all="ignore"):
         cosines = np.einsum("mj,mkj->mk", facet, normals[faces]) / lengths
     return not bool((cosines < _FLAT_COSINE).any())
-
-
-def _unit_quaternions(values: _Array, middle: int, where: str) -> _Array:
-    lengths = np.linalg.norm(values[:, middle], axis=1)
-    if ((lengths < 0.9) | (lengths > 1.1)).any():
-        raise SceneError(f"{where}: a rotation is no unit quaternion")
-    if values.shape[1] == 1:
-        values = values / lengths[:, None, None]
-    return np.asarray(values)
 
 
 def decoded(data: bytes, where: str, most_pixels: int) -> npt.NDArray[np.uint8]:
