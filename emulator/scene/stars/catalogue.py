@@ -92,11 +92,6 @@ class Stars:
     def __len__(self) -> int:
         return len(self.magnitudes)
 
-    @property
-    def irradiance_w_m2(self) -> Floats:
-        """Irradiance of each star, in the Sun's band, (n,)."""
-        return irradiance_w_m2(self.magnitudes, self.sun_magnitude)
-
 
 def irradiance_w_m2(magnitude: Floats | float, sun_magnitude: float = SUN_V) -> Floats:
     """Return the light of stars of a magnitude, visual unless `sun_magnitude` is of another band, 400 to 700 nm."""
@@ -108,11 +103,10 @@ def load_stars(faintest_v: float = FAINTEST_V, epoch_year: float = 2026.0) -> St
     with np.load(_FILE) as table:
         columns = {name: table[name].astype(np.float64) for name in table.files}
     v_mag = _v_mag(columns)
-    kept = v_mag <= faintest_v
-    ra, dec = columns["ra_rad"][kept], columns["dec_rad"][kept]
-    directions = moved(ra, dec, columns["pm_ra_mas_a"][kept], columns["pm_dec_mas_a"][kept], epoch_year - _EPOCH)
-    order = np.argsort(v_mag[kept], kind="stable")
-    return Stars(directions[order], v_mag[kept][order], SUN_V)
+    order = np.argsort(v_mag, kind="stable")
+    order = order[v_mag[order] <= faintest_v]
+    ra, dec, pm_ra, pm_dec = (columns[name][order] for name in ("ra_rad", "dec_rad", "pm_ra_mas_a", "pm_dec_mas_a"))
+    return Stars(moved(ra, dec, pm_ra, pm_dec, epoch_year - _EPOCH), v_mag[order], SUN_V)
 
 
 def moved(ra: Floats, dec: Floats, pm_ra_mas_a: Floats, pm_dec_mas_a: Floats, years: float) -> Floats:

@@ -28,7 +28,7 @@ from emulator.light import Light, Region, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
 from emulator.scene.kind import SizedScene
-from emulator.scene.stars.catalogue import Boxes, Floats, Stars, boxes_of, clear, load_stars, splat
+from emulator.scene.stars.catalogue import Boxes, Floats, Stars, boxes_of, clear, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
@@ -79,12 +79,9 @@ class StarsGeometry(SceneGeometry):
         """Return the poses at `t_ns`."""
         scene_ns = self._time.scene_ns(t_ns)
         camera, *points = (path.pose(scene_ns) for path in self._paths)
-        return ScenePoses(
-            camera.position_m,
-            camera.q_world_from_body,
-            np.array([pose.position_m for pose in points]).reshape(-1, 3),
-            np.array([pose.q_world_from_body for pose in points]).reshape(-1, 4),
-        )
+        places = np.array([pose.position_m for pose in points]).reshape(-1, 3)
+        turns = np.array([pose.q_world_from_body for pose in points]).reshape(-1, 4)
+        return ScenePoses(camera.position_m, camera.q_world_from_body, places, turns)
 
 
 _SHARPEST_PX = 0.3  # no lens is sharper; a blur of nothing would make light jump from pixel to pixel
@@ -112,7 +109,7 @@ class StarField(SizedScene):
             raise SceneError(f"scene: {error}") from error
         stars = stars_of(parameters)
         self._directions, self._magnitudes = stars.directions, stars.magnitudes
-        self._irradiance = stars.irradiance_w_m2
+        self._irradiance = irradiance_w_m2(stars.magnitudes, stars.sun_magnitude)
         self._sun = unit(parameters.sun.direction)
         self._boxes: Boxes = np.empty((0, 4), np.int64)
         self._cone_cosine = max(0.05, math.cos(min(math.pi, 1.2 * self._pinhole.widest_rad + 0.02)))
