@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,15 +36,6 @@ _LEAST_POSTS, _MOST_POSTS = 3, 1 << 14
 _AROUND = [[1, 1, 1], [1, 0, 1], [1, 1, 1]]  # the eight neighbours of a post
 
 
-@dataclass(frozen=True, eq=False)
-class _Map:
-    """Contents of a file: heights (rows, columns) with NaN for holes, and the other values where the file has them."""
-
-    heights: Floats
-    post_m: float = 0.0
-    centre_m: tuple[float, float] | None = None
-
-
 def load_heightmap(p: Heightmap, body_radius_m: float) -> Ground:
     """Read a map; raises SceneError where it cannot be read, has too many holes, or its units make no ground.
 
@@ -53,12 +43,23 @@ def load_heightmap(p: Heightmap, body_radius_m: float) -> Ground:
     """
     read = _read(Path(p.path))
     try:
-        file_map = _map(read)
-        post_m, notes = _post_m(p, file_map, body_radius_m)
-        rows, columns = file_map.heights.shape
+        heights, post_m, centre_m = _map(read)
+        post_m, centre_m = p.post_m or post_m, p.centre_m or centre_m
+        if not post_m:
+            raise SceneError("has no distance of posts: give post_m")
+        notes: list[str] = []
+        if centre_m is not None and body_radius_m:
+            from_pole_m = math.hypot(*centre_m)
+            tangent = from_pole_m / (2 * body_radius_m)
+            if tangent > _FARTHEST:
+                raise SceneError(f"its middle is {from_pole_m:.3g} m from its projection's pole: beyond the body")
+            post_m /= 1 + tangent**2
+            latitude = 90 - math.degrees(2 * math.atan(tangent))
+            notes.append(f"its middle is {latitude:.2f} degrees from the equator")
+        rows, columns = heights.shape
         if min(rows, columns) < _LEAST_POSTS or max(rows, columns) > _MOST_POSTS:
             raise SceneError(f"has {rows} x {columns} posts: {_LEAST_POSTS} to {_MOST_POSTS} a side are drawn")
-        heights, holes = filled(file_map.heights * p.units_m, p.fill_share)
+        heights, holes = filled(heights * p.units_m, p.fill_share)
         if holes:
             notes.append(f"{holes} of {heights.size} posts are holes, filled from their neighbours")
         rise = float(np.sqrt((np.diff(heights, axis=1) ** 2).mean()))
@@ -105,7 +106,8 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
     raise SceneError(f"{path}: unknown format: name the file .npy or .tif")
 
 
-def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
+def _map(arrays: dict[str, npt.NDArray[Any]]) -> tuple[Floats, float, tuple[float, float] | None]:
+    """Return heights with NaN for holes, the distance of posts, 0 if not known, and the middle on the projection."""
     array = arrays["heights"]
     if array.ndim != 2 or array.dtype.kind not in "fiu":
         raise SceneError(f"holds {array.dtype} of shape {array.shape}: heights are numbers in rows and columns")
@@ -125,7 +127,7 @@ def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
         )
     scale = arrays.get("scale", np.zeros(0))
     if not scale.size:
-        return _Map(heights)
+        return heights, 0.0, None
     if len(scale) < 2 or not math.isclose(scale[0], scale[1], rel_tol=1e-6):
         raise SceneError(f"its posts are {scale[0]:g} by {scale[-1]:g} apart: square ones are needed")
     post_m = float(scale[0])
@@ -133,24 +135,9 @@ def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
         raise SceneError(f"its posts are {post_m:g} apart: 1e-6 to 1e9 are drawn")
     tie = arrays["tie"]
     if len(tie) < 6 or not np.isfinite(tie[:5]).all():
-        return _Map(heights, post_m)
+        return heights, post_m, None
     column, row, _, x, y = (float(v) for v in tie[:5])  # a pixel, and its place in the projection
-    return _Map(heights, post_m, (x + (array.shape[1] / 2 - column) * post_m, y - (array.shape[0] / 2 - row) * post_m))
-
-
-def _post_m(p: Heightmap, file_map: _Map, body_radius_m: float) -> tuple[float, list[str]]:
-    """Return the distance of posts on the ground, and remarks on the map's position."""
-    post_m = p.post_m or file_map.post_m
-    if not post_m:
-        raise SceneError("has no distance of posts: give post_m")
-    centre_m = p.centre_m or file_map.centre_m
-    if centre_m is None or not body_radius_m:
-        return post_m, []
-    tangent = math.hypot(*centre_m) / (2 * body_radius_m)
-    if tangent > _FARTHEST:
-        raise SceneError(f"its middle is {math.hypot(*centre_m):.3g} m from its projection's pole: beyond the body")
-    latitude = 90 - math.degrees(2 * math.atan(tangent))
-    return post_m / (1 + tangent**2), [f"its middle is {latitude:.2f} degrees from the equator"]
+    return heights, post_m, (x + (array.shape[1] / 2 - column) * post_m, y - (array.shape[0] / 2 - row) * post_m)
 
 
 _NUMBER_TAGS = {"scale": 33550, "tie": 33922}
