@@ -76,19 +76,13 @@ _FORMAT = 2
 """Version, to be increased when the same parameters give another array."""
 
 
-class Progress:
-    """A line on stderr with the progress of a computation."""
-
-    def __init__(self, title: str) -> None:
-        self._what = title
-
-    def __call__(self, done: int, of: int) -> None:
-        """Report that `done` of `of` parts are made; on a terminal one line is rewritten."""
-        is_terminal, is_last = sys.stderr.isatty(), done == of
-        if is_terminal or done == 0 or is_last:
-            start, end = ("\r", "\n" if is_last else "") if is_terminal else ("", "\n")
-            sys.stderr.write(f"{start}evstim: {self._what}: {100 * done // of} %{end}")
-            sys.stderr.flush()
+def report_progress(title: str, done: int, of: int) -> None:
+    """Report on stderr that `done` of `of` parts of a computation are made; on a terminal one line is rewritten."""
+    is_terminal, is_last = sys.stderr.isatty(), done == of
+    if is_terminal or done == 0 or is_last:
+        start, end = ("\r", "\n" if is_last else "") if is_terminal else ("", "\n")
+        sys.stderr.write(f"{start}evstim: {title}: {100 * done // of} %{end}")
+        sys.stderr.flush()
 
 
 def cache_folder() -> Path:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
 from emulator.raster.layout import Float32s, Floats
-from emulator.scene.files import Progress, cached_array
+from emulator.scene.files import cached_array, report_progress
 from emulator.scene.terrain.ground import Ground, map_entry
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.relief import make_albedo, make_ridge
@@ -187,8 +188,7 @@ class TerrainWorld:
         up = np.array([-math.sin(elevation) * math.sin(azimuth), -math.sin(elevation) * math.cos(azimuth), flat])
         self.disc = np.stack([self.sun, self._sun.radius_rad * up])
         albedo = self.ground.albedo
-        brightest = 1.0 if albedo is None else float(albedo.max())
-        self.irradiance_w_m2 = self._sun.irradiance_w_m2 * brightest
+        self.irradiance_w_m2 = self._sun.irradiance_w_m2 * (1.0 if albedo is None else float(albedo.max()))
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -254,7 +254,8 @@ def build_ground(p: TerrainParameters) -> Ground:
     """Return the ground of `p`, from the cache where it was made before; raises SceneError."""
     if isinstance(p.ground, Ridge):
         ridge = p.ground
-        heights = cached_array("ridge", ridge, lambda: make_ridge(ridge, Progress("making the map")).heights_m)
+        progress = partial(report_progress, "making the map")
+        heights = cached_array("ridge", ridge, lambda: make_ridge(ridge, progress).heights_m)
         albedo = cached_array("albedo", ridge, lambda: make_albedo(ridge)) if ridge.albedo_rms > 0 else None
         ground = Ground(ridge.size_m / ridge.posts / (1 << (len(heights) - 1)), heights, albedo=albedo)
     else:

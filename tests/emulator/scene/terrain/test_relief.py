@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, special
 
 from emulator.scene import files
-from emulator.scene.files import Progress, cached_array
+from emulator.scene.files import cached_array, report_progress
 from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.relief import (
     DEPTH,
@@ -230,9 +230,8 @@ def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeyp
 
 
 def test_progress_is_told_on_stderr(capsys):
-    progress = Progress("making the map")
     for done in range(4):
-        progress(done, 3)
+        report_progress("making the map", done, 3)
     assert capsys.readouterr().err == "evstim: making the map: 0 %\nevstim: making the map: 100 %\n"
 
 
