@@ -238,10 +238,6 @@ class Around:
         """Return one frame that does not change."""
         return cls(log_light, log_light, np.float32(0), 0.0)
 
-    def light(self, out: Light) -> None:
-        """Write the light."""
-        np.exp((1 - self.share) * self.before + self.share * self.after, out=out)
-
 
 class JoinedFrames(SizedScene):
     """Frames with times on a sensor of `size` = (width, height), joined by straight lines in log light."""
@@ -252,15 +248,11 @@ class JoinedFrames(SizedScene):
     def _around(self, t_ns: int) -> Around:
         """Return the frames around `t_ns`."""
 
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the light at `t_ns`."""
-        self._around(t_ns).light(out)
-
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light and its time derivative, both exact for a straight line in log."""
         around = self._around(t_ns)
-        around.light(light)
-        if around.apart_s:
+        np.exp((1 - around.share) * around.before + around.share * around.after, out=light)
+        if around.apart_s and rate.size:
             np.multiply(light, (around.after - around.before) / np.float32(around.apart_s), out=rate)
         else:
             rate.fill(0)
