@@ -89,7 +89,7 @@ class ImageQueue:
         self._table = _light_table(connection.hello)
         self._images: deque[TimedImage] = deque(maxlen=2)  # those around the last light frame
         self._next_ns = 0
-        self._zero_ns: int | None = None
+        self._zero_ns = None if self._pushed else 0  # the renderer's time at stream time 0
         self.taken = 0
         self.bound_px_s = math.inf
 
@@ -178,7 +178,9 @@ class ImageQueue:
                     f"image {image.head.number}: {name} is {plane.reshape(-1)[k]:g} in row {row}, column {column}: it "
                     f"must be {_BOUNDS[name][0]:g} to {_BOUNDS[name][1]:g}"
                 )
-        t_ns = self._stream_ns(image)
+        if self._zero_ns is None:
+            self._zero_ns = image.head.t_ns - round(self._p.delay_ms * 1e6)
+        t_ns = image.head.t_ns - self._zero_ns
         since_ns = t_ns - self._images[-1].t_ns if self._images else _LEAST_NS
         if since_ns <= 0:
             raise RendererError(
@@ -192,13 +194,6 @@ class ImageQueue:
         if "motion" in planes:
             planes["motion"] = front_motion(planes["motion"], planes.get("depth"))
         return TimedImage(t_ns, **planes)
-
-    def _stream_ns(self, image: Drawn) -> int:
-        if not self._pushed:
-            return image.head.t_ns
-        if self._zero_ns is None:
-            self._zero_ns = image.head.t_ns - round(self._p.delay_ms * 1e6)
-        return image.head.t_ns - self._zero_ns
 
 
 class External(SizedScene):
