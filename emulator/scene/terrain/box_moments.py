@@ -80,7 +80,7 @@ def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any
     """
 
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-        first, out = (_array(context, builder, signature, arguments, k) for k in (0, 3))
+        first, out = (_make_array(signature.args[k])(context, builder, arguments[k]).data for k in (0, 3))
         _add(builder, first, arguments[1:3], builder.gep(out, [arguments[4]]))
         return context.get_dummy_value()
 
@@ -106,11 +106,6 @@ def to_half(context: Any, number: Any) -> Any:
         return builder.bitcast(builder.fptrunc(arguments[0], _HALF), ir.IntType(16))
 
     return _types.uint16(_types.float32), generate
-
-
-def _array(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any, k: int) -> Any:
-    """Return the pointer to the numbers of an array."""
-    return _make_array(signature.args[k])(context, builder, arguments[k]).data
 
 
 def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:

@@ -243,16 +243,12 @@ def fractal(
     k = np.hypot(across[:, None], np.fft.rfftfreq(posts, post_m))
     inside = (k > above_per_m) & (k <= upto_per_m)
     spectrum = np.zeros_like(k)
-    spectrum[inside] = _strength(rough) * k[inside] ** (-2 * HURST - 2)
-    white = np.fft.rfft2(rng.standard_normal((posts, posts)))
-    return np.fft.irfft2(white * np.sqrt(spectrum) / post_m, (posts, posts))
-
-
-def _strength(rough: float) -> float:
-    """Return A of the module's first lines."""
     h = HURST
     integral = math.gamma(1 - h) / (2 ** (2 * h + 1) * h * math.gamma(1 + h))
-    return float(rough**2 / (4 * math.pi * (2 * math.pi) ** (2 * h) * integral))
+    strength = rough**2 / (4 * math.pi * (2 * math.pi) ** (2 * h) * integral)  # A of the module's first lines
+    spectrum[inside] = strength * k[inside] ** (-2 * h - 2)
+    white = np.fft.rfft2(rng.standard_normal((posts, posts)))
+    return np.fft.irfft2(white * np.sqrt(spectrum) / post_m, (posts, posts))
 
 
 def _craters(p: Ridge, grid: int, post_m: float) -> tuple[Floats, Floats, Floats]:
