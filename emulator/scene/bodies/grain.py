@@ -74,7 +74,8 @@ def noise_tile() -> Tile:
 def crater_tile() -> Tile:
     """Return the same for craters of all ages on noise. In space they are balls, which the ground cuts anywhere."""
     rng, extent = np.random.default_rng(12), _SIDE / TEXELS
-    along, bowls, filled = np.arange(_SIDE) / TEXELS, np.zeros(3 * (_SIDE,)), 0.0
+    along, bowls = np.arange(_SIDE) / TEXELS, np.zeros(3 * (_SIDE,))
+    filled = 0.0
     while filled < _CRATERED:
         radius, age = 0.35 * 2 ** rng.random(), crater_age(rng.random())
         x, y, z = ((along - middle + extent / 2) % extent - extent / 2 for middle in extent * rng.random(3))
@@ -383,7 +384,8 @@ def _list_facet(  # noqa: PLR0913, PLR0915, PLR0917
     normal, rough = row(ground.normals, points[0]), ground.rough[points[0]]
     normal1, rough1 = minus(row(ground.normals, points[1]), normal), ground.rough[points[1]] - rough
     normal2, rough2 = minus(row(ground.normals, points[2]), normal), ground.rough[points[2]] - rough
-    corners, plane, y = data.faces[f], data.facets[f], r + 0.5
+    corners, plane = data.faces[f], data.facets[f]
+    y = r + 0.5
     x0, y0 = data.vertices[corners[0], 0], data.vertices[corners[0], 1]
     x1, y1 = data.vertices[corners[1], 0] - x0, data.vertices[corners[1], 1] - y0
     x2, y2 = data.vertices[corners[2], 0] - x0, data.vertices[corners[2], 1] - y0
@@ -396,7 +398,8 @@ def _list_facet(  # noqa: PLR0913, PLR0915, PLR0917
     of_x = dot(normal1, sun) * y2 - dot(normal2, sun) * y1
     of_y = dot(normal2, sun) * x1 - dot(normal1, sun) * x2
     reach = 0.6 * math.sqrt(of_x * of_x + of_y * of_y) * abs(per_area)
-    m, turn, eye = placed.motion, placed.rays, row(placed.eye.reshape(1, 3), 0)
+    m, turn = placed.motion, placed.rays
+    eye = row(placed.eye.reshape(1, 3), 0)
     for c in range(first, last):
         x = c + 0.5
         w = plane[W] + plane[W + 1] * x + plane[W + 2] * y

@@ -388,7 +388,8 @@ def _local(offsets: Floats, normals: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _crater(x: Floats, y: Floats, lots: Floats, p: Regolith) -> tuple[Floats, Floats]:
     """Return height in radii and added brightness at (x, y) radii from the middle."""
-    r, age = np.hypot(x, y), crater_age(lots[:, 0])
+    r = np.hypot(x, y)
+    age = crater_age(lots[:, 0])
     height = crater_height(r, 2 * p.crater_depth * age, RIM * age)
     return height, _FRESH * np.clip((age - 0.7) / 0.3, 0, 1) * np.clip((1.6 - r) / 0.8, 0, 1)
 
