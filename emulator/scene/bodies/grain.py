@@ -390,7 +390,7 @@ def _list_facet(  # noqa: PLR0913, PLR0915, PLR0917
     x1, y1 = data.vertices[corners[1], 0] - x0, data.vertices[corners[1], 1] - y0
     x2, y2 = data.vertices[corners[2], 0] - x0, data.vertices[corners[2], 1] - y0
     area = x1 * y2 - y1 * x2
-    if area == 0.0:
+    if area == 0.0 or rough == rough1 == rough2 == 0.0:  # clear sky
         return count
     per_area = 1.0 / area
     # Somewhat more than half of the change of the cosine of incidence over the pixel: its other facets differ too.
