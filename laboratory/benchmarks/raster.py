@@ -1,61 +1,69 @@
-"""CPU time and errors of the CPU renderer of terrain.
+"""Light beside its targets: what it costs to build and to draw, and which events finer facets change.
 
-python -m laboratory.benchmarks.raster [--check] [SECONDS ...]
+    python -m laboratory.benchmarks.raster [RIG ...]
+
+built      wall time, without and with the cache of details; the first rig loads compiled kernels too
+drawn      processor time of all threads for a light frame with its rate, from 10 s: the median of twelve
+facets     events, as by `evstim accuracy rendering`, of the painter with finer facets that differ from those as shipped
 """
 
 from __future__ import annotations
 
+import os
+import statistics
+import sys
+import time
+from dataclasses import replace
 from functools import partial
+from tempfile import TemporaryDirectory
 
 import numpy as np
-from cyclopts import App
 
-from emulator.geometry.camera import Pinhole
-from emulator.rig.loading import load_rig
-from emulator.scene.terrain.raster_terrain import RasterTerrain, camera_motion
-from laboratory.accuracy.sampled_scenes import SampledTerrain
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.assembly import build_scene
+from emulator.scene.bodies.table import BodiesParameters, BodyTable, Regolith
+from laboratory.accuracy.rendering import false_and_missed, looks_of
+from laboratory.accuracy.scores import Stream, compare
 from laboratory.benchmarks.kernels import seconds
 
-app = App(name="raster")
-
-SIZES = ((346, 260), (1280, 720))
-FIELD_DEG = 60.0
-TIMES_S = (20, 45, 70)
-SAMPLES = 8
+RIGS, SIZES = ("eros", "itokawa", "eros-flyover", "rendezvous", "malapert"), ((346, 260), (1280, 720))
 
 
-@app.default
-def terrain(*times_s: int, check: bool = False) -> None:
-    """Print the time of shading a pixel of the rig malapert: one thread, the least of nine, without and with the rate.
-
-    With --check, errors of light in % of the mean light against 8 x 8 point samples of every facet of the map
-    (`SampledTerrain`), which takes seconds to a minute a light frame.
-    """
-    parameters = load_rig("malapert").scene
-    for size in SIZES:
-        pinhole = Pinhole.of_field(size, FIELD_DEG)
-        light = np.zeros(size[::-1], np.float32)
-        with RasterTerrain(parameters, pinhole) as scene:
-            for t_s in times_s or TIMES_S:
-                scene.light(t_s * 10**9, light)
-                error = errors(parameters, pinhole, t_s, light.copy()) if check else ""
-                alone, both = (shading_ns(scene, t_s, light, with_rate=with_rate) for with_rate in (False, True))
-                print(f"{size[0]} x {size[1]}, {t_s} s: {alone:.0f} ns a pixel, with rate {both:.0f} ns{error}")
+def main(*rigs: str) -> None:
+    """Print the measurements of each rig; the arguments are those of the command."""
+    for rig in map(load_rig, rigs or RIGS):
+        with TemporaryDirectory() as folder:
+            os.environ["XDG_CACHE_HOME"] = folder
+            print(f"{rig.name}: built in {built_s(rig):.2f}, {built_s(rig):.2f} s", flush=True)
+            print(f"  drawn in {', '.join(f'{drawn_ms(rig, size):.0f}' for size in SIZES)} ms", flush=True)
+            match rig.scene:
+                case BodiesParameters(bodies=(BodyTable(detail=Regolith() as ground) as body,)) as scene:
+                    true = events_of(rig)
+                    for more in (1, 4):
+                        detail = replace(ground, facet_px=ground.facet_px / 2, most_facets=more * ground.most_facets)
+                        finer = replace(rig, scene=replace(scene, bodies=(replace(body, detail=detail),)))
+                        wrong = 100 * sum(false_and_missed(compare(events_of(finer), true)))
+                        print(f"  `facet_px` / 2, `most_facets` x {more}: {wrong:.1f} % of the events", flush=True)
 
 
-def shading_ns(scene: RasterTerrain, t_s: int, light: np.ndarray, *, with_rate: bool) -> float:
-    (_, camera), rate = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time), np.zeros_like(light)
-    shade = partial(scene._shade, camera, light, rate, with_rate=with_rate)
-    return min(seconds(shade) for _ in range(9)) / light.size * 1e9
+def built_s(rig: Rig) -> float:
+    start_s = time.perf_counter()
+    build_scene(rig).close()
+    return time.perf_counter() - start_s
 
 
-def errors(parameters, pinhole, t_s: int, light: np.ndarray) -> str:
-    truth = np.zeros_like(light)
-    with SampledTerrain(parameters, pinhole, SAMPLES) as sampled:
-        sampled.light(t_s * 10**9, truth)
-    off = np.abs(light - truth) / truth.mean() * 100
-    return f"; error: median {np.median(off):.3f}, p99 {np.percentile(off, 99):.1f}, mean {off.mean():.3f} %"
+def drawn_ms(rig: Rig, size: tuple[int, int]) -> float:
+    light, rate = np.zeros((2, *size[::-1]), np.float32)
+    with build_scene(rig, size) as scene:
+        frames = (partial(scene.light_and_rate, 10**10 + k * rig.run.step_us * 1000, light, rate) for k in range(15))
+        return 1e3 * statistics.median([seconds(frame) for frame in frames][3:])
+
+
+def events_of(rig: Rig) -> Stream:
+    look = next(looks_of([rig], None))
+    with build_scene(rig) as scene:
+        return look.events(scene, look.step_ns, with_rate=True)[0]
 
 
 if __name__ == "__main__":
-    app()
+    main(*sys.argv[1:])

@@ -19,19 +19,10 @@ from pathlib import Path
 MOST_BYTES = 5_000_000
 RIG = """
 title = "hours of a slow checkerboard"
-[scene]
-kind = "checkerboard"
-square_px = 20.0
-speed_px_s = 0.5
-direction_deg = 30.0
-[camera]
-model = "davis346"
-[run]
-pace = "free"
-step_us = 50000
-seed = 1
-[[links]]
-kind = "loopback"
+scene = { kind = "checkerboard", square_px = 20.0, speed_px_s = 0.5, direction_deg = 30.0 }
+camera = { model = "davis346" }
+run = { pace = "free", step_us = 50000, seed = 1 }
+links = [{ kind = "loopback" }]
 """
 RUN = [sys.executable, "-c", "from emulator.cli import main; main()", "run"]
 
