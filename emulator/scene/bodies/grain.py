@@ -55,7 +55,7 @@ _WIDTH2 = (
     1.2  # a pixel's mean of a wave is 1 - 1.2 (longer side / wave)^2 of it; sinc has 1.6 by the mean square of both
 )
 _LEAST_COSINE = 0.01  # of emission
-_FAINT, _DARK = 3e-4, 1e-9  # reflected, 1/sr
+_FAINT, _DARK = 3e-4, 1e-9  # reflected, 1/sr: below it light grows no more; least divisor
 _MOST_SLANT = 0.05  # least cosine of emission for the width of a pixel on the ground
 _BETWEEN_S = 1e-6  # of rates
 _ROWS = 16  # a thread takes at a time
@@ -72,7 +72,7 @@ def noise_tile() -> Tile:
 
 @cache
 def crater_tile() -> Tile:
-    """Return the same for craters of all ages on noise. In space they are balls, which the ground cuts anywhere."""
+    """Return such a tile of craters of all ages on noise. In space they are balls, which the ground cuts anywhere."""
     rng, extent = np.random.default_rng(12), _SIDE / TEXELS
     along, bowls = np.arange(_SIDE) / TEXELS, np.zeros(3 * (_SIDE,))
     filled = 0.0
@@ -120,7 +120,7 @@ def _texel(place: float) -> tuple[int, Real]:
 
 @lane
 def look_up(fields: Tile, place: Point, drift: Point) -> tuple[Real, ...]:
-    """Return slope and height of `tile` at a place, in wavelengths, then their rates; `drift` is the rate of the place.
+    """Return slope and height of a tile at a place, in wavelengths, then their rates; `drift` is the rate of the place.
 
     They are linear between texels along each axis. All is in float32 and without a loop over the four values of a
     texel, so that these become one vector: 25 in place of 63 ns.

@@ -8,8 +8,8 @@ features costs nothing; where facets are large in the light frame all are cut in
     craters      a parabolic floor and a rim, as deep as their age leaves: depth over diameter spreads from a quarter of
                  the fresh one's to the whole, most of them old; the rims of old ones erode first; fresh craters are
                  up to a fifth brighter
-    roughness    `grain`: vertices moved along their normals by noise, and slopes below facets; in patches, or evenly
-                 where there is smooth ground
+    roughness    `grain`: craters or boulders of all sizes below these, at vertices and below facets; in patches, or
+                 evenly where there is smooth ground
 
 Boulders, roughness and the variation of albedo are missing on the share `smooth_share` of the surface that is low and
 even (`smooth_ground`).
