@@ -209,17 +209,18 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     if _BOULDER in kinds:  # they are fewer near smooth ground, by a random number of each
         kept = kinds[_BOULDER].lots[:, _CHANCE] >= smooth(kinds[_BOULDER].places)
         kinds[_BOULDER] = Features(*(part[kept] for part in kinds[_BOULDER]))
-    even = mesh
+    fine = mesh
     for _ in range(_divisions(mesh, p, pixel_m)):
-        even = split_round(even, np.ones(even.faces.shape, bool))
-    fine = _divided(even, kinds)
+        fine = split_round(fine, np.ones(fine.faces.shape, bool))
+    fine = _divided(fine, kinds)
     if _CRATER in kinds:
         fine = _with_rims(fine, kinds[_CRATER])
     moved, tint = _shaped(fine, kinds, p)
     rough = 1 - _SMOOTHED * smooth(fine.vertices)
     in_patches, height_m = rough * _patches(fine.vertices, p, size_m), np.empty(len(fine.vertices))
     write_heights(fine.vertices, grain_of(mesh, p, pixel_m), height_m)
-    vertices = fine.vertices + moved + (in_patches * height_m)[:, None] * fine.normals
+    even = dataclasses.replace(fine, vertices=fine.vertices + moved)
+    vertices = _not_turned_over(even, even.vertices + (in_patches * height_m)[:, None] * fine.normals)
     normals = vertex_normals(vertices, fine.faces)
     pushed = dataclasses.replace(fine, vertices=vertices, normals=normals, rough=in_patches[fine.faces])
     mottled = fractal_noise(fine.vertices, mesh.radius_m, 1.5 * size_m, 0.85, 4 * p.seed + _ALBEDO)
@@ -251,8 +252,7 @@ def cloud_grain(mesh: Mesh, p: Clouds, pixel_m: float) -> Octaves:
     facet_m = facet_size_m(mesh)
     finest_m = min(_FINEST_PX * pixel_m, 2 * facet_m)
     grain = on_facets(octaves(4 * facet_m, finest_m, _CLOUD_GAIN, p.seed, noise_tile()), 0.0, 0.0, facet_m, facet_m)
-    tints = _FINE_CLOUD * _CLOUD_GAIN ** np.arange(len(grain.waves_m)) * (1 - grain.on_facets)
-    return grain._replace(tints=tints)
+    return grain._replace(tints=_FINE_CLOUD * _CLOUD_GAIN ** np.arange(len(grain.waves_m)) * (1 - grain.on_facets))
 
 
 def _patches(places: Floats, p: Regolith, size_m: float) -> Floats:

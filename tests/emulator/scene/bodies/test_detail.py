@@ -253,21 +253,25 @@ def test_smooth_ground_of_itokawa_is_where_hayabusa_saw_it():
 def test_smooth_ground_of_itokawa_stays_even_and_rough_ground_becomes_rough():
     mesh = itokawa()
     p = dataclasses.replace(PLAIN, craters=0.0, boulders_km2=0.0, slope_deg=16.0, smooth_share=0.2)
-    body = weathered(mesh, p, 2.0)
-    before, after = (facet_vectors(m.vertices, m.faces) for m in (mesh, body))
-    slopes = np.linalg.norm(np.cross(before, after), axis=1) / (before * after).sum(axis=1)
     smooth = smooth_ground(mesh, coarser(mesh, 20.0), 0.2)(mesh.vertices)[mesh.faces].mean(axis=1)
     x, y, z = mesh.vertices[mesh.faces].mean(axis=1).T > 0
+    before, squares = facet_vectors(mesh.vertices, mesh.faces), []
+    for seed in range(1, 5):  # an octant has 75 waves of 23 m, of which few are boulders
+        body = weathered(mesh, dataclasses.replace(p, seed=seed), 2.0)
+        after = facet_vectors(body.vertices, body.faces)
+        slopes = np.linalg.norm(np.cross(before, after), axis=1) / (before * after).sum(axis=1)
+        assert ((slopes >= 0) & (slopes < 1.74)).all()  # no facet is turned over, or by more than 60 degrees
+        squares.append(slopes**2)
+        assert body.albedo[smooth > 0.99].std() < 0.2 * body.albedo[smooth < 0.01].std()
+    mean_square = np.mean(squares, axis=0)
 
     def degrees(part):
-        return np.degrees(np.arctan(np.sqrt((slopes[part] ** 2).mean())))
+        return np.degrees(np.arctan(np.sqrt(mean_square[part].mean())))
 
     assert degrees(smooth > 0.99) < 2.5
-    assert degrees(smooth < 0.01) == pytest.approx(16.0, rel=0.05)
-    for octant in range(8):  # as rough everywhere, but for chance: an octant has 75 waves of 23 m, few of them boulders
+    for octant in range(8):  # as rough everywhere
         part = (4 * x + 2 * y + z == octant) & (smooth < 0.01)
-        assert degrees(part) == pytest.approx(16.0, rel=0.2)
-    assert body.albedo[smooth > 0.99].std() < 0.2 * body.albedo[smooth < 0.01].std()
+        assert degrees(part) == pytest.approx(16.0, rel=0.1)
 
 
 def _raised(body):
