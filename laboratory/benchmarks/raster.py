@@ -38,12 +38,12 @@ def main(*rigs: str) -> None:
             print(f"  drawn in {', '.join(f'{drawn_ms(rig, size):.0f}' for size in SIZES)} ms", flush=True)
             match rig.scene:
                 case BodiesParameters(bodies=(BodyTable(detail=Regolith() as ground) as body,)) as scene:
-                    true = events_of(rig)
+                    as_shipped = events_of(rig)
                     for more in (1, 4):
                         detail = replace(ground, facet_px=ground.facet_px / 2, most_facets=more * ground.most_facets)
                         finer = replace(rig, scene=replace(scene, bodies=(replace(body, detail=detail),)))
-                        wrong = 100 * sum(false_and_missed(compare(events_of(finer), true)))
-                        print(f"  `facet_px` / 2, `most_facets` x {more}: {wrong:.1f} % of the events", flush=True)
+                        changed = 100 * sum(false_and_missed(compare(events_of(finer), as_shipped)))
+                        print(f"  `facet_px` / 2, `most_facets` x {more}: {changed:.1f} % of the events", flush=True)
 
 
 def built_s(rig: Rig) -> float:
