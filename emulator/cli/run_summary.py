@@ -90,6 +90,7 @@ def latency_text(latency: LatencySummary) -> str:
 
 
 _REPORTED_LATENESS_US = 1000.0
+_BUSY = 0.75  # share of the processor: 0.78 to 0.91 on two idle cores, 0.44 to 0.65 beside a busy loop, 0.5 on one core
 
 
 def verdict_line(rules: Sequence[Judgement]) -> str:
@@ -104,15 +105,24 @@ def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
     """Return no line for a run that kept up, else its lateness and the remedies."""
     late = result.lateness
     if result.too_late:
-        longer = f"a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us})"
-        remedies = f"Take {longer}, fewer scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
-        return [f"NOT IN REAL TIME: {_broken(rig, result)}. {remedies}"]
+        return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig, late.processor_share)}"]
     if late.worst_gap_us > _REPORTED_LATENESS_US or result.often_stretched:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
             f"{late.steps_stretched} steps made longer to keep up"
         ]
     return []
+
+
+def _remedies(rig: Rig, processor_share: float) -> str:
+    """Return what makes a late run faster: another rig helps little where other programs have the processor."""
+    if processor_share < _BUSY:
+        return (
+            f"Other programs had the processor for {1 - processor_share:.0%} of the time in which steps were computed: "
+            "end them, or take a machine with more cores; the rig need not change"
+        )
+    longer = f"a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us})"
+    return f"Take {longer}, fewer scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
 
 
 def _broken(rig: Rig, result: RunResult) -> str:

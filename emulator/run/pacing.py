@@ -34,11 +34,17 @@ _MEMORY = 0.9  # of the running mean of a length's load, a step
 
 @dataclass
 class Lateness:
-    """Delays of a paced run behind real time."""
+    """Delays of a paced run behind real time.
+
+    `computing_ns` is the time in which steps were computed, `processor_ns` the part of it in which the session's thread
+    had a processor.
+    """
 
     frames_late: int = 0
     worst_gap_us: float = 0.0
     steps_stretched: int = 0
+    computing_ns: int = 0
+    processor_ns: int = 0
     _leads: LatencyHistogram = field(default_factory=LatencyHistogram, repr=False, compare=False)
 
     def add(self, gap_ns: int, stretch: int, lead_ns: int = 0) -> None:
@@ -53,6 +59,11 @@ class Lateness:
             self.worst_gap_us = max(self.worst_gap_us, gap_ns / 1000)
 
     @property
+    def processor_share(self) -> float:
+        """Share of the computing for which the session's thread had a processor: small beside other busy programs."""
+        return self.processor_ns / self.computing_ns if self.computing_ns else 1.0
+
+    @property
     def lead_needed_us(self) -> LatencySummary:
         """Lead that the steps needed, us."""
         return self._leads.summary()
@@ -63,6 +74,7 @@ class Lateness:
             "frames_late": self.frames_late,
             "worst_gap_us": round(self.worst_gap_us, 1),
             "steps_stretched": self.steps_stretched,
+            "processor_share": round(self.processor_share, 3),
             "lead_needed_us": asdict(self.lead_needed_us),
         }
 

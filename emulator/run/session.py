@@ -319,6 +319,7 @@ class Session:
             elif self._drive is not None and self._drive.wait(self.t_ns, goes_on) <= self.t_ns:
                 break
             due_ns, begun_ns = origin_ns + self.t_ns, self._clock.now_ns()
+            processor_ns = self._clock.processor_ns()
             try:
                 self._step(rule, goes_on)
             except (SceneError, _StepInterrupted) as error:  # the events so far have their fates
@@ -330,6 +331,8 @@ class Session:
                 ready_ns = self._clock.now_ns()
                 self._lateness.add(ready_ns - due_ns, rule.stretch, lead_ns)
                 rule.follow(ready_ns - due_ns, ready_ns - begun_ns)
+                self._lateness.computing_ns += ready_ns - begun_ns
+                self._lateness.processor_ns += self._clock.processor_ns() - processor_ns
             goes_on()
 
     def _goes_on(self) -> bool:

@@ -40,6 +40,10 @@ class Clock(Protocol):
         """Return the current time, ns."""
         ...
 
+    def processor_ns(self) -> int:
+        """Return the processor time of the calling thread, ns."""
+        ...
+
     def sleep_until(self, deadline_ns: int) -> None:
         """Return at `deadline_ns` or shortly after; at once if it has passed."""
         ...
@@ -51,6 +55,10 @@ class MonotonicClock:
     def now_ns(self) -> int:
         """Return CLOCK_MONOTONIC, ns."""
         return time.monotonic_ns()
+
+    def processor_ns(self) -> int:
+        """Return CLOCK_THREAD_CPUTIME_ID, ns."""
+        return time.thread_time_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Sleep until `deadline_ns`."""
@@ -67,6 +75,10 @@ class FakeClock:
 
     def now_ns(self) -> int:
         """Return the time that the test has set."""
+        return self._now_ns
+
+    def processor_ns(self) -> int:
+        """Return the time that the test has set: no other program runs."""
         return self._now_ns
 
     def sleep_until(self, deadline_ns: int) -> None:

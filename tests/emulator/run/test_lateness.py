@@ -45,7 +45,7 @@ def test_lateness_counts_late_frames_and_keeps_the_worst():
         lateness.add(gap_ns, stretch)
     told = lateness.as_json()
     assert told.pop("lead_needed_us")["max"] == 9.0
-    assert told == {"frames_late": 2, "worst_gap_us": 9.0, "steps_stretched": 1}
+    assert told == {"frames_late": 2, "worst_gap_us": 9.0, "steps_stretched": 1, "processor_share": 1.0}
 
 
 def test_the_lead_needed_is_from_when_computing_was_to_begin_until_ready():
@@ -82,6 +82,24 @@ def test_the_summary_says_which_limit_was_broken_and_by_how_much():
     assert line.startswith("NOT IN REAL TIME: the worst step was 0.002 s late, and run.max_late_ms is 1. Take")
 
 
-def test_a_demo_shows_lateness_and_judges_events():
-    assert load_rig("checkerboard").run.max_late_share == 0.01
-    assert demo._on_a_free_port(load_rig("checkerboard")).run.max_late_share == 1.0
+def test_beside_other_programs_the_rig_need_not_change():
+    rig = load_rig("loopback")
+    result = result_of(370, 935, rig)
+    result.lateness.computing_ns, result.lateness.processor_ns = 10, 9
+    assert "Take a longer run.step_us" in lateness_lines(rig, result)[0]
+    result.lateness.processor_ns = 4
+    (line,) = lateness_lines(rig, result)
+    assert "Other programs had the processor for 60% of the time" in line
+    assert "step_us" not in line
+    assert "rig need not change" in line
+
+
+def test_a_demo_judges_events_and_mentions_a_slow_machine():
+    rig = demo._on_a_free_port(load_rig("checkerboard"))
+    late = Lateness(frames_late=99, worst_gap_us=9e6)
+    result = RunResult(2.0, 2.8, 100, 99, Ledger(0, 0, 0, 0), late, max_late_us=rig.run.max_late_ms * 1000)
+    assert result.good
+    equal = {"sent": 5, "received": 5, "equal": True}
+    assert "all events are equal; this machine was slower than real time by 1.4" in demo._verdict_lines(result, equal, True)
+    in_time = dataclasses.replace(result, wall_seconds=2.05)
+    assert "all events are equal" in demo._verdict_lines(in_time, equal, True)

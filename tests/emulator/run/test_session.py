@@ -105,6 +105,18 @@ def test_a_run_has_the_limits_and_the_counts_of_its_lateness():
     assert free.good
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_lateness_has_the_share_of_the_processor_while_steps_were_computed(share):
+    class Shared(FakeClock):
+        def processor_ns(self):
+            return round(share * self.now_ns())
+
+    clock = Shared(1 << 40)
+    result = session(Flashing(clock, STEP_NS // 4), clock).run(Schedule(duration_ns=50 * STEP_NS))
+    assert result.lateness.processor_share == pytest.approx(share)
+    assert result.lateness.computing_ns == pytest.approx(50 * STEP_NS // 4, rel=0.1)
+
+
 def test_a_slow_scene_makes_a_paced_run_coarser_not_later():
     clock = FakeClock()
     result = session(Flashing(clock, 3 * STEP_NS), clock).run(Schedule(duration_ns=300 * STEP_NS))
