@@ -38,8 +38,8 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 
 _WIDTH, _HEIGHT = 32, 24
-_SCENE_S = 3.0
-_LONG_SCENES_S = {"bodies": 9.0, "terrain": 9.0}  # a long part that began last would run alone on its core
+_SCENE_S = 1.5
+_LONG_SCENES_S = {"bodies": 18.0, "terrain": 20.0}  # a long part that began last would run alone on its core
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
 _Float32s = npt.NDArray[np.float32]
 
@@ -98,7 +98,7 @@ def _effects(sensor: SensorParameters) -> Part:
         sensor = dataclasses.replace(sensor, noise=NoiseParameters())  # its kernels are those of every pixel step
     present = _present(dataclasses.asdict(sensor))
     variant = f"{zlib.crc32(repr(present).encode()):08x}"
-    return Part("read-out and effects", 4.5, partial(_read_out, sensor), variant)
+    return Part("read-out and effects", 2.5, partial(_read_out, sensor), variant)
 
 
 def _present(parameters: dict[str, Any]) -> dict[str, Any]:
@@ -234,14 +234,14 @@ def _code_evt() -> None:
     Evt3Encoder(), Evt3Decoder(), Evt2Encoder("evt2"), Evt2Decoder("evt2")
 
 
-_CANDIDATES = Part("pixel candidates", 6.0, partial(_of_the_step, "candidates"))
-_BLOCKS = Part("pixel blocks", 6.5, partial(_of_the_step, "blocks"))
-_NOISE = Part("pixel noise", 6.0, _noise)
-PIXELS = Part("pixel step", 3.0, _step, after=(_CANDIDATES, _BLOCKS, _NOISE))
-CODER = Part("telemetry coder", 4.0, _encode)
+_CANDIDATES = Part("pixel candidates", 12.0, partial(_of_the_step, "candidates"))
+_BLOCKS = Part("pixel blocks", 12.0, partial(_of_the_step, "blocks"))
+_NOISE = Part("pixel noise", 20.0, _noise)
+PIXELS = Part("pixel step", 3.5, _step, after=(_CANDIDATES, _BLOCKS, _NOISE))
+CODER = Part("telemetry coder", 6.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
-EVT = Part("EVT coder", 6.0, _code_evt)
+EVT = Part("EVT coder", 4.0, _code_evt)
 
 
 _TICK_S = 0.2
