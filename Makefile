@@ -12,9 +12,12 @@ APT_TEST := libegl1 libgl1 libgl1-mesa-dri qemu-system-x86 busybox-static usbip 
 # The tests start hundreds of processes, each of which would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test long fast laboratory programs guests check packages prepare docs docs/rigs.md bench clean
+# `.ci/times.py` has the processor time of each part, and compares it with the budget in house.toml.
+TIMED := $(PYTHON) .ci/times.py
 
-# Two cameras: on USB/IP, read by evstim's own receiver, and on GigE Vision, read by an unmodified driver of others.
+.PHONY: checks demo smoke test long fast laboratory programs guests check packages prepare docs docs/rigs.md bench clean
+
+# Stars by two cameras: on USB/IP, read by evstim's own receiver, and on GigE Vision, read by an unmodified driver.
 demo: $(VENV)/.installed
 	$(BIN)/evstim demo
 	$(BIN)/evstim demo stars-gige
@@ -22,26 +25,32 @@ demo: $(VENV)/.installed
 # In parts, each a target of its own and a job of the forge's workflow. What QEMU emulates has the machine to itself:
 # beside the programs both took two minutes longer. Debian's packages come beside the checks and the kernels.
 test:
+	rm -rf .cache/test-times
 	$(MAKE) -j3 packages check prepare
 	$(MAKE) fast
 	$(MAKE) laboratory
 	$(MAKE) programs
 	$(MAKE) guests
+	$(TIMED)
+
+# Light to decoded events over each link, a recording, the live page, a mistake that is refused: a minute.
+smoke: prepare
+	$(BIN)/pytest -m smoke -n 2
 
 # The kernels are compiled before: two processes would each compile them.
 fast: prepare
-	$(BIN)/pytest -m "not guest and not arm and not anew and not system and not long" --ignore tests/laboratory -n 2 --dist loadfile
+	TEST_PART=fast $(BIN)/pytest -m "not guest and not arm and not anew and not system and not long" --ignore tests/laboratory -n 2 --dist loadfile
 
 # What judges the emulator, in laboratory/.
 laboratory: prepare
-	$(BIN)/pytest tests/laboratory -m "not guest and not arm and not anew and not long" -n 2 --dist loadfile --timeout 900
+	TEST_PART=laboratory $(BIN)/pytest tests/laboratory -m "not guest and not arm and not anew and not long" -n 2 --dist loadfile --timeout 900
 
 # Whole programs.
 programs: prepare
-	$(BIN)/pytest -m "system and not guest and not arm and not anew and not long" --ignore tests/laboratory -n 2 --dist loadfile --timeout 900
+	TEST_PART=programs $(BIN)/pytest -m "system and not guest and not arm and not anew and not long" --ignore tests/laboratory -n 2 --dist loadfile --timeout 900
 
 guests: packages prepare
-	$(BIN)/pytest -m "(guest or arm) and not anew and not long" --timeout 900
+	TEST_PART=guests $(BIN)/pytest -m "(guest or arm) and not anew and not long" --timeout 900
 
 # What `make test` leaves out: the other clients and models, longer runs, fresh compilations. For a release, and after a
 # change of a camera or of a kernel.
@@ -53,9 +62,12 @@ packages:
 	@.ci/apt $(APT_TEST)
 
 prepare: $(VENV)/.installed-test
-	$(BIN)/evstim doctor --prepare
+	$(TIMED) prepare $(BIN)/evstim doctor --prepare
 
 check: $(VENV)/.installed-test
+	$(TIMED) check $(MAKE) checks
+
+checks:
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports

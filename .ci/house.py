@@ -168,7 +168,8 @@ def main(arguments: list[str]) -> int:
     root = Path(__file__).parents[1]
     house = measured(root)
     if "--toml" in arguments:
-        print(toml_of(house), end="")
+        text = (root / "house.toml").read_text()
+        print(toml_of(house) + "\n" + text[text.index("[seconds]") :], end="")
         return 0
     if "--table" in arguments:
         print(table_of(house))

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.shown import pytest_itemcollected, pytest_runtest_logreport, pytest_sessionfinish
+from tests.time_ledger import pytest_configure
 
-__all__ = ["pytest_itemcollected", "pytest_runtest_logreport", "pytest_sessionfinish"]
+__all__ = ["pytest_configure", "pytest_itemcollected", "pytest_runtest_logreport", "pytest_sessionfinish"]
 
 settings.register_profile("quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("deep", settings.get_profile("quick"), max_examples=1000)
