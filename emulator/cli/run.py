@@ -277,7 +277,6 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "latency_us": dataclasses.asdict(_worst([report.latency for report in result.links.values()])),
         "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
-        "suspect_share": result.undersampled_share,  # the old key, for one version
         "scene": result.scene_counts,
         "painter": result.painter,
         "renderer": result.renderer,

@@ -10,16 +10,14 @@
 
 `emulator.rig.top_level` has the top-level keys. Each key below them is a field of a dataclass, in `emulator.rig.tables`
 or in the package that owns the table. A mistake raises RigError with the file, the line, the key, the error and the
-allowed values. Old spellings, and removed keys where they have no effect, are accepted for one version with a logged
-warning. A command or a call may replace some values of the `[run]` table. `second_rig` is the rig as its second camera
-has it: its model, its links, and the scene from where it is mounted.
+allowed values. A command or a call may replace some values of the `[run]` table. `second_rig` is the rig as its second
+camera has it: its model, its links, and the scene from where it is mounted.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,11 +35,8 @@ from transports.registry import unknown
 from transports.usb.kind import LoopbackLink, UsbipLink
 
 __all__ = [
-    "REMOVED",
-    "VALUES",
     "Camera",
     "LoopbackLink",
-    "RemovedKey",
     "Rig",
     "RigError",
     "RigSource",
@@ -57,74 +52,8 @@ __all__ = [
     "rig_of_table",
     "second_rig",
     "shipped_rigs",
-    "with_new_spellings",
     "with_options",
 ]
-
-
-_LOG = logging.getLogger(__name__)
-
-VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
-    ("run", "method"): {"warped": "hermite", "held": "v2e_exact_filter"}
-}
-"""New value by old value, for each (table, key). Renamed in version 0.2; to be removed in the version after."""
-
-
-@dataclass(frozen=True)
-class RemovedKey:
-    """A key that rigs no longer have: the value that the program now always uses, and the reason."""
-
-    value: object
-    reason: str
-
-
-REMOVED: Mapping[tuple[str, ...], RemovedKey] = {
-    ("run", "pixels"): RemovedKey("cpu", "the CPU solves the pixels of every rig"),
-    ("camera", "sensor", "temperature", "reference_celsius"): RemovedKey(
-        20.0, "leak_hz and dark_current_relative hold at 20 degrees Celsius"
-    ),
-    ("camera", "sensor", "temperature", "leak_doubles_every_k"): RemovedKey(9.0, "the leak doubles every 9 K"),
-    ("camera", "sensor", "temperature", "dark_doubles_every_k"): RemovedKey(8.0, "the dark current doubles every 8 K"),
-    ("camera", "imu", "gyroscope_bias_spread_deg_s"): RemovedKey(
-        0.4, "a bias that is not given in gyroscope_bias_deg_s is drawn with a deviation of 0.4 deg/s"
-    ),
-    ("camera", "imu", "accelerometer_bias_spread_g"): RemovedKey(
-        0.02, "a bias that is not given in accelerometer_bias_g is drawn with a deviation of 0.02 g"
-    ),
-}
-"""Keys removed in version 0.2; the version after refuses them."""
-
-
-def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:
-    """Return a rig's tables with new spellings and without removed keys; the argument stays as it is.
-
-    Raises TableError where a removed key has another value than the one that the program now always uses.
-    """
-    for path, removed in REMOVED.items():
-        rig = _without(rig, path, path, removed)
-    for (name, key), renamed in VALUES.items():
-        table = rig.get(name)
-        old = table.get(key) if isinstance(table, dict) else None
-        if isinstance(old, str) and old in renamed:
-            _LOG.warning("%s.%s = %r is the old spelling of %r; please change the rig", name, key, old, renamed[old])
-            rig = {**rig, name: {**rig[name], key: renamed[old]}}
-    return rig
-
-
-def _without(
-    table: dict[str, Any], keys: tuple[str, ...], path: tuple[str, ...], removed: RemovedKey
-) -> dict[str, Any]:
-    """Return a table without the key that `keys` lead to; `path` is its place in the rig."""
-    first, *inner_keys = keys
-    if first not in table:
-        return table
-    if inner_keys:
-        inner = table[first]
-        return {**table, first: _without(inner, tuple(inner_keys), path, removed)} if isinstance(inner, dict) else table
-    if table[first] != removed.value:
-        raise TableError(f"{table[first]!r} is not available: {removed.reason}; remove this key", path)
-    _LOG.warning("%s has no effect: %s; please remove this key", dotted(path), removed.reason)
-    return {key: value for key, value in table.items() if key != first}
 
 
 _MOST_BYTES = 1 << 22  # the longest shipped rig has 4 KiB
@@ -229,7 +158,7 @@ def parse_rig(text: str, file: str, name: str) -> Rig:
 
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
-    values = values_of(with_new_spellings(table))
+    values = values_of(table)
     title = name if values["title"] is None else values["title"]
     return Rig(name, **{**values, "title": title})
 
