@@ -68,18 +68,14 @@ class BackgroundWriter:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting)
-                data = b"".join(self._waiting)
+                left = data = b"".join(self._waiting)
                 self._waiting.clear()
             with suppress(OSError):  # the reader has closed the pipe: no error can be reported
-                _write(self._descriptor, data)
+                while left:
+                    left = left[os.write(self._descriptor, left) :]
             with self._changed:
                 self._waiting_bytes -= len(data)
                 self._changed.notify_all()
-
-
-def _write(descriptor: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(descriptor, data) :]
 
 
 def log_in_background(level: int = logging.WARNING) -> BackgroundWriter:

@@ -253,7 +253,10 @@ class Deliveries:
             return
         part = self._parts.part(events, edges, readings, epoch_us)
         if counts_of(part):
-            self._record_part(part, epoch_us)
+            restarted = self._follow(part.events, epoch_us)
+            if restarted:
+                self._unix_us = self.unix_us(epoch_us)
+            self._recorder.append(part, restarted=restarted, unix_us=self._unix_us)
 
     def reach(self, device_us: int, epoch_us: int) -> None:
         """Record that everything up to `device_us`, in the device's time, has left or was dropped."""
@@ -312,13 +315,6 @@ class Deliveries:
         self._epoch_us = epoch_us
         self.digest = digest_of(events, 0 if restarted else self.digest)
         return restarted
-
-    def _record_part(self, part: Part, epoch_us: int) -> None:
-        restarted = self._follow(part.events, epoch_us)
-        if self._recorder is not None:
-            unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
-            self._unix_us = unix_us
-            self._recorder.append(part, restarted=restarted, unix_us=unix_us)
 
 
 class DeliveryTally:
