@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # `.ci/times.py` has the processor time of each part, and compares it with the budget in house.toml.
 TIMED := $(PYTHON) .ci/times.py
 
-.PHONY: checks demo smoke test long fast laboratory programs guests check packages prepare docs docs/rigs.md bench clean
+.PHONY: checks speed speed-short demo smoke test long fast laboratory programs guests check packages prepare docs docs/rigs.md bench clean
 
 # Stars by two cameras: on USB/IP, read by evstim's own receiver, and on GigE Vision, read by an unmodified driver.
 demo: $(VENV)/.installed
@@ -31,11 +31,19 @@ test:
 	$(MAKE) laboratory
 	$(MAKE) programs
 	$(MAKE) guests
+	$(MAKE) speed-short
 	$(TIMED)
+
+# The processor time of a step, beside the commit and the ratios in speed.toml; and, without that commit, of four rigs.
+speed: prepare
+	$(BIN)/python .ci/speed.py --base
+
+speed-short: prepare
+	$(BIN)/python .ci/speed.py
 
 # Light to decoded events over each link, a recording, the live page, a mistake that is refused: a minute.
 smoke: prepare
-	$(BIN)/pytest -m smoke -n 2
+	$(BIN)/python -m pytest tests/test_smoke.py -n 2
 
 # The kernels are compiled before: two processes would each compile them.
 fast: prepare

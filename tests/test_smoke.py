@@ -19,7 +19,7 @@ import evstim
 from tests.free_ports import free_port
 from transports.recording.record import load_record
 
-pytestmark = [pytest.mark.smoke, pytest.mark.system, pytest.mark.socket]
+pytestmark = [pytest.mark.system, pytest.mark.socket]
 
 RIG = """
 [scene]
