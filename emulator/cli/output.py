@@ -6,7 +6,7 @@ A write that standard output cannot take is a failure of the command, with its e
 
 A full disk or a closed pipe appears at some flush, in code that has no handler for it. `ResultFile` raises Failure
 there, once; the rest of the output is then discarded, so that neither the message nor the interpreter's last flush
-fails again.
+fails again. A pipe that nobody reads any more, as of `| head`, ends the command without a message.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import io
 import json
 import logging
 import os
+import signal
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
+UNREAD = 128 + signal.SIGPIPE
+"""Exit code where nobody reads the output, as shells show it for a program that ends by SIGPIPE."""
 
 Flag = Annotated[bool, Parameter(negative="")]
 """An option without a value, and without a `--no-` form."""
@@ -177,7 +180,8 @@ class ResultFile(io.RawIOBase):
             return os.write(self._descriptor, data)
         except OSError as error:
             self._has_failed = True
-            raise Failure(f"stdout: {error.strerror}: the result was not written in full", LACKING) from error
+            code = UNREAD if isinstance(error, BrokenPipeError) else LACKING
+            raise Failure(f"stdout: {error.strerror}: the result was not written in full", code) from error
 
 
 def guard_stdout() -> None:

@@ -7,6 +7,10 @@
 
 A run that ends within a step has its summary too: see `Session.interrupt`.
 
+Before a run the exception would be lost in a callback of compiled code, such as those with which llvmlite loads a
+kernel, and an import of compiled code may turn it into another one. So the request is noted there, and the exception
+raised soon after; it is raised again where something discarded it, and a run does not begin.
+
 One Ctrl-C often arrives twice: from the terminal to the whole process group, and from a wrapper (`uv run`, `make`,
 `docker`) that forwards its own. The second must not prevent the summary that follows the first.
 """
@@ -16,13 +20,19 @@ from __future__ import annotations
 import atexit
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from types import FrameType
 from typing import Never
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 3.0
 _INSISTING = 3  # signals
+_AGAIN_S = 0.02
+_LOSING = ("importlib._bootstrap", "_frozen_importlib", "llvmlite.")
+"""Beginnings of the names of modules within whose calls an exception is lost."""
 
 
 class StopSignals:
@@ -50,22 +60,68 @@ class StopSignals:
             self._interrupt()
 
 
+class _Interruption:
+    """The interrupt of a command before its run, from its request until something has acted on it."""
+
+    def __init__(self) -> None:
+        self.is_requested = False
+
+    def __call__(self, *_: object) -> None:
+        """Raise KeyboardInterrupt, or note that it is to be raised where it is not lost."""
+        self.is_requested = True
+        sys.unraisablehook = self._take
+        frame: FrameType | None = sys._getframe()
+        while frame is not None:
+            if str(frame.f_globals.get("__name__")).startswith(_LOSING):
+                self._repeat()
+                return
+            frame = frame.f_back
+        raise KeyboardInterrupt
+
+    def _repeat(self) -> None:
+        """Raise the exception soon."""
+        signal.signal(signal.SIGALRM, self)
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+    def _take(self, discarded: sys.UnraisableHookArgs) -> None:
+        """Receive an exception that was discarded."""
+        if not issubclass(discarded.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(discarded)
+        elif self.is_requested:
+            self._repeat()
+
+    def end(self) -> None:
+        """Forget the request: something acts on it."""
+        if self.is_requested:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        self.is_requested = False
+
+
+_interruption = _Interruption()
+
+
+def is_interrupted() -> bool:
+    """Return whether the interrupt of a command was requested, and nothing has acted on it."""
+    return _interruption.is_requested
+
+
 def exit_on_stop_signals() -> None:
     """Make signals end the process at once: during its imports there is nothing to clean up."""
     _handle(_leave)
 
 
 def interrupt_on_stop_signals() -> None:
-    """Make signals interrupt the command, from now on."""
-    _handle(StopSignals(_interrupt))
+    """Make signals interrupt the command, from now on; raises KeyboardInterrupt as `stop_on_signals`."""
+    _handle_in_time(StopSignals(_interruption))
 
 
 def stop_on_signals(stop: Callable[[], object], interrupt: Callable[[], object] | None = None) -> None:
     """Make the first signal call `stop`, such as that of a Session, from now on, and an insistent one `interrupt`.
 
-    This stays so when the run has ended: a second signal may arrive at any moment after the first.
+    This stays so when the run has ended: a second signal may arrive at any moment after the first. Raises
+    KeyboardInterrupt where a signal came before and its exception was lost.
     """
-    _handle(StopSignals(stop, interrupt=interrupt))
+    _handle_in_time(StopSignals(stop, interrupt=interrupt))
 
 
 def ignore_stop_signals() -> None:
@@ -75,6 +131,7 @@ def ignore_stop_signals() -> None:
     replaces handlers by SIG_DFL, but not SIG_IGN: a signal would end it after its summary, with another exit status.
     """
     _handle(lambda *_: None)
+    _interruption.end()
     atexit.unregister(_ignore_to_the_end)
     atexit.register(_ignore_to_the_end)
 
@@ -98,12 +155,21 @@ def _handle(handler: Callable[..., object] | signal.Handlers) -> None:
         signal.signal(number, handler)
 
 
+def _handle_in_time(handler: StopSignals) -> None:
+    """Set the handler of signals; raises KeyboardInterrupt where the exception of an earlier one was lost."""
+    _handle(handler)
+    if _interruption.is_requested:
+        _interrupt()
+
+
 def _ignore_to_the_end() -> None:
     _handle(signal.SIG_IGN)
 
 
 def _leave(*_: object) -> Never:
-    os.write(2, b"evstim: interrupted\n")
+    with suppress(OSError):
+        os.write(2, b"evstim: interrupted\n")
+        os.write(1, b'{"error": "interrupted", "exit_code": 1}\n' if "--json" in sys.argv else b"")
     os._exit(1)
 
 

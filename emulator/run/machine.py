@@ -15,11 +15,14 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
+from numba import config
+
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers, selected_painter
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.scene.kind import SceneParameters
 from emulator.trajectory.parameters import LivePath
+from firmware_protocol.compiled import NO_FOLDER, cache_folder, place_of
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.link.kind import LinkParameters
 from transports.needs import PYTHON_PACKAGES, UDC, VCAN, VHCI, Finding, Need, package
@@ -45,7 +48,7 @@ def examine() -> list[Finding]:
     """Examine everything; takes about a second, most of it for opening GL."""
     looks: list[Callable[[], Finding]] = [
         egl, _usbip_tool, VHCI.look, UDC.look, VCAN.look, _libusb, _usb_permission, _gvcp, _udp_buffer,
-        _priority, _cores,
+        _priority, _cores, kernel_cache,
     ]  # fmt: skip
     return [look() for look in (*looks, *(package(name).look for name in PYTHON_PACKAGES))]
 
@@ -140,6 +143,20 @@ def _cores() -> Finding:
     use = "the session and each link in a process of its own"
     fix = None if count >= 2 else "taskset -p ffff $$  # or a machine with two cores"
     return Finding("cores", count >= 2, str(count), use, fix)
+
+
+def kernel_cache() -> Finding:
+    """Look for the folder in which this user's compiled kernels are stored."""
+    from emulator.sensor.pixels.crossings import unpack
+
+    use = "kernels that are compiled once, not in each process"
+    if config.DISABLE_JIT:
+        return Finding("kernel cache", True, "no folder, as NUMBA_DISABLE_JIT is set", use)
+    folder = cache_folder(unpack)
+    if folder is None:
+        return Finding("kernel cache", False, NO_FOLDER, use, "export XDG_CACHE_HOME=/a/folder/of/yours")
+    place = f"__pycache__ beside each module of {place_of('emulator').parent}"
+    return Finding("kernel cache", True, place if folder.name == "__pycache__" else str(folder.parent), use)
 
 
 def on_free_ports(rig: Rig, folder: Path) -> Rig:

@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from emulator.light import MachineLacks, SceneError
 from emulator.tables.toml_text import shortened
+from firmware_protocol.compiled import private_folder
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 from transports.recording.record import ArrayFileError, load_array
 
@@ -86,8 +87,15 @@ def report_progress(title: str, done: int, of: int) -> None:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "evstim"
+    """Return the folder of the cache; one of this user alone below TMPDIR where there is no place in its home."""
+    if given := os.environ.get("XDG_CACHE_HOME"):
+        return Path(given) / "evstim"
+    with suppress(OSError, RuntimeError):  # the second: no home is known
+        (folder := Path.home() / ".cache" / "evstim").mkdir(parents=True, exist_ok=True)
+        return folder
+    with suppress(OSError):
+        return private_folder()
+    return Path(os.devnull)
 
 
 def cached_array(
