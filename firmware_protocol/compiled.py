@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from llvmlite.binding import Linkage
-from numba import njit
+from numba import config, njit
 from numba.core import caching, codegen, compiler
 from numba.core.runtime.nrt import rtsys
 
@@ -83,42 +83,25 @@ def _log_no_folder() -> None:
         logging.getLogger(__name__).warning(NO_FOLDER)
 
 
-_HAS_HOME = os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~")) not in ("", "~")
+if os.path.expanduser("~") == "~":  # numba would make a folder of that name
+    os.environ["HOME"] = "/nonexistent"
 
-_Locator: Any = caching._CacheLocator
-_OfSourceFile: Any = caching._SourceFileBackedLocatorMixin
-_Files: Any = caching.CompileResultCacheImpl
 _Cache: Any = caching.FunctionCache
-_NullCache: Any = caching.NullCache
-
-
-class _PrivateLocator(_OfSourceFile, _Locator):  # type: ignore[misc]
-    """Place of code in the folder of this user below TMPDIR."""
-
-    def __init__(self, function: Any, file: str) -> None:
-        self._py_file = file
-        self._lineno = function.__code__.co_firstlineno
-
-    def get_cache_path(self) -> str:
-        return str(private_folder() / self.get_suitable_cache_subpath(self._py_file))
-
-
-class _EntryFiles(_Files):  # type: ignore[misc]
-    """Files of an entry's code. For a user without home, numba by itself makes a folder with the name ~."""
-
-    _locator_classes = (
-        *(locator for locator in _Files._locator_classes if _HAS_HOME or "UserWide" not in locator.__name__),
-        _PrivateLocator,
-    )
 
 
 class _EntryCache(_Cache):  # type: ignore[misc]
-    """Code of an entry on disk; where it cannot be read or written, it is compiled."""
-
-    _impl_class = _EntryFiles
+    """Code of an entry on disk; raises RuntimeError or OSError where no folder can be used."""
 
     def __init__(self, function: Any, checksum: int) -> None:
-        super().__init__(function)
+        self._is_private, configured = False, config.CACHE_DIR
+        try:
+            super().__init__(function)
+        except RuntimeError:  # numba has no folder that this user can write
+            self._is_private = True
+            config.CACHE_DIR = str(private_folder())
+            super().__init__(function)
+        finally:
+            config.CACHE_DIR = configured
         self._cache_file._version = f"{self._cache_file._version} {checksum}"
 
     def load_overload(self, signature: Any, target: Any) -> Any:
@@ -129,29 +112,25 @@ class _EntryCache(_Cache):  # type: ignore[misc]
         """
         rtsys.initialize(target)
         with suppress(OSError):
-            self._impl.locator.get_cache_path()  # a private folder is still private
+            if self._is_private:
+                private_folder()
             return self._load_overload(signature, target)
 
     def save_overload(self, signature: Any, data: Any) -> None:
         try:
+            if self._is_private:
+                private_folder()
             super().save_overload(signature, data)
         except OSError:
             _log_no_folder()
-
-
-class _NoCache(_NullCache):  # type: ignore[misc]
-    """The cache of an entry that has no folder."""
-
-    def load_overload(self, signature: Any, target: Any) -> None:
-        _log_no_folder()
 
 
 def valid_for(checksum: int, dispatcher: Any) -> Any:
     """Return a dispatcher of numba with a cache on disk, whose code is valid for that checksum alone."""
     try:
         dispatcher._cache = _EntryCache(dispatcher.py_func, checksum)
-    except RuntimeError:
-        dispatcher._cache = _NoCache()
+    except (RuntimeError, OSError):
+        _log_no_folder()
     return dispatcher
 
 

@@ -1,8 +1,8 @@
 """The application: all commands, and the exit codes of their failures.
 
 Exit codes: 0 good; 1 the verdict of the run is bad; 2 wrong use or wrong rig; 3 the machine lacks something, or stdout
-cannot take the result; 141 nobody reads stdout any more. With `--json` the last line on stdout is one JSON object, also after an error
-(`{"error": ...}`).
+cannot take the result; 141 nobody reads stdout any more. With `--json` the last line on stdout is one JSON object, also
+after an error (`{"error": ...}`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from emulator.cli.output import (
     print_json,
     status,
 )
-from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals, is_interrupted
+from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals, interruption
 from emulator.cli.verbs import VERBS, Verb
 from transports.link.background_log import BackgroundWriter
 from transports.registry import PluginError
@@ -127,7 +127,7 @@ def _main(tokens: list[str]) -> int:
         return _fail(str(failure), failure.exit_code, as_json, printed=failure.exit_code == UNREAD)
     except BaseException as error:
         # numba raises a SystemError within the call of a kernel, and a callback without its result any other error
-        if not isinstance(error.__cause__ or error, KeyboardInterrupt) and not is_interrupted():
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt) and not interruption.is_requested:
             raise
         return _interrupted(as_json)
 

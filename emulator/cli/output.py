@@ -153,31 +153,19 @@ def help_console(app: App) -> Console | None:
     return Console(width=_UNBROKEN)
 
 
-class ResultFile(io.RawIOBase):
+class ResultFile(io.FileIO):
     """Raw file that writes to a descriptor and raises Failure when the descriptor takes no more."""
 
     def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+        super().__init__(descriptor, "w", closefd=False)
         self._has_failed = False
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
-
-    def fileno(self) -> int:
-        """Return the descriptor."""
-        return self._descriptor
-
-    def isatty(self) -> bool:
-        """Return whether the descriptor is a terminal."""
-        return os.isatty(self._descriptor)
 
     def write(self, data: ReadableBuffer) -> int:
         """Write the bytes that the descriptor takes, and return their number; raises Failure once, then discards."""
         if self._has_failed:
             return memoryview(data).nbytes
         try:
-            return os.write(self._descriptor, data)
+            return os.write(self.fileno(), data)
         except OSError as error:
             self._has_failed = True
             code = UNREAD if isinstance(error, BrokenPipeError) else LACKING

@@ -22,9 +22,9 @@ import os
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from types import FrameType
 from typing import Never
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -60,49 +60,36 @@ class StopSignals:
             self._interrupt()
 
 
-class _Interruption:
-    """The interrupt of a command before its run, from its request until something has acted on it."""
+class Interruption:
+    """The interrupt of a command before its run; `is_requested`: until something acts on it."""
 
-    def __init__(self) -> None:
-        self.is_requested = False
+    is_requested = False
 
     def __call__(self, *_: object) -> None:
-        """Raise KeyboardInterrupt, or note that it is to be raised where it is not lost."""
+        """Raise KeyboardInterrupt, here or soon after a place where it would be lost."""
         self.is_requested = True
-        sys.unraisablehook = self._take
-        frame: FrameType | None = sys._getframe()
-        while frame is not None:
-            if str(frame.f_globals.get("__name__")).startswith(_LOSING):
-                self._repeat()
-                return
-            frame = frame.f_back
-        raise KeyboardInterrupt
+        sys.unraisablehook = self._raise_again
+        frames = (frame for frame, _ in traceback.walk_stack(sys._getframe()))
+        if not any(str(frame.f_globals.get("__name__")).startswith(_LOSING) for frame in frames):
+            _interrupt()
+        self._raise_again()
 
-    def _repeat(self) -> None:
-        """Raise the exception soon."""
-        signal.signal(signal.SIGALRM, self)
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
-
-    def _take(self, discarded: sys.UnraisableHookArgs) -> None:
-        """Receive an exception that was discarded."""
-        if not issubclass(discarded.exc_type, KeyboardInterrupt):
+    def _raise_again(self, discarded: sys.UnraisableHookArgs | None = None) -> None:
+        """Raise the exception soon; an exception that was `discarded` may be another one."""
+        if discarded is not None and not issubclass(discarded.exc_type, KeyboardInterrupt):
             sys.__unraisablehook__(discarded)
         elif self.is_requested:
-            self._repeat()
+            signal.signal(signal.SIGALRM, self)
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
 
     def end(self) -> None:
-        """Forget the request: something acts on it."""
+        """Forget the request."""
         if self.is_requested:
             signal.setitimer(signal.ITIMER_REAL, 0)
         self.is_requested = False
 
 
-_interruption = _Interruption()
-
-
-def is_interrupted() -> bool:
-    """Return whether the interrupt of a command was requested, and nothing has acted on it."""
-    return _interruption.is_requested
+interruption = Interruption()
 
 
 def exit_on_stop_signals() -> None:
@@ -112,7 +99,7 @@ def exit_on_stop_signals() -> None:
 
 def interrupt_on_stop_signals() -> None:
     """Make signals interrupt the command, from now on; raises KeyboardInterrupt as `stop_on_signals`."""
-    _handle_in_time(StopSignals(_interruption))
+    _handle(StopSignals(interruption))
 
 
 def stop_on_signals(stop: Callable[[], object], interrupt: Callable[[], object] | None = None) -> None:
@@ -121,7 +108,7 @@ def stop_on_signals(stop: Callable[[], object], interrupt: Callable[[], object] 
     This stays so when the run has ended: a second signal may arrive at any moment after the first. Raises
     KeyboardInterrupt where a signal came before and its exception was lost.
     """
-    _handle_in_time(StopSignals(stop, interrupt=interrupt))
+    _handle(StopSignals(stop, interrupt=interrupt))
 
 
 def ignore_stop_signals() -> None:
@@ -130,8 +117,8 @@ def ignore_stop_signals() -> None:
     A handler and not SIG_IGN, which programs that are started meanwhile would inherit. When the interpreter ends, it
     replaces handlers by SIG_DFL, but not SIG_IGN: a signal would end it after its summary, with another exit status.
     """
+    interruption.end()
     _handle(lambda *_: None)
-    _interruption.end()
     atexit.unregister(_ignore_to_the_end)
     atexit.register(_ignore_to_the_end)
 
@@ -153,12 +140,7 @@ def handle_suspension(before: Callable[[], object], after: Callable[[], object])
 def _handle(handler: Callable[..., object] | signal.Handlers) -> None:
     for number in _SIGNALS:
         signal.signal(number, handler)
-
-
-def _handle_in_time(handler: StopSignals) -> None:
-    """Set the handler of signals; raises KeyboardInterrupt where the exception of an earlier one was lost."""
-    _handle(handler)
-    if _interruption.is_requested:
+    if interruption.is_requested:
         _interrupt()
 
 

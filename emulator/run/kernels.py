@@ -264,7 +264,7 @@ class _Running:
 
 
 def uncompiled(parts: Sequence[Part]) -> list[Part]:
-    """Return the parts that have not been compiled on this machine yet; none where code is not stored or not compiled."""
+    """Return the parts that have not been compiled on this machine yet; none where code is not stored."""
     if getattr(config, "DISABLE_JIT", 0) or _folder() is None:
         return []
     return [part for part in parts if not _note(part).exists()]

@@ -13,6 +13,7 @@ import resource
 import shutil
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from numba import config
@@ -22,9 +23,8 @@ from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.scene.kind import SceneParameters
 from emulator.trajectory.parameters import LivePath
-from firmware_protocol.compiled import NO_FOLDER, cache_folder, place_of
+from firmware_protocol.compiled import NO_FOLDER, cache_folder
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.link.kind import LinkParameters
 from transports.needs import PYTHON_PACKAGES, UDC, VCAN, VHCI, Finding, Need, package
 
 _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
@@ -59,18 +59,13 @@ def egl() -> Finding:
     use = 'run.painter = "gl"; nothing else needs GL'
     available = renderers()
     if report.available:
-        also = f"; also there: {', '.join(_others(available, report.renderer))}" if len(available) > 1 else ""
+        others = list(available)
+        with suppress(ValueError):
+            others.remove(report.renderer)  # once
+        also = f"; also there: {', '.join(others)}" if len(available) > 1 else ""
         return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{also}", use)
     fix = f"unset {WANTED}" if available else f"apt-get install {PACKAGES}"
     return Finding("EGL", False, report.reason, use, fix)
-
-
-def _others(available: tuple[str, ...], chosen: str) -> list[str]:
-    """Return the renderers but the chosen one, once, if it is among them."""
-    names = list(available)
-    if chosen in names:
-        names.remove(chosen)
-    return names
 
 
 def _usbip_tool() -> Finding:
@@ -152,16 +147,20 @@ def kernel_cache() -> Finding:
     use = "kernels that are compiled once, not in each process"
     if config.DISABLE_JIT:
         return Finding("kernel cache", True, "no folder, as NUMBA_DISABLE_JIT is set", use)
-    folder = cache_folder(unpack)
-    if folder is None:
+    if (folder := cache_folder(unpack)) is None:
         return Finding("kernel cache", False, NO_FOLDER, use, "export XDG_CACHE_HOME=/a/folder/of/yours")
-    place = f"__pycache__ beside each module of {place_of('emulator').parent}"
-    return Finding("kernel cache", True, place if folder.name == "__pycache__" else str(folder.parent), use)
+    place = "__pycache__ beside each module" if folder.name == "__pycache__" else str(folder.parent)
+    return Finding("kernel cache", True, place, use)
 
 
 def on_free_ports(rig: Rig, folder: Path) -> Rig:
     """Return the rig with free ports: TCP port 0, and symbolic links of serial lines in `folder`."""
-    return dataclasses.replace(rig, links=tuple(_on_free_port(link, folder) for link in rig.links))
+    links = []
+    for link in rig.links:
+        port = {} if link.listens_on() is None else {"port": 0}
+        line = {"symlink": str(folder / f"{link.name}.tty")} if getattr(link, "symlink", "") else {}
+        links.append(dataclasses.replace(link, **port, **line))
+    return dataclasses.replace(rig, links=tuple(links))
 
 
 def pose_port(rig: Rig) -> int | None:
@@ -183,15 +182,6 @@ def on_a_free_pose_port(rig: Rig) -> Rig:
 def _live_path(scene: SceneParameters) -> LivePath | None:
     path = getattr(scene, "camera", None)
     return path if isinstance(path, LivePath) else None
-
-
-def _on_free_port(link: LinkParameters, folder: Path) -> LinkParameters:
-    changed: dict[str, object] = {}
-    if link.listens_on() is not None:
-        changed["port"] = 0
-    if getattr(link, "symlink", ""):
-        changed["symlink"] = str(folder / f"{link.name}.tty")
-    return dataclasses.replace(link, **changed) if changed else link
 
 
 def free_loopback_address(udp_port: int) -> str:

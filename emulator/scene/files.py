@@ -1,7 +1,7 @@
 """Files of scenes: arrays, files that third-party libraries read, and a cache of arrays that take long to compute.
 
-Libraries read in a child process (see `guarded_reader`). The cache is $XDG_CACHE_HOME/evstim, or ~/.cache/evstim. A
-file's name there is a digest of all inputs of the array, so a changed input makes a new file and an old one is never
+Libraries read in a child process (see `guarded_reader`). The cache is $XDG_CACHE_HOME/evstim, or ~/.cache/evstim (see
+`cache_folder`). A file's name there is a digest of all inputs of the array, so a changed input makes a new file and an old one is never
 wrong. Files are written beside their place and then renamed: a reader finds a complete file or none. A cache that
 cannot be written or read costs time, nothing else.
 """
@@ -87,15 +87,14 @@ def report_progress(title: str, done: int, of: int) -> None:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the cache; one of this user alone below TMPDIR where there is no place in its home."""
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        return Path(given) / "evstim"
-    with suppress(OSError, RuntimeError):  # the second: no home is known
-        (folder := Path.home() / ".cache" / "evstim").mkdir(parents=True, exist_ok=True)
-        return folder
-    with suppress(OSError):
-        return private_folder()
-    return Path(os.devnull)
+    """Return the folder of the cache; one of this user alone below TMPDIR where that cannot be made."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "evstim"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        with suppress(OSError):
+            return private_folder()
+    return folder
 
 
 def cached_array(
