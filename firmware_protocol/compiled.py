@@ -11,7 +11,7 @@ longer exist. A module that is missing in the declaration leaves stale code on d
 every entry through the names that it uses and compares them with the declaration.
 
 The code is stored where numba stores it: NUMBA_CACHE_DIR, the folder of the module, XDG_CACHE_HOME or ~/.cache. A user
-who can write none of these has a folder below TMPDIR, for which nobody else has rights: code from it is executed. Where
+who can write none of these has a folder below TMPDIR, for which no other user has rights: code from it is executed. Where
 there is none either, each process compiles anew.
 
 The functions that an entry calls are local to its machine code. numba by itself leaves them weak: where several codes
@@ -48,7 +48,7 @@ def checksum_of(*places: Path) -> int:
 def private_folder() -> Path:
     """Return the folder of this user below TMPDIR, made if need be; raises OSError where others may have rights for it.
 
-    It is a folder of this user with mode 0700, and nobody else but root can put another one in its place.
+    It is a folder of this user with mode 0700, and no other user but root can put another one in its place.
     """
     user = os.geteuid()
     folder = Path(os.path.realpath(os.environ.get("TMPDIR") or "/tmp"), f"evstim-{user}")

@@ -6,7 +6,7 @@ A write that standard output cannot take is a failure of the command, with its e
 
 A full disk or a closed pipe appears at some flush, in code that has no handler for it. `ResultFile` raises Failure
 there, once; the rest of the output is then discarded, so that neither the message nor the interpreter's last flush
-fails again. A pipe that nobody reads any more, as of `| head`, ends the command without a message.
+fails again. A pipe without a reader, as after `| head`, ends the command without a message.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
 UNREAD = 128 + signal.SIGPIPE
-"""Exit code where nobody reads the output, as shells show it for a program that ends by SIGPIPE."""
+"""Exit code where the output has no reader, as shells show it for a program that ends by SIGPIPE."""
 
 Flag = Annotated[bool, Parameter(negative="")]
 """An option without a value, and without a `--no-` form."""

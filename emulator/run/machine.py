@@ -59,10 +59,10 @@ def egl() -> Finding:
     use = 'run.painter = "gl"; nothing else needs GL'
     available = renderers()
     if report.available:
-        others = list(available)
+        names = list(available)
         with suppress(ValueError):
-            others.remove(report.renderer)  # once
-        also = f"; also there: {', '.join(others)}" if len(available) > 1 else ""
+            names.remove(report.renderer)  # once
+        also = f"; also there: {', '.join(names)}" if len(available) > 1 else ""
         return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{also}", use)
     fix = f"unset {WANTED}" if available else f"apt-get install {PACKAGES}"
     return Finding("EGL", False, report.reason, use, fix)
@@ -149,7 +149,7 @@ def kernel_cache() -> Finding:
         return Finding("kernel cache", True, "no folder, as NUMBA_DISABLE_JIT is set", use)
     if (folder := cache_folder(unpack)) is None:
         return Finding("kernel cache", False, NO_FOLDER, use, "export XDG_CACHE_HOME=/a/folder/of/yours")
-    place = "__pycache__ beside each module" if folder.name == "__pycache__" else str(folder.parent)
+    place = f"{folder}, and so beside each module" if folder.name == "__pycache__" else str(folder.parent)
     return Finding("kernel cache", True, place, use)
 
 

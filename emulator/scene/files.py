@@ -1,7 +1,7 @@
 """Files of scenes: arrays, files that third-party libraries read, and a cache of arrays that take long to compute.
 
-Libraries read in a child process (see `guarded_reader`). The cache is $XDG_CACHE_HOME/evstim, or ~/.cache/evstim (see
-`cache_folder`). A file's name there is a digest of all inputs of the array, so a changed input makes a new file and an old one is never
+Libraries read in a child process (see `guarded_reader`). The cache is $XDG_CACHE_HOME/evstim, or ~/.cache/evstim. A
+file's name there is a digest of all inputs of the array, so a changed input makes a new file and an old one is never
 wrong. Files are written beside their place and then renamed: a reader finds a complete file or none. A cache that
 cannot be written or read costs time, nothing else.
 """

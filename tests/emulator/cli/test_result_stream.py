@@ -1,4 +1,4 @@
-"""Standard output that takes nothing: the exit code of the rules, no traceback, a message but where nobody reads."""
+"""Standard output that takes nothing: the exit code of the rules, no traceback, a message unless it is a pipe without a reader."""
 
 import io
 import os
