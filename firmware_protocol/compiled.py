@@ -11,8 +11,8 @@ longer exist. A module that is missing in the declaration leaves stale code on d
 every entry through the names that it uses and compares them with the declaration.
 
 The code is stored where numba stores it: NUMBA_CACHE_DIR, the folder of the module, XDG_CACHE_HOME or ~/.cache. A user
-who can write none of these has a folder below TMPDIR, for which no other user has rights: code from it is executed. Where
-there is none either, each process compiles anew.
+who can write none of these has a folder below TMPDIR, for which no other user has rights: code from it is executed.
+Where there is none either, each process compiles anew.
 
 The functions that an entry calls are local to its machine code. numba by itself leaves them weak: where several codes
 define a function of one name, as in a process that compiles an entry and the kernels that it calls, all use the first

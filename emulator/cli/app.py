@@ -1,8 +1,8 @@
 """The application: all commands, and the exit codes of their failures.
 
 Exit codes: 0 good; 1 the verdict of the run is bad; 2 wrong use or wrong rig; 3 the machine lacks something, or stdout
-cannot take the result; 141 stdout has no reader any more. With `--json` the last line on stdout is one JSON object, also
-after an error (`{"error": ...}`).
+cannot take the result; 141 stdout has no reader any more. With `--json` the last line on stdout is one JSON object,
+also after an error (`{"error": ...}`).
 """
 
 from __future__ import annotations

@@ -16,8 +16,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from numba import config
-
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers, selected_painter
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
@@ -145,7 +143,7 @@ def kernel_cache() -> Finding:
     from emulator.sensor.pixels.crossings import unpack
 
     use = "kernels that are compiled once, not in each process"
-    if config.DISABLE_JIT:
+    if not hasattr(unpack, "_cache"):
         return Finding("kernel cache", True, "no folder, as NUMBA_DISABLE_JIT is set", use)
     if (folder := cache_folder(unpack)) is None:
         return Finding("kernel cache", False, NO_FOLDER, use, "export XDG_CACHE_HOME=/a/folder/of/yours")

@@ -118,11 +118,10 @@ def cached_arrays(
 ) -> list[npt.NDArray[Any]]:
     """Return the arrays that `make` computes at once, one for each kind; see `cached_array`."""
     make_once = cache(make)
-
-    def cached(k: int) -> npt.NDArray[Any]:
-        return cached_array(f"{name}-{k}", made_from, lambda: make_once()[k], kinds[k])
-
-    return [cached(k) for k in range(len(kinds))]
+    return [
+        cached_array(f"{name}-{k}", made_from, lambda k=k: make_once()[k], kind)  # type: ignore[misc]
+        for k, kind in enumerate(kinds)
+    ]
 
 
 def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:

@@ -1,4 +1,4 @@
-"""Standard output that takes nothing: the exit code of the rules, no traceback, a message unless it is a pipe without a reader."""
+"""Standard output that takes nothing: exit code of the rules, no traceback, no message where it has no reader."""
 
 import io
 import os
