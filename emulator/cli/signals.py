@@ -8,8 +8,9 @@
 A run that ends within a step has its summary too: see `Session.interrupt`.
 
 Before a run the exception would be lost in a callback of compiled code, such as those with which llvmlite loads a
-kernel, and an import of compiled code may turn it into another one. So the request is noted there, and the exception
-raised soon after; it is raised again where something discarded it, and a run does not begin.
+kernel, and an import of compiled code may turn it into another one; numba crashes where it makes the named tuple that a
+kernel returns. So the request is noted there, and the exception raised soon after; it is raised again where something
+discarded it, and a run does not begin.
 
 One Ctrl-C often arrives twice: from the terminal to the whole process group, and from a wrapper (`uv run`, `make`,
 `docker`) that forwards its own. The second must not prevent the summary that follows the first.
@@ -31,8 +32,8 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 3.0
 _INSISTING = 3  # signals
 _AGAIN_S = 0.02
-_LOSING = ("importlib._bootstrap", "_frozen_importlib", "llvmlite.")
-"""Beginnings of the names of modules within whose calls an exception is lost."""
+_LOSING = ("importlib._bootstrap", "_frozen_importlib", "llvmlite.", "numba.core.serialize", "namedtuple_")
+"""Beginnings of the names of modules within whose calls an exception is lost, or compiled code crashes by it."""
 
 
 class StopSignals:

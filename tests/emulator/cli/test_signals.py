@@ -95,12 +95,17 @@ def test_while_the_summary_is_written_signals_do_nothing(number):
 
 
 BEFORE_A_RUN = """
-import ctypes, signal, sys, threading
+import ctypes, pickle, signal, threading
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
+from numba.core.serialize import _numba_unpickle
 import llvmlite.binding as llvm
 
 def send():
     signal.raise_signal(signal.SIGINT)
+
+class Sends:
+    def __reduce__(self):
+        return send, ()
 
 def compile_with_llvm(notify):
     llvm.initialize_native_target()
@@ -120,6 +125,7 @@ except KeyboardInterrupt:
 """
 IN_A_CALLBACK = "ctypes.CFUNCTYPE(None)(lambda: (send(), print('lost')))()"
 IN_LLVM = "compile_with_llvm(lambda module, code: (send(), print('stored')))"
+IN_A_RESULT = "_numba_unpickle(1, pickle.dumps(Sends()), b''); print('made')"
 IN_AN_IMPORT = "import sends"
 
 
@@ -128,6 +134,7 @@ IN_AN_IMPORT = "import sends"
     [
         (IN_A_CALLBACK, []),  # the exception is discarded where it is raised
         (IN_LLVM, ["stored"]),  # the code is used after it, so llvmlite's callbacks must come to their end
+        (IN_A_RESULT, ["made"]),  # the type of a named tuple: numba uses it unchecked
         (IN_AN_IMPORT, ["imported"]),
     ],
 )
