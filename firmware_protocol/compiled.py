@@ -10,6 +10,10 @@ as long as none of these sources changes. An index of other sources is ignored u
 longer exist. A module that is missing in the declaration leaves stale code on disk when it changes; a test follows
 every entry through the names that it uses and compares them with the declaration.
 
+The code is stored where numba stores it: NUMBA_CACHE_DIR, the folder of the module, XDG_CACHE_HOME or ~/.cache. A user
+who can write none of these has a folder below TMPDIR, for which no other user has rights: code from it is executed.
+Where there is none either, each process compiles anew.
+
 The functions that an entry calls are local to its machine code. numba by itself leaves them weak: where several codes
 define a function of one name, as in a process that compiles an entry and the kernels that it calls, all use the first
 definition. Each was optimised with its own callers, so results differed in the last bit between the process that
@@ -18,15 +22,20 @@ compiles and one that reads the code from disk.
 
 from __future__ import annotations
 
+import logging
+import os
+import stat
 import zlib
 from collections.abc import Callable
-from functools import cache, partial
+from contextlib import suppress
+from functools import cache
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, TypeVar
 
 from llvmlite.binding import Linkage
-from numba import njit
-from numba.core import codegen, compiler
+from numba import config, njit
+from numba.core import caching, codegen, compiler
 from numba.core.runtime.nrt import rtsys
 
 
@@ -36,29 +45,93 @@ def checksum_of(*places: Path) -> int:
     return zlib.crc32(b"".join(file.read_bytes() for file in sorted(files)))
 
 
-def cache_folder(dispatcher: Any) -> Path:
-    """Return the folder of a dispatcher's code on disk."""
-    return Path(dispatcher._cache.cache_path)
+def private_folder() -> Path:
+    """Return the folder of this user below TMPDIR, made if need be; raises OSError where others may have rights for it.
+
+    It is a folder of this user with mode 0700, and no other user but root can put another one in its place.
+    """
+    user = os.geteuid()
+    folder = Path(os.path.realpath(os.environ.get("TMPDIR") or "/tmp"), f"evstim-{user}")
+    for above in folder.parents:
+        status = above.stat()
+        is_shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not status.st_mode & stat.S_ISVTX
+        if is_shared or status.st_uid not in (0, user):
+            raise PermissionError(f"other users can replace what is in {above}")
+    with suppress(FileExistsError):
+        folder.mkdir(0o700)
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != user or stat.S_IMODE(status.st_mode) & 0o077:
+        raise PermissionError(f"{folder} is no folder of this user alone, with mode 0700")
+    return folder
+
+
+def cache_folder(dispatcher: Any) -> Path | None:
+    """Return the folder of an entry's code on disk; None where it has none."""
+    path = dispatcher._cache.cache_path
+    return path and Path(path)
+
+
+NO_FOLDER = (
+    "compiled kernels cannot be stored, so each process compiles them anew, for a minute or longer: set XDG_CACHE_HOME "
+    "to a folder that this user can write"
+)
+
+
+@cache
+def _log_no_folder() -> None:
+    if parent_process() is None:  # once, not in each process that this program starts
+        logging.getLogger(__name__).warning(NO_FOLDER)
+
+
+if os.path.expanduser("~") == "~":  # numba would make a folder of that name
+    os.environ["HOME"] = "/nonexistent"
+
+_Cache: Any = caching.FunctionCache
+
+
+class _EntryCache(_Cache):  # type: ignore[misc]
+    """Code of an entry on disk; raises RuntimeError or OSError where no folder can be used."""
+
+    def __init__(self, function: Any, checksum: int) -> None:
+        self._is_private, configured = False, config.CACHE_DIR
+        try:
+            super().__init__(function)
+        except RuntimeError:  # numba has no folder that this user can write
+            self._is_private = True
+            config.CACHE_DIR = str(private_folder())
+            super().__init__(function)
+        finally:
+            config.CACHE_DIR = configured
+        self._cache_file._version = f"{self._cache_file._version} {checksum}"
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Return the code for a signature, or None.
+
+        numba by itself first registers all its functions, which code that is compiled already does not use, and imports
+        scipy for it: 0.3 s in each process.
+        """
+        rtsys.initialize(target)
+        with suppress(OSError):
+            if self._is_private:
+                private_folder()
+            return self._load_overload(signature, target)
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        try:
+            if self._is_private:
+                private_folder()
+            super().save_overload(signature, data)
+        except OSError:
+            _log_no_folder()
 
 
 def valid_for(checksum: int, dispatcher: Any) -> Any:
-    """Return a dispatcher of numba, compiled with `cache=True`, whose code on disk is valid for that checksum alone."""
-    stored = dispatcher._cache
-    index = stored._cache_file
-    index._version = f"{index._version} {checksum}"
-    if hasattr(stored, "_load_overload"):
-        stored.load_overload = partial(_load, stored)
+    """Return a dispatcher of numba with a cache on disk, whose code is valid for that checksum alone."""
+    try:
+        dispatcher._cache = _EntryCache(dispatcher.py_func, checksum)
+    except (RuntimeError, OSError):
+        _log_no_folder()
     return dispatcher
-
-
-def _load(stored: Any, signature: Any, target: Any) -> Any:
-    """Return the code on disk for a signature, or None.
-
-    numba by itself first registers all its functions, which code that is compiled already does not use, and imports
-    scipy for it: 0.3 s in each process.
-    """
-    rtsys.initialize(target)
-    return stored._load_overload(signature, target)
 
 
 _Library: Any = codegen.JITCodeLibrary
@@ -117,7 +190,7 @@ def entry_of(*sources: str, **options: Any) -> Callable[[_Function], _Function]:
     checksum = _checksum(*sources, *RULE)
 
     def entry(function: _Function) -> _Function:
-        dispatcher: Any = njit(**{**_COUNTED, **options, "cache": True}, pipeline_class=_EntryCompiler)(function)
+        dispatcher: Any = njit(**{**_COUNTED, **options}, pipeline_class=_EntryCompiler)(function)
         if dispatcher is function:
             return function
         dispatcher.sources = sources

@@ -108,10 +108,11 @@ class FrameCounters:
 
 
 class StreamDeframer(ABC):
-    """Receives bytes in any pieces and returns the payloads of complete, valid frames."""
+    """Receives bytes in any pieces and returns the payloads of complete, valid frames of up to `max_payload` bytes."""
 
-    def __init__(self) -> None:
+    def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
         self.counters = FrameCounters()
+        self._max_payload = max_payload
 
     @abstractmethod
     def push(self, data: bytes) -> list[bytes]:
@@ -125,10 +126,11 @@ class DelimitedDeframer(StreamDeframer, ABC):
     ----------
     delimiter : byte that occurs in no frame.
     max_frame : longest frame in bytes on the line, without delimiters.
+    max_payload : longest payload in bytes.
     """
 
-    def __init__(self, delimiter: int, max_frame: int) -> None:
-        super().__init__()
+    def __init__(self, delimiter: int, max_frame: int, max_payload: int) -> None:
+        super().__init__(max_payload)
         self._delimiter = bytes([delimiter])
         self._max_frame = max_frame
         self._begun = b""
@@ -175,6 +177,8 @@ class DelimitedDeframer(StreamDeframer, ABC):
             if len(piece) > self._max_frame:
                 raise FrameError("too long")
             payload = self.decode(piece)
+            if len(payload) > self._max_payload:
+                raise FrameError("too long")
         except FrameError as error:
             self.counters.bad(str(error), len(piece) + 1)
             return None
@@ -237,7 +241,7 @@ class CobsDeframer(DelimitedDeframer):
     """Deframer of COBS frames of up to `max_payload` bytes. COBS detects few errors: the packet has a CRC."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
-        super().__init__(_COBS_DELIMITER, cobs_longest(max_payload))
+        super().__init__(_COBS_DELIMITER, cobs_longest(max_payload), max_payload)
 
     def decode(self, piece: bytes) -> bytes:
         """Undo the stuffing of one piece."""
@@ -274,15 +278,11 @@ class SlipDeframer(DelimitedDeframer):
     """Deframer of SLIP frames of up to `max_payload` bytes. SLIP detects no errors: the packet has a CRC."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
-        super().__init__(_END[0], 2 * max_payload)
-        self._max_payload = max_payload
+        super().__init__(_END[0], 2 * max_payload, max_payload)
 
     def decode(self, piece: bytes) -> bytes:
         """Remove the escapes of one piece."""
-        payload = _unescape(piece)
-        if len(payload) > self._max_payload:
-            raise FrameError("too long")
-        return payload
+        return _unescape(piece)
 
 
 _KISS_DATA = 0x00
@@ -363,18 +363,14 @@ class KissDeframer(DelimitedDeframer):
     """Deframer of KISS frames of up to `max_payload` bytes, checked; for `header_bytes` see `checked`."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD, header_bytes: int = 0) -> None:
-        super().__init__(_END[0], 1 + 2 * (max_payload + _CRC_BYTES))
-        self._max_payload = max_payload
+        super().__init__(_END[0], 1 + 2 * (max_payload + _CRC_BYTES), max_payload)
         self._header_bytes = header_bytes
 
     def decode(self, piece: bytes) -> bytes:
         """Remove the escapes of one piece and check it."""
         if piece[0] != _KISS_DATA:
             raise FrameError("command")
-        payload = checked(_unescape(piece[1:]), self._header_bytes)
-        if len(payload) > self._max_payload:
-            raise FrameError("too long")
-        return payload
+        return checked(_unescape(piece[1:]), self._header_bytes)
 
 
 _FPRIME_START = b"\xde\xad\xbe\xef"
@@ -391,8 +387,7 @@ class FPrimeDeframer(StreamDeframer):
     """Deframer of F Prime frames of up to `max_payload` bytes; it returns checked payloads."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
-        super().__init__()
-        self._max_payload = max_payload
+        super().__init__(max_payload)
         self._held = b""
 
     def push(self, data: bytes) -> list[bytes]:
@@ -442,10 +437,6 @@ class FPrimeDeframer(StreamDeframer):
 
 class PacketDeframer(StreamDeframer):
     """Deframer for whole packets of up to `max_payload` bytes, one in each push."""
-
-    def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
-        super().__init__()
-        self._max_payload = max_payload
 
     def push(self, data: bytes) -> list[bytes]:
         """Process one packet."""

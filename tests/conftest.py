@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -32,7 +33,9 @@ def pytest_collection_modifyitems(items):
 def _signal_handlers():
     """Restore the handlers that a command sets for the rest of its process, which here is that of all tests."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    discarded = sys.unraisablehook
     yield
+    sys.unraisablehook = discarded
     for number, handler in before.items():
         signal.signal(number, handler)
 

@@ -17,13 +17,12 @@ def main() -> None:
     """Run the command line and exit with its code."""
     gc.set_threshold(_OBJECTS_WHILE_STARTING)  # what is imported stays, so a search for garbage finds little
     # Imported here: each link's process begins by importing the script that calls this, and needs no verbs.
+    from emulator.cli.signals import exit_on_stop_signals
+
+    exit_on_stop_signals()
     from emulator.run import fill_standard_descriptors
 
     fill_standard_descriptors()
-    from emulator.cli.signals import exit_on_stop_signals, interrupt_on_stop_signals
-
-    exit_on_stop_signals()
     from emulator.cli.app import main as run
 
-    interrupt_on_stop_signals()
     run()

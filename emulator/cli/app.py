@@ -1,8 +1,8 @@
 """The application: all commands, and the exit codes of their failures.
 
 Exit codes: 0 good; 1 the verdict of the run is bad; 2 wrong use or wrong rig; 3 the machine lacks something, or stdout
-cannot take the result. With `--json` the last line on stdout is one JSON object, also after an error
-(`{"error": ...}`).
+cannot take the result; 141 stdout has no reader any more. With `--json` the last line on stdout is one JSON object,
+also after an error (`{"error": ...}`).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from emulator.cli.output import (
     BAD_VERDICT,
     GOOD,
     LACKING,
+    UNREAD,
     WRONG_USE,
     Failure,
     break_lines,
@@ -30,7 +31,7 @@ from emulator.cli.output import (
     print_json,
     status,
 )
-from emulator.cli.signals import ignore_stop_signals
+from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals, interruption
 from emulator.cli.verbs import VERBS, Verb
 from transports.link.background_log import BackgroundWriter
 from transports.registry import PluginError
@@ -96,12 +97,17 @@ def main() -> None:
     guard_stdout()
     log = BackgroundWriter(2)
     status.file = cast(IO[str], log)  # an unread stderr must not stop a camera
+    tokens = sys.argv[1:]
     try:
-        sys.exit(_main(sys.argv[1:]))
-    finally:
+        interrupt_on_stop_signals()
+        code = _main(tokens)
         ignore_stop_signals()
+    except KeyboardInterrupt:  # before the command, after it, or while its failure is reported
+        code = _interrupted("--json" in tokens)
+    finally:
         log.drain()
-        gc.freeze()  # a last search for garbage takes a second, and the process ends
+    gc.freeze()  # a last search for garbage takes a second, and the process ends
+    sys.exit(code)
 
 
 def _main(tokens: list[str]) -> int:
@@ -118,12 +124,18 @@ def _main(tokens: list[str]) -> int:
     except CycloptsError as error:
         return _fail(str(error), WRONG_USE, as_json, printed=boxed)
     except Failure as failure:
-        return _fail(str(failure), failure.exit_code, as_json)
-    except (KeyboardInterrupt, SystemError) as error:  # numba raises the second one within the call of a kernel
-        if not isinstance(error, KeyboardInterrupt) and not isinstance(error.__cause__, KeyboardInterrupt):
+        return _fail(str(failure), failure.exit_code, as_json, printed=failure.exit_code == UNREAD)
+    except BaseException as error:
+        # numba raises a SystemError within the call of a kernel, and a callback without its result any other error
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt) and not interruption.is_requested:
             raise
-        ignore_stop_signals()
-        return _fail("interrupted", BAD_VERDICT, as_json)
+        return _interrupted(as_json)
+
+
+def _interrupted(as_json: bool) -> int:
+    """Report the interrupt of a command, and return its exit code."""
+    ignore_stop_signals()
+    return _fail("interrupted", BAD_VERDICT, as_json)
 
 
 def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
@@ -153,5 +165,6 @@ def _fail(message: str, exit_code: int, as_json: bool, printed: bool = False) ->
         try:
             print_json({"error": message, "exit_code": exit_code})
         except Failure as failure:  # stdout that cannot take it changes neither the message nor the exit code
-            status.print(f"evstim: {failure}", markup=False)
+            if failure.exit_code != UNREAD:
+                status.print(f"evstim: {failure}", markup=False)
     return exit_code

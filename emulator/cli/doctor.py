@@ -28,7 +28,7 @@ from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.assembly import build_scene, plan_of
 from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.kernels import CODER, DECODER, EVT, parts_of, uncompiled
-from emulator.run.machine import examine
+from emulator.run.machine import examine, kernel_cache
 from transports.needs import Finding
 
 
@@ -87,6 +87,8 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
 def _prepare(names: Sequence[str]) -> None:
     """Compile the kernels of rigs, receivers and formats; build the scene of a single rig, and so fill its cache."""
     rigs = [load_rig(name) for name in names]
+    if not (stored := kernel_cache()).good:
+        raise Failure(f"--prepare: {stored.detail}", LACKING)
     parts = [part for rig in rigs for part in parts_of(rig)]
     prepared(list({part.key: part for part in (*parts, CODER, DECODER, EVT)}.values()))
     if len(rigs) == 1:
@@ -108,6 +110,8 @@ def _print(findings: Sequence[Finding], *, every: bool) -> None:
     """Print what is there and whether README's next step works, then each missing part, or `every` part, on a line."""
     present = ", ".join(finding.name for finding in findings if finding.good)
     console.print(f"there: {present} (`evstim doctor --all` has their versions)", markup=False, highlight=False)
+    if (stored := kernel_cache()).good:
+        console.print(f"compiled kernels are stored in {stored.detail}", markup=False, highlight=False)
     console.print(_next_step(), markup=False, highlight=False)
     missing = [finding for finding in findings if not finding.good]
     console.print("missing, each for its own use alone:" if missing else "nothing is missing")

@@ -57,8 +57,6 @@ def fault(
     table = {"kind": kind, **_keys(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
     injected = answer_of(path, {"request": "inject", "fault": table})
-    if "error" in injected:
-        raise Failure(str(injected["error"]), WRONG_USE)
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
     lines = [f"{_origin(faults)}, {injected['link']}: {fault_line(record)}"]
     if not record.hits:
@@ -124,9 +122,12 @@ def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
 
 
 def answer_of(path: Path, message: dict[str, Any]) -> dict[str, Any]:
-    """Return the answer of a run to a request; raises Failure where there is none."""
+    """Return the answer of a run to a request; raises Failure where there is none, or it is an error."""
     with failing(LACKING, NoAnswer):
-        return send_request(path, message)
+        answer = send_request(path, message)
+    if "error" in answer:
+        raise Failure(str(answer["error"]), WRONG_USE)
+    return answer
 
 
 def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> FaultRecord:
@@ -162,8 +163,6 @@ def trigger(
     path, faults = find_run(run)
     message: dict[str, Any] = {"request": "trigger", "kind": kind}
     answer = answer_of(path, message if link is None else message | {"link": link})
-    if "error" in answer:
-        raise Failure(str(answer["error"]), WRONG_USE)
     result = {"rig": faults["rig"], "pid": faults["pid"], "kind": kind, **answer}
     print_result(json, result, [f"{_origin(faults)}: {kind} at {', '.join(answer['links'])}"])
     return GOOD

@@ -6,7 +6,7 @@ A write that standard output cannot take is a failure of the command, with its e
 
 A full disk or a closed pipe appears at some flush, in code that has no handler for it. `ResultFile` raises Failure
 there, once; the rest of the output is then discarded, so that neither the message nor the interpreter's last flush
-fails again.
+fails again. A pipe without a reader, as after `| head`, ends the command without a message.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import io
 import json
 import logging
 import os
+import signal
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
+UNREAD = 128 + signal.SIGPIPE
+"""Exit code where the output has no reader, as shells show it for a program that ends by SIGPIPE."""
 
 Flag = Annotated[bool, Parameter(negative="")]
 """An option without a value, and without a `--no-` form."""
@@ -150,34 +153,23 @@ def help_console(app: App) -> Console | None:
     return Console(width=_UNBROKEN)
 
 
-class ResultFile(io.RawIOBase):
+class ResultFile(io.FileIO):
     """Raw file that writes to a descriptor and raises Failure when the descriptor takes no more."""
 
     def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+        super().__init__(descriptor, "w", closefd=False)
         self._has_failed = False
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
-
-    def fileno(self) -> int:
-        """Return the descriptor."""
-        return self._descriptor
-
-    def isatty(self) -> bool:
-        """Return whether the descriptor is a terminal."""
-        return os.isatty(self._descriptor)
 
     def write(self, data: ReadableBuffer) -> int:
         """Write the bytes that the descriptor takes, and return their number; raises Failure once, then discards."""
         if self._has_failed:
             return memoryview(data).nbytes
         try:
-            return os.write(self._descriptor, data)
+            return os.write(self.fileno(), data)
         except OSError as error:
             self._has_failed = True
-            raise Failure(f"stdout: {error.strerror}: the result was not written in full", LACKING) from error
+            code = UNREAD if isinstance(error, BrokenPipeError) else LACKING
+            raise Failure(f"stdout: {error.strerror}: the result was not written in full", code) from error
 
 
 def guard_stdout() -> None:

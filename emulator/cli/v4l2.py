@@ -6,7 +6,9 @@ import dataclasses
 import time
 from collections.abc import Callable
 from contextlib import closing
+from threading import Event
 
+from emulator.cli.listen.cameras import usb_camera
 from emulator.cli.output import (
     BAD_VERDICT,
     GOOD,
@@ -15,15 +17,12 @@ from emulator.cli.output import (
     Failure,
     Json,
     failing,
-    parsed_address,
     print_result,
     status,
 )
 from emulator.cli.signals import stop_on_signals
-from transports.usb.cameras import driver_of, first_on_the_bus
-from transports.usb.host import UsbHost, UsbHostError
+from transports.usb.host import UsbHostError
 from transports.usb.treuzell_host import TreuzellHost
-from transports.usb.usbip.client import UsbipHost
 from transports.usb.v4l2_node import MODULE_FILE, Forwarded, Node, NodeError, opened
 
 _LINE_PERIOD_S = 1.0
@@ -59,13 +58,7 @@ def v4l2(
     """
     if not 4 <= buffer_kib <= 16384:
         raise Failure(f"--buffer-kib must be 4 to 16384, got {buffer_kib}", WRONG_USE)
-    with failing(LACKING, UsbHostError):
-        host: UsbHost = (
-            first_on_the_bus()
-            if usbip is None
-            else UsbipHost.attach(*parsed_address("--usbip", usbip), busid, timeout_s=5.0)
-        )
-    with failing(LACKING, UsbHostError, NodeError), closing(driver_of(host)) as camera:
+    with failing(LACKING, UsbHostError, NodeError), usb_camera(usbip, busid) as camera:
         if not isinstance(camera, TreuzellHost):
             raise Failure(f"{camera.model}: no driver on V4L2 is known for it", WRONG_USE)
         with closing(Node(camera, opened(file), 1024 * buffer_kib)) as node:
@@ -85,14 +78,9 @@ def v4l2(
 
 def _until(started_s: float, seconds: float | None) -> Callable[[Forwarded], bool]:
     """Return a function that is False past a time and after Ctrl-C; it prints the counts meanwhile."""
-    stopped = False
+    stopped = Event()
+    stop_on_signals(stopped.set)
     next_line_s, before = _LINE_PERIOD_S, 0
-
-    def stop() -> None:
-        nonlocal stopped
-        stopped = True
-
-    stop_on_signals(stop)
 
     def goes_on(counts: Forwarded) -> bool:
         nonlocal next_line_s, before
@@ -100,6 +88,6 @@ def _until(started_s: float, seconds: float | None) -> Callable[[Forwarded], boo
         if now_s >= next_line_s and counts.octets != before:
             status.print(f"{now_s:7.1f} s  {counts.octets:>12} bytes  {counts.streams} streams")
             next_line_s, before = now_s + _LINE_PERIOD_S, counts.octets
-        return not stopped and (seconds is None or now_s < seconds)
+        return not stopped.is_set() and (seconds is None or now_s < seconds)
 
     return goes_on

@@ -264,8 +264,8 @@ class _Running:
 
 
 def uncompiled(parts: Sequence[Part]) -> list[Part]:
-    """Return the parts that have not been compiled on this machine yet; none with NUMBA_DISABLE_JIT."""
-    if getattr(config, "DISABLE_JIT", 0):
+    """Return the parts that have not been compiled on this machine yet; none where code is not stored."""
+    if getattr(config, "DISABLE_JIT", 0) or _folder() is None:
         return []
     return [part for part in parts if not _note(part).exists()]
 
@@ -337,18 +337,16 @@ def _compile(part: Part) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     gc.disable()  # a compilation makes millions of objects that live until its end
     part.compile()
-    note = _note(part)
     with suppress(OSError):  # then numba has nowhere to write either
-        note.parent.mkdir(parents=True, exist_ok=True)
-        note.touch()
+        _note(part).touch()
 
 
 def _note(part: Part) -> Path:
-    return _folder() / f"evstim-{_version()}-{part.key}.compiled"
+    return (_folder() or Path(os.devnull)) / f"evstim-{_version()}-{part.key}.compiled"
 
 
 @cache
-def _folder() -> Path:
+def _folder() -> Path | None:
     from emulator.sensor.pixels.crossings import unpack
 
     return cache_folder(unpack)

@@ -13,6 +13,7 @@ import resource
 import shutil
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers, selected_painter
@@ -20,8 +21,8 @@ from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.scene.kind import SceneParameters
 from emulator.trajectory.parameters import LivePath
+from firmware_protocol.compiled import NO_FOLDER, cache_folder
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.link.kind import LinkParameters
 from transports.needs import PYTHON_PACKAGES, UDC, VCAN, VHCI, Finding, Need, package
 
 _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
@@ -45,7 +46,7 @@ def examine() -> list[Finding]:
     """Examine everything; takes about a second, most of it for opening GL."""
     looks: list[Callable[[], Finding]] = [
         egl, _usbip_tool, VHCI.look, UDC.look, VCAN.look, _libusb, _usb_permission, _gvcp, _udp_buffer,
-        _priority, _cores,
+        _priority, _cores, kernel_cache,
     ]  # fmt: skip
     return [look() for look in (*looks, *(package(name).look for name in PYTHON_PACKAGES))]
 
@@ -56,18 +57,13 @@ def egl() -> Finding:
     use = 'run.painter = "gl"; nothing else needs GL'
     available = renderers()
     if report.available:
-        also = f"; also there: {', '.join(_others(available, report.renderer))}" if len(available) > 1 else ""
+        names = list(available)
+        with suppress(ValueError):
+            names.remove(report.renderer)  # once
+        also = f"; also there: {', '.join(names)}" if len(available) > 1 else ""
         return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{also}", use)
     fix = f"unset {WANTED}" if available else f"apt-get install {PACKAGES}"
     return Finding("EGL", False, report.reason, use, fix)
-
-
-def _others(available: tuple[str, ...], chosen: str) -> list[str]:
-    """Return the renderers but the chosen one, once, if it is among them."""
-    names = list(available)
-    if chosen in names:
-        names.remove(chosen)
-    return names
 
 
 def _usbip_tool() -> Finding:
@@ -142,9 +138,27 @@ def _cores() -> Finding:
     return Finding("cores", count >= 2, str(count), use, fix)
 
 
+def kernel_cache() -> Finding:
+    """Look for the folder in which this user's compiled kernels are stored."""
+    from emulator.sensor.pixels.crossings import unpack
+
+    use = "kernels that are compiled once, not in each process"
+    if not hasattr(unpack, "_cache"):
+        return Finding("kernel cache", True, "no folder, as NUMBA_DISABLE_JIT is set", use)
+    if (folder := cache_folder(unpack)) is None:
+        return Finding("kernel cache", False, NO_FOLDER, use, "export XDG_CACHE_HOME=/a/folder/of/yours")
+    place = f"{folder}, and so beside each module" if folder.name == "__pycache__" else str(folder.parent)
+    return Finding("kernel cache", True, place, use)
+
+
 def on_free_ports(rig: Rig, folder: Path) -> Rig:
     """Return the rig with free ports: TCP port 0, and symbolic links of serial lines in `folder`."""
-    return dataclasses.replace(rig, links=tuple(_on_free_port(link, folder) for link in rig.links))
+    links = []
+    for link in rig.links:
+        port = {} if link.listens_on() is None else {"port": 0}
+        line = {"symlink": str(folder / f"{link.name}.tty")} if getattr(link, "symlink", "") else {}
+        links.append(dataclasses.replace(link, **port, **line))
+    return dataclasses.replace(rig, links=tuple(links))
 
 
 def pose_port(rig: Rig) -> int | None:
@@ -166,15 +180,6 @@ def on_a_free_pose_port(rig: Rig) -> Rig:
 def _live_path(scene: SceneParameters) -> LivePath | None:
     path = getattr(scene, "camera", None)
     return path if isinstance(path, LivePath) else None
-
-
-def _on_free_port(link: LinkParameters, folder: Path) -> LinkParameters:
-    changed: dict[str, object] = {}
-    if link.listens_on() is not None:
-        changed["port"] = 0
-    if getattr(link, "symlink", ""):
-        changed["symlink"] = str(folder / f"{link.name}.tty")
-    return dataclasses.replace(link, **changed) if changed else link
 
 
 def free_loopback_address(udp_port: int) -> str:

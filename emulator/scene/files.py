@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from emulator.light import MachineLacks, SceneError
 from emulator.tables.toml_text import shortened
+from firmware_protocol.compiled import private_folder
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 from transports.recording.record import ArrayFileError, load_array
 
@@ -86,8 +87,14 @@ def report_progress(title: str, done: int, of: int) -> None:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "evstim"
+    """Return the folder of the cache; one of this user alone below TMPDIR where that cannot be made."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "evstim"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        with suppress(OSError):
+            return private_folder()
+    return folder
 
 
 def cached_array(
@@ -111,11 +118,10 @@ def cached_arrays(
 ) -> list[npt.NDArray[Any]]:
     """Return the arrays that `make` computes at once, one for each kind; see `cached_array`."""
     make_once = cache(make)
-
-    def cached(k: int) -> npt.NDArray[Any]:
-        return cached_array(f"{name}-{k}", made_from, lambda: make_once()[k], kinds[k])
-
-    return [cached(k) for k in range(len(kinds))]
+    return [
+        cached_array(f"{name}-{k}", made_from, lambda k=k: make_once()[k], kind)  # type: ignore[misc]
+        for k, kind in enumerate(kinds)
+    ]
 
 
 def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:

@@ -23,10 +23,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from vehicle import matrix
 
 from evstim import EVENT
+from firmware_protocol.compiled import entry_of
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
@@ -110,7 +110,7 @@ def estimate(rays: Rays, guess: Motion, spread: float, focal_px: float, reach_px
     return Motion(*theta.tolist(), gain=best / max(contrast(np.zeros(3)), 1e-9), at_s=middle_s, events=len(rays.t_s))
 
 
-@njit(cache=True, fastmath=True)
+@entry_of(fastmath=True)
 def _contrast(scene: Scene, theta: Floats, scale: float, pictures: tuple[Picture, Picture], taps: Floats) -> float:
     """Return <I, G * I> / N; one pass over the events, two over a picture of a quarter of the pixels."""
     t, x, y, sign, part = scene
@@ -135,7 +135,7 @@ def _contrast(scene: Scene, theta: Floats, scale: float, pictures: tuple[Picture
     return _blurred_product(picture, spare, taps) / t.size
 
 
-@njit(cache=True, fastmath=True)
+@entry_of(fastmath=True)
 def _blurred_product(picture: Picture, spare: Picture, taps: Floats) -> float:
     """Return the sum of a picture times itself blurred."""
     rows, columns = picture.shape

@@ -6,15 +6,16 @@ A command opens its camera and gives `listen_to` a `Source`; limits, progress, s
 from __future__ import annotations
 
 import dataclasses
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Any, Generic, TypeVar
 
 from emulator.cli.checks import check_output
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, failing, print_result, status
+from emulator.cli.signals import stop_on_signals
 from transports.reception import Reception
 from transports.recording.record import Recorder
 
@@ -94,15 +95,9 @@ def listen_to(source: Source[Any], limits: Limits, *, json: bool) -> int:
 
 def _until(limits: Limits) -> Callable[[Reception], bool]:
     """Return a function that is False past a limit and after Ctrl-C; it prints the event rate meanwhile."""
-    stopped = False
+    stopped = Event()
+    stop_on_signals(stopped.set)
     next_line_s, before = _LINE_PERIOD_S, (0, 0.0)
-
-    def stop(*_: object) -> None:
-        nonlocal stopped
-        stopped = True
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
 
     def goes_on(now: Reception) -> bool:
         nonlocal next_line_s, before
@@ -111,6 +106,6 @@ def _until(limits: Limits) -> Callable[[Reception], bool]:
             status.print(f"{now.seconds:7.1f} s  {now.events:>12} events  {rate:9.3f} kev/s")
             next_line_s, before = now.seconds + _LINE_PERIOD_S, (now.events, now.seconds)
         in_time = limits.seconds is None or now.seconds < limits.seconds
-        return not stopped and in_time and (limits.events is None or now.events < limits.events)
+        return not stopped.is_set() and in_time and (limits.events is None or now.events < limits.events)
 
     return goes_on

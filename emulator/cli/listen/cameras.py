@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
@@ -16,11 +16,18 @@ from transports.gige.host import GigeHost, GigeHostError, GigeReception
 from transports.gige.host import receive as receive_gige
 from transports.link.pacing import MonotonicClock
 from transports.usb.cameras import CameraReception, driver_of, first_on_the_bus, receive
-from transports.usb.host import UsbHost, UsbHostError
+from transports.usb.host import CameraHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
 _NO_LIMITS = Limits()
 _USB_GONE = "the camera went away before the reception was to end: it was unplugged, or its run ended or died"
+
+
+def usb_camera(usbip: str | None, busid: str) -> closing[CameraHost[Any]]:
+    """Return the camera of a USB/IP server at HOST:PORT, or this machine's first one, to be closed."""
+    if usbip is None:
+        return closing(driver_of(first_on_the_bus()))
+    return closing(driver_of(UsbipHost.attach(*parsed_address("--usbip", usbip), busid, timeout_s=5.0)))
 
 
 def listen(
@@ -40,12 +47,7 @@ def listen(
         Bus id of the camera on that server.
     """
     limits.check()
-    with failing(LACKING, UsbHostError):
-        if usbip is None:
-            host: UsbHost = first_on_the_bus()
-        else:
-            host = UsbipHost.attach(*parsed_address("--usbip", usbip), busid, timeout_s=5.0)
-    with failing(LACKING, UsbHostError), closing(driver_of(host)) as camera:
+    with failing(LACKING, UsbHostError), usb_camera(usbip, busid) as camera:
         status.print(f"{camera.model} serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
 
         def summary(reception: CameraReception) -> list[str]:

@@ -149,12 +149,12 @@ def _pass(rates: _Floats, stages: int, stage_hz: float, shares: _Floats) -> None
 def _rates(  # noqa: PLR0913, PLR0917
     on: float, off: float, leak_hz: float, rate: float, pole: float, rms: float, high: float, dead_s: float,
     tables: _Float32s,
-) -> Rates:  # fmt: skip
-    """Return the rates of a pixel with thresholds on and off, from the shares of time that its references have."""
+) -> tuple[float, float]:  # fmt: skip
+    """Return the `Rates` of a pixel with thresholds on and off, from the shares of time that its references have."""
     chain = _chain(on, off, leak_hz * on, noise_of(rate, pole, rms, high), dead_s, tables)
     shares = np.full(_LEVELS, 1 / _LEVELS)
     _pass(chain.rates, _SINGLE, _ENDLESS_HZ, shares)
-    return Rates(np.dot(shares, chain.on), np.dot(shares, chain.off))
+    return np.dot(shares, chain.on), np.dot(shares, chain.off)
 
 
 class Before(NamedTuple):

@@ -18,6 +18,7 @@ from emulator.cli import demo, doctor
 from emulator.cli.app import _main
 from emulator.cli.output import Failure
 from emulator.cli.verbs import VERBS
+from emulator.run import machine
 from emulator.run.expected_speed import ExpectedSpeed, StepCost
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
@@ -154,6 +155,19 @@ def test_doctor_begins_with_the_next_step_of_the_readme(monkeypatch, capsys, com
     assert _main(["doctor"]) == 0
     shown = capsys.readouterr().out
     assert "`evstim run eros` works here; `evstim record eros eros.aedat4` does not: get faery" in shown
+
+
+def test_doctor_shows_the_folder_of_compiled_kernels(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(machine, "cache_folder", lambda _: tmp_path / "evstim-7" / "pixels_0123")
+    assert _main(["doctor"]) == 0
+    assert f"compiled kernels are stored in {tmp_path}/evstim-7\n" in capsys.readouterr().out
+    monkeypatch.setattr(machine, "cache_folder", lambda _: None)
+    assert _main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    assert "are stored in" not in shown
+    assert "fix: export XDG_CACHE_HOME=" in shown
+    assert _main(["doctor", "--prepare", "eros"]) == 3
+    assert "set XDG_CACHE_HOME to a folder that this user can write" in capsys.readouterr().err
 
 
 @pytest.mark.system

@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -83,6 +84,7 @@ def test_two_signals_of_any_kind_stop_once(pair):
 def test_before_a_run_the_first_signal_interrupts_and_the_second_disturbs_no_message():
     interrupt_on_stop_signals()
     assert [interrupts(signal.raise_signal, signal.SIGTERM) for _ in range(2)] == [True, False]
+    ignore_stop_signals()
 
 
 @pytest.mark.parametrize("number", NUMBERS)
@@ -90,6 +92,61 @@ def test_while_the_summary_is_written_signals_do_nothing(number):
     stop_on_signals(lambda: None)
     ignore_stop_signals()
     assert not any([interrupts(signal.raise_signal, number) for _ in range(5)])
+
+
+BEFORE_A_RUN = """
+import ctypes, pickle, signal, threading
+from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
+from numba.core.serialize import _numba_unpickle
+import llvmlite.binding as llvm
+
+def send():
+    signal.raise_signal(signal.SIGINT)
+
+class Sends:
+    def __reduce__(self):
+        return send, ()
+
+def compile_with_llvm(notify):
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    module = llvm.parse_assembly("define i32 @f() {{ ret i32 1 }}")
+    engine = llvm.create_mcjit_compiler(module, llvm.Target.from_default_triple().create_target_machine())
+    engine.set_object_cache(notify, lambda module: None)
+    engine.finalize_object()
+
+interrupt_on_stop_signals()
+try:
+    {act}
+    print("returned")
+    {then}
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+IN_A_CALLBACK = "ctypes.CFUNCTYPE(None)(lambda: (send(), print('lost')))()"
+IN_LLVM = "compile_with_llvm(lambda module, code: (send(), print('stored')))"
+IN_A_RESULT = "_numba_unpickle(1, pickle.dumps(Sends()), b''); print('made')"
+IN_AN_IMPORT = "import sends"
+
+
+@pytest.mark.parametrize(
+    ("act", "printed"),
+    [
+        (IN_A_CALLBACK, []),  # the exception is discarded where it is raised
+        (IN_LLVM, ["stored"]),  # the code is used after it, so llvmlite's callbacks must come to their end
+        (IN_A_RESULT, ["made"]),  # the type of a named tuple: numba uses it unchecked
+        (IN_AN_IMPORT, ["imported"]),
+    ],
+)
+@pytest.mark.parametrize("then", ["threading.Event().wait(300)", "stop_on_signals(print); threading.Event().wait(300)"])
+def test_an_interrupt_that_is_lost_where_it_arrives_comes_after_it(act, printed, then, tmp_path):
+    (tmp_path / "sends.py").write_text("import __main__\n__main__.send()\nprint('imported')\n")
+    program = BEFORE_A_RUN.format(act=act, then=then)
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (done.stdout.split(), done.stderr) == ([*printed, "returned", "interrupted"], "")
 
 
 def test_an_interrupted_command_says_so_with_the_exit_code_of_the_rules(monkeypatch, capsys):
@@ -145,3 +202,38 @@ def test_a_stop_that_arrives_twice_ends_with_the_summary(send, number, gap_s, tm
     assert "ledger: balanced" in out
     assert "Traceback" not in err
     assert (report / "report.html").exists()
+
+
+def catches_signals(process):
+    """Return whether a process has a handler of SIGHUP, which Python by itself has not."""
+    with open(f"/proc/{process.pid}/status") as status:
+        caught = next(line for line in status if line.startswith("SigCgt:"))
+    return int(caught.split()[1], 16) >> signal.SIGHUP - 1 & 1
+
+
+@pytest.mark.long
+@pytest.mark.system
+@pytest.mark.parametrize(("signals", "latest_s", "is_cold"), [(100, 3.0, False), (15, 15.0, True)])
+def test_signals_at_random_times_end_a_start_or_the_run(signals, latest_s, is_cold, tmp_path):
+    """From the first line of evstim on, with kernels that are on disk, and with some that are compiled meanwhile."""
+    (tmp_path / "small.toml").write_text(RIG)
+    times = random.Random(7)
+    for k in range(signals):
+        environment = {**os.environ, **({"NUMBA_CACHE_DIR": str(tmp_path / f"cache{k}")} if is_cold else {})}
+        process = subprocess.Popen(
+            [*EVSTIM, "run", str(tmp_path / "small.toml")],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        while not catches_signals(process):
+            assert process.poll() is None
+        time.sleep(times.uniform(0.0, latest_s))  # any moment will do: none of them is waited for
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=300)
+        ended = (process.returncode, err.splitlines()[-1:]) == (1, ["evstim: interrupted"])
+        assert ended or (process.returncode == 0 and "ledger: balanced" in out), (k, process.returncode, out, err)
+        assert "Traceback" not in err
+        assert "ignored" not in err

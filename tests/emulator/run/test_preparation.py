@@ -100,6 +100,11 @@ def test_a_part_waits_for_those_that_it_needs(notes):
     assert prepare([second]) == ["second"]  # what it needs is done already: it does not wait
 
 
+def test_nothing_is_prepared_where_it_cannot_be_stored(monkeypatch):
+    monkeypatch.setattr(preparation, "_folder", lambda: None)
+    assert uncompiled([DECODER]) == []
+
+
 def test_nothing_is_prepared_where_numba_is_told_not_to_compile(notes, monkeypatch):
     assert uncompiled([DECODER]) == [DECODER]
     monkeypatch.setattr(preparation.config, "DISABLE_JIT", 1)

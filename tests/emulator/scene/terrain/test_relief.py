@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import os
 
 import numpy as np
 import pytest
@@ -227,6 +228,17 @@ def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeyp
     monkeypatch.setattr(files, "cache_folder", lambda: tmp_path / "file" / "evstim")
     assert cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)).all()
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_user_without_a_place_at_home_has_a_folder_below_tmpdir(tmp_path, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    private = tmp_path / f"evstim-{os.geteuid()}"
+    monkeypatch.setenv("HOME", "/dev/null")
+    assert files.cache_folder() == private
+    private.chmod(0o755)
+    assert np.all(cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)))
+    assert list(tmp_path.rglob("*")) == [private]
 
 
 def test_progress_is_told_on_stderr(capsys):
