@@ -70,7 +70,8 @@ def test_words_of_no_whole_frame_or_sample_are_counted_and_left_out():
 @pytest.mark.parametrize("unix_us", [0, 1_700_000_000_123_000])
 def test_the_header_tells_size_and_date(unix_us):
     head = aedat2_header(SIZE, unix_us)
-    assert parse_aedat2_header(head + b"\x00" * 8) == (len(head), SIZE, unix_us)
+    chip = "eu.seebetter.ini.chips.davis.davis346blue"
+    assert parse_aedat2_header(head + b"\x00" * 8) == (len(head), SIZE, unix_us, chip)
     assert head.startswith(b"#!AER-DAT2.0\r\n")
     assert head.endswith(b"#End Of ASCII Header\r\n")
 
@@ -95,7 +96,7 @@ def test_any_bytes_are_read_or_refused_in_words(data):
     for head in (data, b"#!AER-DAT2.0\r\n#" + data):
         refused, start = "", 1
         try:
-            start, _, _ = parse_aedat2_header(head)
+            start = parse_aedat2_header(head).start
         except ValueError as error:
             refused = str(error)
         assert not refused or "AEDAT 2.0" in refused or "no end" in refused
