@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from emulator.cli.checks import check_recording, parsed_size, reading, writing
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, SensorSize, print_result, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, SensorSize, Topic, print_result, status
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import Format
 from transports.recording.part import Facts, Reader, RecordingError, counts_of, named
@@ -22,7 +22,9 @@ _PROGRESS_S = 2.0
 _LATE = "as they come in the file after data of a later time"
 
 
-def convert(source: Path, target: Path, /, *, to: str = "", size: SensorSize = None, json: Json = False) -> int:
+def convert(
+    source: Path, target: Path, /, *, to: str = "", size: SensorSize = None, topic: Topic = None, json: Json = False
+) -> int:
     """Convert a recording of events to another format, piece by piece: memory does not grow with the file.
 
     Parameters
@@ -36,7 +38,7 @@ def convert(source: Path, target: Path, /, *, to: str = "", size: SensorSize = N
     """
     _check_apart(source, target)
     sensor = parsed_size(size)
-    with reading(source), OpenRecording(source, sensor) as recording:
+    with reading(source), OpenRecording(source, sensor, topic=topic) as recording:
         form = check_recording("OUT", target, to)
         return _print(source, target, form, _convert(recording, recording.facts, target, form), json)
 
@@ -95,9 +97,9 @@ def _print(source: Path, target: Path, form: Format, done: _Done, json: bool) ->
         "left_out": +(done.read - file.written), "trouble": done.trouble, "seconds": done.seconds,
     }  # fmt: skip
     lines = [f"{target}: {form.title}, {named(file.written) or 'nothing'}, {rate:.1f} Mev/s"]
-    for reason, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, +file.late)):
-        if counts:
-            lines.append(f"left out, {reason}: {named(counts)}")
+    for reason, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, file.late)):
+        if omitted := named(counts):
+            lines.append(f"left out, {reason}: {omitted}")
     lines.append(f"opens in: {form.readers}")
     if done.trouble:
         lines.append(f"{source}: {done.trouble}; the part before it is in {target}")

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.cli.checks import parsed_size, reading
-from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, print_result
+from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, Topic, print_result
 from emulator.run.truth.file import truth_in
 from transports.recording.files import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
@@ -42,6 +42,7 @@ def _truth_lines(content: Mapping[str, Any]) -> list[str]:
 
 
 _BIN_US = 100_000
+_EARLIEST_US = 10**14  # the year 1973: a smaller offset of times is of a camera's clock, and no date
 _STREAMS = {"events": "events", "edges": "triggers", "imu": "IMU", "frames": "frames"}
 
 _Times = npt.NDArray[np.int64]
@@ -53,7 +54,7 @@ class StreamSurvey:
 
     Attributes
     ----------
-    first_us, last_us : times of the first and of the latest record; None before the first.
+    first_us, last_us : times of the earliest and of the latest record; None before the first.
     steps_back : records that are earlier than the one before.
     """
 
@@ -72,17 +73,17 @@ class StreamSurvey:
         self.count += len(t_us)
         self.steps_back += int(np.count_nonzero(np.diff(t_us, prepend=self._before_us) < 0))
         self._before_us = int(t_us[-1])
-        self.last_us = max(self.last_us, int(t_us.max()))
+        self.first_us, self.last_us = min(self.first_us, int(t_us.min())), max(self.last_us, int(t_us.max()))
 
     @property
     def seconds(self) -> float:
-        """Time from the first record to the latest."""
+        """Time from the earliest record to the latest."""
         return 0.0 if self.first_us is None or self.last_us is None else (self.last_us - self.first_us) * 1e-6
 
     @property
     def mean_hz(self) -> float | None:
-        """Records a second; None where no time passes."""
-        return self.count / self.seconds if self.seconds > 0 else None
+        """Records a second; None where no time passes, or goes back."""
+        return self.count / self.seconds if self.seconds > 0 and not self.steps_back else None
 
 
 @dataclass
@@ -123,7 +124,7 @@ class Survey:
         self._bin = [int(bins[starts[-1]]), int(counts[-1])]
 
 
-def info(file: Path, /, *, size: SensorSize = None, json: Json = False) -> int:
+def info(file: Path, /, *, size: SensorSize = None, topic: Topic = None, json: Json = False) -> int:
     """Show the format, the camera and every stream of a recording or a truth file, and which programs open it.
 
     Parameters
@@ -135,7 +136,7 @@ def info(file: Path, /, *, size: SensorSize = None, json: Json = False) -> int:
         print_result(json, {"file": file, **truth}, _truth_lines(truth))
         return GOOD if truth["complete"] else BAD_VERDICT
     survey, trouble = Survey(), ""
-    with reading(file), OpenRecording(file, parsed_size(size), strict=False) as recording:
+    with reading(file), OpenRecording(file, parsed_size(size), strict=False, topic=topic or "") as recording:
         try:
             for part in recording.parts():
                 survey.add(part)
@@ -154,9 +155,11 @@ def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str)
     counts = {name: stream.count for name, stream in survey.streams.items()}
     return {
         "file": file, "format": recording.format.name, "size": facts.size, "camera": facts.camera,
-        "unix_us": facts.unix_us or None, **counts, "on": survey.on,
+        "unix_us": facts.unix_us if facts.unix_us >= _EARLIEST_US else None, "offset_us": facts.unix_us,
+        "header": facts.header, "topics": facts.topics, **counts, "on": survey.on,
         "first_us": events.first_us, "last_us": events.last_us or 0, "seconds": events.seconds,
-        "mean_hz": events.mean_hz, "busiest_hz": survey.busiest * 1e6 / _BIN_US, "steps_back": events.steps_back,
+        "mean_hz": events.mean_hz, "steps_back": events.steps_back,
+        "busiest_hz": None if events.steps_back else survey.busiest * 1e6 / _BIN_US,
         "extent": survey.extent, "streams": streams, "trouble": trouble,
     }  # fmt: skip
 
@@ -166,12 +169,16 @@ def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
     events = survey.streams["events"]
     size = "unknown" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
     share = f", {survey.on / events.count:.1%} ON" if events.count else ""
-    busiest = f", {survey.busiest * 1e6 / _BIN_US:.0f} in the busiest 0.1 s" if events.count else ""
+    busiest = f", {survey.busiest} in the busiest 0.1 s" if events.count and not events.steps_back else ""
     lines = [
         f"format    {form.title} (opens in {form.readers})",
         f"camera    {facts.camera}, {size} pixels; events reach to {survey.extent[0]} x {survey.extent[1]}",
         f"begins    {_date(facts)}",
+        *(f"header    {name}: {text}" for name, text in facts.header.items()),
     ]
+    if len(facts.topics) > 1:
+        topics = ", ".join(f"{name} ({count} messages)" for name, count in facts.topics.items())
+        lines.append(f"topics    {topics}; the values are of {facts.camera}, --topic selects another one")
     for name, title in _STREAMS.items():
         content = _stream_text(survey.streams[name], *((share, busiest) if name == "events" else ()))
         lines.append(f"{title:<9} {content if name in form.holds else 'none: the format holds none'}")
@@ -188,7 +195,8 @@ def _stream_text(stream: StreamSurvey, share: str = "", busiest: str = "") -> st
 
 
 def _date(facts: Facts) -> str:
-    if not facts.unix_us:
-        return "at no known date: times count from the camera's start"
+    if facts.unix_us < _EARLIEST_US:
+        offset = f"; the file adds {facts.unix_us} us to each, which is no date" if facts.unix_us else ""
+        return f"at no known date: times count from the camera's start{offset}"
     begin = datetime.datetime.fromtimestamp(facts.unix_us * 1e-6, datetime.UTC)
     return f"{begin:%Y-%m-%d %H:%M:%S} UTC (t = 0)"

@@ -47,16 +47,22 @@ SensorSize = Annotated[
 ]
 """The option `--size` of a verb that reads a recording."""
 
-_ESCAPES = {code: repr(chr(code))[1:-1] for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
+Topic = Annotated[str | None, Parameter(help="Topic of the events, of a ROS bag with those of several cameras.")]
+"""The option `--topic` of a verb that reads a recording."""
+
+ESCAPES = {code: repr(chr(code))[1:-1] for code in (*range(32), *range(127, 160), *range(0xDC80, 0xDD00))}
+"""Texts of control characters, and of bytes of a name that are no UTF-8, for `str.translate`: a terminal obeys them."""
 
 
 class _SafeConsole(Console):
-    """Console that shows control characters of names, titles and peers' messages as escapes: a terminal obeys them."""
+    """Console that shows control characters of names, titles and peers' messages as escapes."""
+
+    _escapes = ESCAPES | {ord(blank): blank for blank in "\t\n"}
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Yield the parts of a renderable; those that move the cursor stay as they are."""
         for part in super().render(renderable, options):
-            yield part if part.control else Segment(part.text.translate(_ESCAPES), part.style)
+            yield part if part.control else Segment(part.text.translate(self._escapes), part.style)
 
 
 console = _SafeConsole(highlight=False, soft_wrap=True)

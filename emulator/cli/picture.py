@@ -24,7 +24,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_size, prepared, reading
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Flag, Json, failing, print_result
+from emulator.cli.output import ESCAPES, GOOD, LACKING, WRONG_USE, Failure, Flag, Json, failing, print_result
 from emulator.cli.signals import handle_suspension, ignore_stop_signals
 from emulator.light import Light
 from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of
@@ -57,8 +57,8 @@ class PictureOptions:
     Attributes
     ----------
     at_s
-        Stream time of the picture, or of a movie's first one, seconds; of a recording after its first event, or its end
-        where it ends before.
+        Stream time of the picture, or of a movie's first one, seconds; of a recording the time after its first event,
+        or its end where it ends before.
     window_ms
         Draw the events of this time before it, milliseconds. Default: 20 to 500, as long as it takes to show some; in a
         movie the time from one of its pictures to the next.
@@ -68,6 +68,8 @@ class PictureOptions:
         Level of the brightest light, as a share of white.
     size
         WIDTHxHEIGHT of the sensor, such as 346x260, for recordings that do not contain it.
+    topic
+        Topic of the events, of a ROS bag with those of several cameras.
     speed
         Stream time that passes in a second of a movie, seconds.
     fps
@@ -79,6 +81,7 @@ class PictureOptions:
     seconds: float = 2.0
     brightness: float = 0.4
     size: str | None = None
+    topic: str | None = None
     speed: float = 1.0
     fps: int = 25
 
@@ -122,6 +125,7 @@ _Draw = Callable[[Light, Events], Rgb]
 _Put = Callable[[Light, Events, _Draw, str, int], None]
 """Show a picture of light and events, drawn by a function, with a text, at a time in ns."""
 _Screen = Callable[[MonotonicClock], AbstractContextManager[_Put]]
+_LARGEST_TERMINAL = (1280, 512)  # columns and lines: a picture of 1280 x 1022 pixels, 20 MB at most
 _TICK_NS = 10_000_000  # from one look at the window's keys to the next
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"
 
@@ -152,7 +156,8 @@ def picture(
 def draw(source: str, file: Path, show: PictureOptions) -> tuple[int, str]:
     """Write the picture or movie; return its number of events, and a description. Raises as `failures` expects."""
     with _source(source, show) as (name, seen):
-        return (_movie if file.suffix.lower() in MOVIES else _still)(name, seen, file, show)
+        events, description = (_movie if file.suffix.lower() in MOVIES else _still)(name, seen, file, show)
+    return events, description + (", counted from the first event" if is_recording(Path(source)) else "")
 
 
 def play(
@@ -226,7 +231,7 @@ def _terminal(clock: MonotonicClock) -> Iterator[_Put]:
     """Show pictures in the terminal, as large as they fit into it then; the shell's text and cursor come back."""
 
     def put(light: Light, events: Events, draw: _Draw, caption: str, due_ns: int) -> None:
-        columns, rows = shutil.get_terminal_size()
+        columns, rows = np.minimum(shutil.get_terminal_size(), _LARGEST_TERMINAL).tolist()
         lines = _characters(draw(*_reduced(light, events, columns, 2 * (rows - 1))), columns, rows)
         clock.sleep_until(due_ns)
         sys.stdout.write(lines + caption[: columns - 1] + "\x1b[J")
@@ -323,7 +328,7 @@ def _source(source: str, show: PictureOptions) -> Iterator[tuple[str, _Looks]]:
         prepared(parts_of(rig))
         yield rig.name, partial(looks, rig)
         return
-    with reading(path), OpenRecording(path, parsed_size(show.size)) as recording:
+    with reading(path), OpenRecording(path, parsed_size(show.size), topic=show.topic) as recording:
         if recording.facts.size is None:
             raise RecordingError("it does not contain the size of its sensor: give --size, such as 346x260")
         yield path.name, partial(_recorded_looks, recording, recording.facts.size)
@@ -337,7 +342,8 @@ def _still(name: str, seen: _Looks, file: Path, show: PictureOptions) -> tuple[i
     events = events[events["t"] >= _begin_us(at_s, window_ms)]
     rgb = scaled(event_picture(light, events, dimming=show.brightness))
     save_png(file, captioned(rgb, _caption(name, at_s, window_ms)))
-    return len(events), f"of {window_ms:g} ms over the light at {at_s:g} s"
+    place = "over the light at" if light.any() else "before"
+    return len(events), f"of {_length(window_ms)} {place} {at_s:g} s"
 
 
 def _movie(name: str, seen: _Looks, file: Path, show: PictureOptions) -> tuple[int, str]:
@@ -360,7 +366,11 @@ def _movie(name: str, seen: _Looks, file: Path, show: PictureOptions) -> tuple[i
 
 
 def _caption(name: str, at_s: float, window_ms: float) -> str:
-    return f"{name}  {at_s:.2f} s, events of {window_ms:g} ms"
+    return f"{name.translate(ESCAPES)}  {at_s:.2f} s, events of {_length(window_ms)}"
+
+
+def _length(window_ms: float) -> str:
+    return f"{window_ms:g} ms" if window_ms < 1000 else f"{window_ms / 1000:g} s"
 
 
 def _begin_us(at_s: float, window_ms: float) -> int:

@@ -6,9 +6,10 @@ AEDAT 2.0, jAER's format for a DAVIS: text lines, then records of 8 bytes, big-e
     address, bit 31 = 1:   frames and samples of the inertial unit, see below
 
 jAER counts columns from the right and rows from the bottom: x = width - 1 - column, y = height - 1 - row. The 32 bits
-of time wrap to negative after 2147 s; readers count that.
+of time wrap to negative after 2147 s; readers count that, and a file that begins with a negative time is from after it.
+A DVS128 has addresses of 16 bits: 15 external event   14..8 y   7..1 x   0 polarity (0 = ON).
 
-Sources: jAER, DavisChip.java and AEFileOutputStream.java; v2e, aedat2_output.py.
+Sources: jAER, DavisChip.java, DVS128.java and AEFileOutputStream.java; v2e, aedat2_output.py.
 
 AEDAT 3.1, the format of cAER: text lines, then packets of events of one kind, little-endian.
 
@@ -43,6 +44,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -61,7 +63,12 @@ _RECORD = np.dtype([("address", ">u4"), ("t", ">i4")])
 _PINS = {EdgeKind.FALLING: 2, EdgeKind.RISING: 3, EdgeKind.PULSE: 4}
 _EXTERNAL = 1 << 10
 _WRAP_US = 1 << 32
-_NAMES = {b"davis346": (346, 260), b"davis240": (240, 180), b"davis640": (640, 480)}
+_DVS128_PX = (128, 128)
+_SIZES = {
+    "davis346": (346, 260), "davis240": (240, 180), "davis640": (640, 480), "dvs128": _DVS128_PX,
+    "tmpdiff128": _DVS128_PX,
+}  # fmt: skip
+_LIKE_DAVIS = ("davis", "sbret", "of another size")  # jAER's chips with the addresses of a DAVIS, and our own line
 _NO_SAMPLE = 0x8000_0800  # bit 31, read cycle 2
 
 
@@ -124,47 +131,57 @@ def guarded_start(records: bytes) -> bytes:
     return struct.pack(">I4s", _NO_SAMPLE, records[4:8]) + records
 
 
-def parse_aedat2_header(head: bytes) -> tuple[int, tuple[int, int] | None, int]:
-    """Return the offset of a file's records, the sensor's size if the lines contain it, and the Unix time, us, or 0.
+class Aedat2Head(NamedTuple):
+    """Facts in a file's lines of text: offset of its records, the sensor's size, Unix time, us, or 0, and the chip."""
 
-    Raises ValueError if it is no AEDAT 2.0 file, or if its lines do not end within `head`.
+    start: int
+    size: tuple[int, int] | None
+    unix_us: int
+    chip: str
+
+
+def parse_aedat2_header(head: bytes) -> Aedat2Head:
+    """Return the facts in the lines of text at the start of a file; of a chip jAER's class, in lower case.
+
+    Raises ValueError if it is no AEDAT 2.0 file, if its lines do not end within `head`, or if the addresses of its chip
+    are not read.
     """
     if not head.startswith(b"#!AER-DAT2"):
         raise ValueError("it is no AEDAT 2.0 file: it does not begin with #!AER-DAT2.0")
-    start = unix_us = 0
-    size: tuple[int, int] | None = None
-    while head[start : start + 1] == b"#":
-        end = head.find(b"\n", start)
-        if end < 0:
-            raise ValueError("its lines of text have no end")
-        line = head[start + 1 : end].strip()
-        size, start = _size_of(line) or size, end + 1
-        created = re.match(rb"Creation time: System.currentTimeMillis\(\) (\d{1,15})$", line)
-        unix_us = int(created[1]) * 1000 if created else unix_us
-        if line == b"End Of ASCII Header":
-            break
-    return start, size, unix_us
-
-
-def _size_of(line: bytes) -> tuple[int, int] | None:
-    words = line.split()
-    if len(words) == 4 and words[0] == b"width" and words[2] == b"height":
-        return (int(words[1]), int(words[3])) if words[1].isdigit() and words[3].isdigit() else None
-    if not line.startswith(b"AEChip"):
-        return None
-    return next((size for name, size in _NAMES.items() if name in line.lower()), None)
+    lines = re.match(rb"(?:#[^\n]*\n)*?(?:# *End Of ASCII Header\s*?\n|(?!#))", head)
+    if lines is None:
+        raise ValueError("its lines of text have no end")
+    written, created, named = (
+        re.search(rb"(?m)^# *" + pattern + rb"\s*?$", lines[0])
+        for pattern in (
+            rb"width (\d{1,9}) height (\d{1,9})", rb"Creation time: System.currentTimeMillis\(\) (\d{1,15})",
+            rb"AEChip: *(.{1,200}?)",
+        )
+    )  # fmt: skip
+    chip = named[1].decode("ascii", "replace").lower() if named else ""
+    if chip and not any(name in chip for name in (*_SIZES, *_LIKE_DAVIS)):
+        raise ValueError(f"it is an AEDAT 2.0 file of the chip {chip}; those of a DAVIS and of a DVS128 are read")
+    size = next((size for name, size in _SIZES.items() if name in chip), None)
+    size = (int(written[1]), int(written[2])) if written else size
+    return Aedat2Head(lines.end(), size, int(created[1]) * 1000 if created else 0, chip)
 
 
 class Aedat2Decoder:
-    """Decoder of records in pieces, of a sensor of `size` = (width, height); `outside`: events beyond it so far."""
+    """Decoder of records in pieces, of a sensor of `size` = (width, height) and a chip named as in `Aedat2Head`.
 
-    def __init__(self, size: tuple[int, int]) -> None:
+    `outside`: events beyond it so far. `rest`: bytes of a record that is not complete. `damage`: reason why nothing is
+    read from some record on; empty if there is none.
+    """
+
+    def __init__(self, size: tuple[int, int], chip: str = "") -> None:
         self._size = size
-        self._rest = b""
-        self._wraps_us = 0
-        self._last = 0
+        self._is_dvs128 = size == _DVS128_PX and not any(name in chip for name in _LIKE_DAVIS)
+        self.rest = b""
+        self._last: int | None = None
+        self._wraps_us = self._count = 0
         self._imu, self._frames = ImuWords(), FrameWords(size)
         self.outside = 0
+        self.damage = ""
 
     @property
     def others(self) -> int:
@@ -173,11 +190,13 @@ class Aedat2Decoder:
 
     def decode(self, data: bytes) -> Part:
         """Return the content that the next bytes complete; they may end inside a record."""
-        data = self._rest + data
+        data = self.rest + data
         complete_bytes = len(data) & ~7
-        self._rest = data[complete_bytes:]
+        self.rest = data[complete_bytes:]
         records = np.frombuffer(data[:complete_bytes], _RECORD)
-        address, t = records["address"].astype(np.int64), self._times(records["t"].astype(np.int64))
+        t = self._times(records["t"].astype(np.int64))
+        address = records["address"].astype(np.int64)[: len(t)]
+        address = _of_dvs128(address) if self._is_dvs128 else address
         is_other, is_edge = address >> 31 != 0, (address >> 10) & 1 != 0
         readings = np.empty(int(np.count_nonzero(is_other)), WORD)
         readings["address"], readings["t"] = address[is_other], t[is_other]
@@ -190,12 +209,20 @@ class Aedat2Decoder:
         )
 
     def _times(self, t: np.ndarray) -> np.ndarray:
-        """Return times with the wraps of the 32 bits counted."""
-        steps = np.diff(t, prepend=self._last)
-        t_us = self._wraps_us + np.cumsum(_WRAP_US * (steps < -_WRAP_US // 2)) + t
-        if len(t):
-            self._wraps_us, self._last = int(t_us[-1] - t[-1]), int(t[-1])
-        times: np.ndarray = np.maximum(t_us, 0)
+        """Return times with the wraps of the 32 bits counted, up to the first negative one; none after it."""
+        if not len(t) or self.damage:
+            return t[:0]
+        if self._last is None:
+            self._wraps_us, self._last = _WRAP_US * int(t[0] < 0), int(t[0])
+        wraps = np.rint(np.diff(t, prepend=self._last) / -_WRAP_US).astype(np.int64)
+        t_us = self._wraps_us + np.cumsum(_WRAP_US * wraps) + t
+        self._wraps_us, self._last = int(t_us[-1] - t[-1]), int(t[-1])
+        if t_us.min() < 0:
+            k = int(np.argmax(t_us < 0))
+            self.damage = f"record {self._count + k} has the time {t_us[k]} us"
+            t_us = t_us[:k]
+        self._count += len(t)
+        times: np.ndarray = t_us
         return times
 
     def _events(self, address: np.ndarray, t: np.ndarray, selected: np.ndarray) -> Events:
@@ -205,6 +232,14 @@ class Aedat2Decoder:
         inside = (x >= 0) & (y >= 0)
         self.outside += int(np.count_nonzero(~inside))
         return make_events(t[inside], x[inside], y[inside], (address[inside] >> 11) & 1)
+
+
+def _of_dvs128(address: np.ndarray) -> np.ndarray:
+    """Return addresses of a DVS128 as those of a DAVIS; those of more than 16 bits become events outside."""
+    x = np.where(address >> 16 == 0, (address >> 1) & 0x7F, 0x3FF)
+    events = ((address >> 8) & 0x7F) << 22 | x << 12 | (~address & 1) << 11
+    davis: np.ndarray = np.where(address >> 15 == 1, _EXTERNAL | _PINS[EdgeKind.PULSE], events)
+    return davis
 
 
 def _edges(address: np.ndarray, t: np.ndarray, selected: np.ndarray) -> Edges:
@@ -300,25 +335,35 @@ def parse_aedat31_header(head: bytes) -> tuple[int, str]:
 
 
 class Aedat31Decoder:
-    """Decoder of packets in pieces; `others`: events without meaning here so far."""
+    """Decoder of packets in pieces.
+
+    `others`: events without meaning here so far. `rest`: bytes after the last complete packet. `damage`: reason why
+    nothing is read from some packet on; empty if there is none.
+    """
 
     def __init__(self) -> None:
-        self._rest = b""
-        self.others = 0
+        self._packets = self.others = 0
+        self.rest = b""
+        self.damage = ""
 
     def decode(self, data: bytes) -> Part:
-        """Return the content of the packets that the next bytes complete; ValueError for an impossible packet."""
-        data = self._rest + data
+        """Return the content of the packets that the next bytes complete."""
+        data = self.rest + data
         parts, start = [Part()], 0
-        while len(data) - start >= _HEAD.itemsize:
+        while len(data) - start >= _HEAD.itemsize and not self.damage:
             head = np.frombuffer(data, _HEAD, 1, start)[0]
+            kind, number, event_bytes = (int(head[name]) for name in ("kind", "number", "event_bytes"))
+            if not 0 <= kind <= 100 or number < 0 or event_bytes < 1 or number * event_bytes > _MOST_PACKET:
+                self.damage = f"packet {self._packets} is of kind {kind} with {number} events of {event_bytes} bytes"
+                break
             body_at = start + _HEAD.itemsize
-            end = body_at + _body_bytes(head)
+            end = body_at + number * event_bytes
             if end > len(data):
                 break
-            parts.append((self._frames if head["kind"] == _FRAMES else self._part)(head, data[body_at:end]))
+            parts.append((self._frames if kind == _FRAMES else self._part)(head, data[body_at:end]))
             start = end
-        self._rest = data[start:]
+            self._packets += 1
+        self.rest = data[start:]
         events, edges, imu = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("events", "edges", "imu")
         )
@@ -334,9 +379,18 @@ class Aedat31Decoder:
         records = np.frombuffer(body, dtype, number)
         records = records[records["data"] & 1 == 1]
         t = (int(head["wraps"]) << 31) + records["t"].astype(np.int64)
+        sound = self._sound(t)
+        records, t = records[:sound], t[:sound]
         if kind == _POLARITY:
             return Part(_events(records["data"], t))
         return Part(imu=_imu(records, t)) if kind == _IMU6 else Part(edges=self._edges(records["data"], t))
+
+    def _sound(self, t: npt.NDArray[np.int64]) -> int:
+        """Return the number of records of a packet, of the times `t` (n,), before the first negative time: damage."""
+        k = int(np.append(t < 0, True).argmax())
+        if k < len(t):
+            self.damage = f"record {k} of packet {self._packets} has the time {t[k]} us"
+        return k
 
     def _edges(self, data: np.ndarray, t: np.ndarray) -> Edges:
         kinds = (data >> 1) & 0x7F
@@ -349,18 +403,9 @@ class Aedat31Decoder:
     def _frames(self, head: np.void, body: bytes) -> Part:
         size, wraps_us = int(head["event_bytes"]), int(head["wraps"]) << 31
         frames = [_frame(body[at : at + size], wraps_us) for at in range(0, len(body), size)]
-        valid = tuple(frame for frame in frames if frame is not None)
+        valid = [frame for frame in frames if frame is not None]
         self.others += len(frames) - len(valid)
-        return Part(frames=valid)
-
-
-def _body_bytes(head: np.void) -> int:
-    """Return the bytes of a packet's events; raises ValueError."""
-    number, event_bytes = int(head["number"]), int(head["event_bytes"])
-    capacity = max(int(head["capacity"]), number)
-    if not 0 <= head["kind"] <= 100 or number < 0 or not event_bytes > 0 or number * event_bytes > _MOST_PACKET:
-        raise ValueError(f"a packet of kind {head['kind']} with {number} events of {event_bytes} bytes")
-    return number * event_bytes if capacity >= 0 else 0
+        return Part(frames=tuple(valid[: self._sound(np.array([frame.t_us for frame in valid], np.int64))]))
 
 
 def _events(data: np.ndarray, t: np.ndarray) -> Events:

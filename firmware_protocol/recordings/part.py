@@ -72,6 +72,8 @@ class Facts:
     unix_us : unix time of t = 0, us; 0: not known.
     streams : its contents besides events: "edges", "imu", "frames".
     imu_unit : type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
+    header : further lines of text of its file, by their names.
+    topics : number of messages of each topic with events, where the format has topics; `camera` is that of the events.
     """
 
     size: tuple[int, int] | None = None
@@ -79,6 +81,8 @@ class Facts:
     unix_us: int = 0
     streams: frozenset[str] = frozenset({"edges"})
     imu_unit: int = 2
+    header: Mapping[str, str] = field(default_factory=dict)
+    topics: Mapping[str, int] = field(default_factory=dict)
 
 
 _NAMES = {"events": "events", "edges": "triggers", "imu": "IMU samples", "frames": "frames"}
@@ -110,8 +114,8 @@ class RecordingSummary:
         """Sentences for people."""
         content = (named(self.written) or "nothing") if self.closed else "not closed, as its link died"
         lines = [f"{', '.join(self.paths)}: {self.title}, {content}"]
-        if self.left_out:
-            lines.append(f"left out, as {self.title} cannot hold them: {named(self.left_out)}")
+        if left_out := named(self.left_out):
+            lines.append(f"left out, as {self.title} cannot hold them: {left_out}")
         return lines
 
 

@@ -20,6 +20,7 @@ from transports.recording.part import Facts, Part, RecordingError, Size
 
 _CHUNK = 1 << 16
 _MS = 1000
+_MOST_GROWTH = 1032  # of gzip; a chunk that was never written has no events
 _FIELDS = {"x": "<u2", "y": "<u2", "t": "<u4", "p": "u1"}
 
 
@@ -77,6 +78,11 @@ class DsecReader:
         self._sets = [group[name] for name in _FIELDS]
         if len({data.shape for data in self._sets}) != 1 or self._sets[0].ndim != 1:
             raise RecordingError("its x, y, t and p are no lists of the same length")
+        if any(data.dtype.kind not in "iu" for data in self._sets[:3]):
+            raise RecordingError("its x, y and t are no integers: t is read in us")
+        stored = [data.id.get_storage_size() for data in self._sets]
+        if sum(data.nbytes for data in self._sets) > _MOST_GROWTH * sum(stored):
+            raise RecordingError(f"it is damaged: it claims {self._sets[0].size} events in {sum(stored)} bytes")
         size_in_file = (int(group.attrs.get("width", 0)), int(group.attrs.get("height", 0)))
         offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
         camera = str(group.attrs.get("camera", "dsec"))
@@ -87,4 +93,9 @@ class DsecReader:
         with self._file:
             for start in range(0, self._sets[0].shape[0], _CHUNK):
                 x, y, t, p = (data[start : start + _CHUNK] for data in self._sets)
-                yield Part(make_events(t, x, y, p > 0))
+                is_wrong = (t < 0) | (x < 0) | (y < 0) | (np.maximum(x, y) > np.iinfo(np.uint16).max)
+                sound = int(np.append(is_wrong, True).argmax())
+                yield Part(make_events(t[:sound], x[:sound], y[:sound], p[:sound] > 0))
+                if sound < len(t):
+                    event = f"event {start + sound} at {t[sound]} us, ({x[sound]}, {y[sound]})"
+                    raise RecordingError(f"it is damaged: {event}, cannot be")

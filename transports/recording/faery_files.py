@@ -108,7 +108,9 @@ class DatReader(_Decoded):
         decoder = dat.Decoder(path, size or _SIZE, "dat2")
         if decoder.event_type != "cd":
             raise RecordingError(f"its events are of type {decoder.event_type!r}; change-detection events are read")
-        super().__init__(decoder, decoder.dimensions, decoder.version)
+        with path.open("rb") as file:  # without a size in the file faery has one of its own
+            has_size = re.search(rb"(?mi)^% *(width|geometry)\b", file.read(4096))
+        super().__init__(decoder, decoder.dimensions if has_size else size, decoder.version)
 
     def _events(self, packet: Any) -> Events:
         return make_events(packet["t"], packet["x"], packet["y"], packet["payload"] > 0)

@@ -20,6 +20,7 @@ recording, `iter_events` yields them.
 from __future__ import annotations
 
 import dataclasses
+import math
 import shutil
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -34,6 +35,7 @@ from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
 from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
 from transports.recording.part import (
     IMU,
+    MOST_PIXELS,
     Facts,
     Frame,
     LibraryMissing,
@@ -315,6 +317,8 @@ def _remove(path: Path) -> None:
 
 
 _MOST_EVENTS = 1 << 16  # in one message
+_MOST_GROWTH = 1000  # from a file to its records; those of a regular pattern grow 700 times
+_ALWAYS_BYTES = 1 << 26
 
 
 class OpenRecording:
@@ -326,20 +330,24 @@ class OpenRecording:
     ----------
     size : (width, height) of the sensor, for files without it.
     strict : False: events that go back in time or lie outside the sensor are no error.
+    topic : topic of the events; None: the only one of the file, RecordingError if it has several. Empty: the first one.
 
     Attributes
     ----------
     format, facts : its format, and the facts available before its first event.
     """
 
-    def __init__(self, path: Path, size: Size | None = None, *, strict: bool = True) -> None:
+    def __init__(self, path: Path, size: Size | None = None, *, strict: bool = True, topic: str | None = None) -> None:
         self._strict = strict
         self.format: Format = format_to_read(path)
-        arguments = (f"{__name__}:read_messages", path, self.format.name, size)
+        arguments = (f"{__name__}:read_messages", path, self.format.name, size, topic or "")
         self._reader = GuardedReader(*arguments, limits=Limits.in_pieces(path))
         self._messages = self._received()
         try:
             self.facts: Facts = facts_of(next(self._messages))
+            if topic is None and len(self.facts.topics) > 1:
+                names = ", ".join(f"{name} ({count} messages)" for name, count in self.facts.topics.items())
+                raise RecordingError(f"it has events of {names}: choose a topic by --topic, in Python by topic=")
         except BaseException:
             self.close()
             raise
@@ -376,12 +384,19 @@ class OpenRecording:
         self.close()
 
 
-def read_messages(path: Path, form: str, size: list[int] | None) -> Iterator[dict[str, Any]]:
+def read_messages(path: Path, form: str, size: list[int] | None, topic: str = "") -> Iterator[dict[str, Any]]:
     """Yield the messages of a recording's facts and parts (see `part`), in the child; raises RecordingError."""
+    files = path.iterdir() if path.is_dir() else [path]
+    left_bytes = _MOST_GROWTH * sum(file.stat().st_size for file in files) + _ALWAYS_BYTES
     try:
-        reader = FORMATS[form].open_reader(path, None if size is None else (size[0], size[1]))
+        reader = FORMATS[form].open_reader(path, None if size is None else (size[0], size[1]), topic)
         yield _message(encoded_facts(reader.facts))
         for part in reader.parts():
+            left_bytes -= part.events.nbytes + part.edges.nbytes + part.imu.nbytes
+            if left_bytes < 0:
+                raise RecordingError("it is damaged: it would grow to more data than a file of its size can hold")
+            if any(math.prod(frame.pixels.shape[:2]) > MOST_PIXELS for frame in part.frames):
+                raise RecordingError(f"it is damaged: a frame has more than {MOST_PIXELS} pixels")
             for start in range(0, max(1, len(part.events)), _MOST_EVENTS):
                 events = part.events[start : start + _MOST_EVENTS]
                 piece = Part(events) if start else Part(events, part.edges, part.imu, part.frames)
@@ -396,7 +411,7 @@ def _message(pieces: list[bytes]) -> dict[str, Any]:
     return {"messages": np.frombuffer(b"".join(pieces), np.uint8)}
 
 
-def read_events(path: str | Path, *, size: Size | None = None, strict: bool = True) -> Events:
+def read_events(path: str | Path, *, size: Size | None = None, strict: bool = True, topic: str | None = None) -> Events:
     """Return all events of a recording, (n,) EVENT, t in us since its start.
 
     They are sorted unless `strict` is False. Of a `.npz` record they are those since the last restart of the camera's
@@ -409,11 +424,14 @@ def read_events(path: str | Path, *, size: Size | None = None, strict: bool = Tr
     path : file, or folder of a ROS 2 bag, in any format of docs/recordings.md. Its first bytes decide which one.
     size : (width, height) of the sensor, for a format that does not contain it.
     strict : False: return the events of a damaged file that go back in time or lie outside the sensor, too.
+    topic : topic of a ROS bag with the events of several cameras, which is refused without it.
     """
-    return join_events(list(iter_events(path, size=size, strict=strict))).copy()
+    return join_events(list(iter_events(path, size=size, strict=strict, topic=topic))).copy()
 
 
-def iter_events(path: str | Path, *, size: Size | None = None, strict: bool = True) -> Iterator[Events]:
+def iter_events(
+    path: str | Path, *, size: Size | None = None, strict: bool = True, topic: str | None = None
+) -> Iterator[Events]:
     """Yield the events of a recording in pieces, (n > 0,) EVENT, read-only: memory does not grow with the file.
 
     Arguments and errors are those of `read_events`. A damaged file raises RecordingError after the events before the
@@ -421,7 +439,7 @@ def iter_events(path: str | Path, *, size: Size | None = None, strict: bool = Tr
     """
     file = Path(path)
     try:
-        with OpenRecording(file, size, strict=strict) as recording:
+        with OpenRecording(file, size, strict=strict, topic=topic) as recording:
             yield from (part.events for part in recording.parts() if len(part.events))
     except RecordingError as error:
         raise type(error)(f"{file}: {error}") from error

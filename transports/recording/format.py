@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import shlex
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from transports.needs import install_command
-from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Size, Writer
+from transports.recording.part import MOST_PIXELS, Facts, LibraryMissing, Reader, RecordingError, Size, Writer
 from transports.registry import PluginError, Registry, UnknownName, imported
 
 
@@ -43,6 +44,7 @@ class Format:
     piece_us : time that is written at once, if events are few.
     live : True if a file that was not closed can be read up to its last whole piece.
     is_evt : True if it has words of EVT: rising and falling edges, and no record for a pulse that a camera reports.
+    has_topics : True if it may hold the events of several cameras; its reader has the topic as a third parameter.
     """
 
     name: str
@@ -61,11 +63,12 @@ class Format:
     piece_us: int = 10_000  # the packet length of cameras
     live: bool = True
     is_evt: bool = False
+    has_topics: bool = False
 
     def open_writer(self, path: Path, facts: Facts) -> Writer:
         """Return a writer of `path`, which is overwritten; raises OSError or RecordingError."""
         if facts.size is None:
-            raise RecordingError(f"{self.title} needs the size of the sensor, which is not known here")
+            raise RecordingError(f"{self.title} needs the size of the sensor: give --size, such as 346x260")
         if facts.size[0] > self.size_px[0] or facts.size[1] > self.size_px[1]:
             raise RecordingError(f"{self.title} numbers {self.size_px[0]} x {self.size_px[1]} pixels, not {facts.size}")
         if not path.parent.is_dir():
@@ -73,9 +76,19 @@ class Format:
         writer: Writer = self.imported(self.writer)(path, facts)
         return writer
 
-    def open_reader(self, path: Path, size: Size | None = None) -> Reader:
-        """Return a reader of `path`; `size` is for files without the sensor's size. Raises as its parts do."""
-        reader: Reader = self.imported(self.reader)(path, size)
+    def open_reader(self, path: Path, size: Size | None = None, topic: str = "") -> Reader:
+        """Return a reader of `path`; raises as its parts do, and RecordingError for a sensor that cannot be.
+
+        `size` is for files without the sensor's size, `topic` for files with several; empty: the first one.
+        """
+        if topic and not self.has_topics:
+            raise RecordingError(f"{self.title} has no topics: leave --topic out")
+        reader: Reader = self.imported(self.reader)(path, size, *([topic] if self.has_topics else ()))
+        width, height = reader.facts.size or (1, 1)
+        if min(width, height) < 1 or width * height > MOST_PIXELS:
+            raise RecordingError(f"its sensor has {width} x {height} pixels: from 1 to {MOST_PIXELS} are read")
+        if size and reader.facts.size not in (None, size):
+            raise RecordingError(f"its sensor has {width} x {height} pixels: leave --size {size[0]}x{size[1]} out")
         return reader
 
     def imported(self, path: str) -> Any:
@@ -152,7 +165,7 @@ _FORMATS = (
     Format(
         "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader",
         signature=b"#ROSBAG V2.0", holds=_ALL, ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags",
-        size_px=(1 << 11, 1 << 11), live=False, is_evt=True,
+        size_px=(1 << 11, 1 << 11), live=False, is_evt=True, has_topics=True,
     ),
     Format(
         "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
@@ -162,7 +175,7 @@ _FORMATS = (
     Format(
         "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", holds=_ALL,
         ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags", size_px=(1 << 11, 1 << 11),
-        is_folder=True, live=False, is_evt=True,
+        is_folder=True, live=False, is_evt=True, has_topics=True,
     ),
     Format(
         "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",
@@ -205,6 +218,8 @@ def _by_suffix() -> list[tuple[str, Format]]:
 
 
 _HEAD_BYTES = 4096
+_OF_ROS2 = (".db3", ".mcap")  # files in the folder of a ROS 2 bag
+_REINDEX = "`ros2 bag reindex"
 
 
 def format_to_read(path: Path) -> Format:
@@ -212,6 +227,8 @@ def format_to_read(path: Path) -> Format:
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return FORMATS["ros2"]
+        if any(file.suffix in _OF_ROS2 for file in path.iterdir()):
+            raise RecordingError(f"a ROS 2 bag without metadata.yaml: {_REINDEX} {shlex.quote(str(path))}` writes it")
         raise RecordingError("it is a folder, and no ROS 2 bag: there is no metadata.yaml in it")
     if path.exists() and not path.is_file():
         raise RecordingError("it is no regular file")
@@ -252,6 +269,9 @@ def _of_text(head: bytes, path: Path) -> Format:
     is_line = first[:2] in (b"t,", b"x,") or (first.count(b",") >= 3 and first[:1].isdigit())
     if is_line or path.suffix == ".csv":
         return FORMATS["csv"]
+    if head.startswith((b"SQLite format 3\0", b"\x89MCAP0\r\n")):
+        advice = f"name its folder; {_REINDEX} FOLDER` writes a metadata.yaml that is missing there"
+        raise RecordingError(f"it is a file of a ROS 2 bag: {advice}")
     plugins = [form for form in FORMATS.usable().values() if form.name not in FORMATS.built_in_names]
     for form in plugins:
         if not form.signature and path.name.endswith(form.suffixes):

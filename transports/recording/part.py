@@ -21,6 +21,7 @@ from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, Recording
 
 __all__ = [
     "IMU",
+    "MOST_PIXELS",
     "Facts",
     "Frame",
     "LibraryMissing",
@@ -48,6 +49,8 @@ __all__ = [
 
 Size = tuple[int, int]
 """(width, height) of a sensor, pixels."""
+MOST_PIXELS = 1 << 24
+"""Pixels of the largest sensor that is simulated, 4096 x 4096; no event camera has as many."""
 
 
 class RecordingError(Exception):
@@ -124,12 +127,12 @@ def encoded_reached(t_us: int) -> list[bytes]:
 
 def values_of(facts: Facts) -> dict[str, Any]:
     """Return facts as values of JSON."""
-    return {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
+    return vars(facts) | {"streams": sorted(facts.streams)}
 
 
-def encoded_facts(facts: Facts, **further: Any) -> list[bytes]:
-    """Return the message of facts, with further values."""
-    return _message(b"H", json.dumps(values_of(facts) | further).encode())
+def encoded_facts(facts: Facts) -> list[bytes]:
+    """Return the message of facts."""
+    return _message(b"H", json.dumps(values_of(facts)).encode())
 
 
 def encoded_end(**values: Any) -> list[bytes]:
@@ -140,7 +143,8 @@ def encoded_end(**values: Any) -> list[bytes]:
 def facts_of(values: dict[str, Any]) -> Facts:
     """Return the facts of `values_of`, or of an H message."""
     size = values["size"] and (int(values["size"][0]), int(values["size"][1]))
-    return Facts(size, values["camera"], values["unix_us"], frozenset(values["streams"]))
+    fields = {field.name: values[field.name] for field in dataclasses.fields(Facts)}
+    return Facts(**fields | {"size": size, "streams": frozenset(values["streams"])})
 
 
 def _message(letter: bytes, data: bytes) -> list[bytes]:

@@ -5,7 +5,8 @@ begins with its time and row, so that a reader may start anywhere. Its times are
 header is Unix time. The times of `dvs_msgs` are Unix time themselves. Frames and samples of the inertial unit have
 topics of their own beside that of the events.
 
-Messages of ROS with events: `event_camera_msgs/EventPacket`, and `dvs_msgs/EventArray` as bytes.
+Messages of ROS with events: `event_camera_msgs/EventPacket`, and `dvs_msgs/EventArray` as bytes. That of
+`prophesee_event_msgs` is the same.
 
 An EventArray holds a record for each event, which rosbags would make of as many Python objects. Its bytes are made and
 read here at once: 13 bytes an event in ROS 1. CDR (ROS 2) aligns times to 4 bytes, so that the first event takes 13
@@ -179,6 +180,7 @@ def imu_of(message: Any, t_us: int) -> ImuRecords:
 
 
 _PACKET, _ARRAY = "event_camera_msgs/msg/EventPacket", "dvs_msgs/msg/EventArray"
+_ARRAYS = (_ARRAY, "prophesee_event_msgs/msg/EventArray")
 _DEFINITIONS = ((_PACKET, EVENT_PACKET), (_ARRAY, EVENT_ARRAY), ("dvs_msgs/msg/Event", DVS_EVENT))
 _KINDS = {"imu": SAMPLE, "frames": IMAGE}
 _TOPICS = {"imu": "imu", "frames": "image_raw"}
@@ -301,25 +303,31 @@ class Ros2DvsWriter(Ros1DvsWriter):
 class BagReader:
     """Reads a topic with events of a ROS 1 bag or of a folder with a ROS 2 bag, and the frames and samples beside it.
 
-    Of several topics of a type the first is read, of frames and samples the first in the name space of the events.
+    Without `topic` the first one is read. Of frames and samples the first topics in its name space are read.
     """
 
-    def __init__(self, path: Path, size: Size | None) -> None:
+    def __init__(self, path: Path, size: Size | None, topic: str = "") -> None:
         self._bag = AnyReader([path], default_typestore=_typestore(Stores.ROS2_HUMBLE))
         self._bag.open()
-        events = next((c for c in self._bag.connections if c.msgtype in (_PACKET, _ARRAY)), None)
-        if events is None:
+        counts: Counter[str] = Counter()
+        for connection in self._bag.connections:
+            if connection.msgtype in (_PACKET, *_ARRAYS):
+                counts[connection.topic] += connection.msgcount
+        if not counts:
             raise RecordingError("it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray")
-        beside = {name: topic for name, kind in _KINDS.items() if (topic := self._beside(events.topic, kind))}
-        topics = {events.topic, *beside.values()}
+        if topic and topic not in counts:
+            raise RecordingError(f"it has no events of the topic {topic}, but of {', '.join(counts)}")
+        topic = topic or next(iter(counts))
+        beside = {name: other for name, kind in _KINDS.items() if (other := self._beside(topic, kind))}
+        topics = {topic, *beside.values()}
         self._connections = [c for c in self._bag.connections if c.topic in topics]
-        self._is_array = events.msgtype == _ARRAY
+        self._is_array = any(c.topic == topic and c.msgtype in _ARRAYS for c in self._connections)
         self._seen_size: Size | None = None
         self._decoder = Evt3Decoder()
         self._start_us = self._first_us()
         self._decoder = Evt3Decoder()
         streams = frozenset(beside) if self._is_array else frozenset({"edges", *beside})
-        self.facts = Facts(self._seen_size or size, events.topic, self._start_us, streams)
+        self.facts = Facts(self._seen_size or size, topic, self._start_us, streams, topics=dict(counts))
 
     def _beside(self, topic: str, kind: str) -> str | None:
         """Return the first topic of a type in the name space of another one: elsewhere it is of another camera."""
@@ -343,16 +351,21 @@ class BagReader:
     def parts(self) -> Iterator[Part]:
         """Yield what each message holds."""
         for part, _ in self._stamped():
-            if self._is_array and len(part.events):
-                part.events["t"] -= np.uint64(self._start_us)
-            yield _later(part, -self._start_us)
+            start_us = np.uint64(self._start_us if self._is_array else 0)
+            sound = int(np.append(part.events["t"] < start_us, True).argmax())
+            events = part.events[:sound]
+            events["t"] -= start_us
+            yield _later(dataclasses.replace(part, events=events), -self._start_us)
+            if sound < len(part.events):
+                time_us = part.events["t"][sound]
+                raise RecordingError(f"it is damaged: an event at {time_us} us is before its first message")
         self._bag.close()
 
     def _stamped(self) -> Iterator[tuple[Part, int]]:
         """Yield what each message holds, and its stamp, us: frames and samples in Unix time, events as they are."""
         for connection, _, raw in self._bag.messages(connections=self._connections):
             data = bytes(raw)
-            if connection.msgtype == _ARRAY:
+            if connection.msgtype in _ARRAYS:
                 yield self._of_array(data), 0
                 continue
             message: Any = self._bag.deserialize(data, connection.msgtype)
@@ -366,13 +379,14 @@ class BagReader:
 
     def _of_array(self, data: bytes) -> Part:
         try:
-            events, self._seen_size = array_events(data, cdr=self._bag.is2)
+            events, size = array_events(data, cdr=self._bag.is2)
         except ValueError as error:
             raise RecordingError(f"it is damaged: {error}") from error
+        self._seen_size = size if all(size) else None
         return Part(events)
 
     def _of_packet(self, message: Any) -> Part:
-        self._seen_size = (message.width, message.height)
+        self._seen_size = (message.width, message.height) if message.width and message.height else None
         words = message.events.tobytes()
         if message.encoding == "evt3":
             return Part(*self._decoder.decode(words))

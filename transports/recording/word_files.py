@@ -94,16 +94,16 @@ class Aedat2Reader:
     def __init__(self, path: Path, size: Size | None) -> None:
         self._path = path
         with path.open("rb") as file:
-            self._start, size_in_file, unix_us = _parsed(parse_aedat2_header, file.read(_MOST_HEADER))
-        if not (size or size_in_file):
+            self._head = _parsed(parse_aedat2_header, file.read(_MOST_HEADER))
+        size = size or self._head.size
+        if not size:
             raise RecordingError("it does not contain the size of its sensor: give --size, such as 346x260")
-        self.facts = Facts(size or size_in_file, "aedat2", unix_us, _STREAMS)
+        self.facts = Facts(size, "aedat2", self._head.unix_us, _STREAMS)
 
     def parts(self) -> Iterator[Part]:
-        """Yield events, and raise RecordingError at the end if many were outside the sensor."""
-        decoder = Aedat2Decoder(self.facts.size or (0, 0))
-        for data in _pieces(self._path, self._start):
-            yield decoder.decode(data)
+        """Yield events, and raise RecordingError at the end if any were outside the sensor."""
+        decoder = Aedat2Decoder(self.facts.size or (0, 0), self._head.chip)
+        yield from _decoded(decoder, self._path, self._head.start)
         if decoder.outside:
             raise RecordingError(
                 f"{decoder.outside} events lie outside {self.facts.size} and are left out: give --size"
@@ -142,13 +142,7 @@ class Aedat31Reader:
 
     def parts(self) -> Iterator[Part]:
         """Yield the contents of whole packets."""
-        decoder = Aedat31Decoder()
-        for data in _pieces(self._path, self._start):
-            try:
-                part = decoder.decode(data)
-            except ValueError as error:
-                raise RecordingError(f"it is damaged: {error}") from error
-            yield part
+        yield from _decoded(Aedat31Decoder(), self._path, self._start)
 
 
 _STREAMS = frozenset({"edges", "imu", "frames"})  # possible streams: only reading the whole file shows if they exist
@@ -162,11 +156,20 @@ def _parsed(parse: Callable[[bytes], T], head: bytes) -> T:
         raise RecordingError(str(error)) from error
 
 
-def _pieces(path: Path, start: int) -> Iterator[bytes]:
+def _decoded(decoder: Aedat2Decoder | Aedat31Decoder, path: Path, start: int) -> Iterator[Part]:
+    """Yield the parts of a file from the offset `start` on; raises RecordingError after those before damaged data."""
     with path.open("rb") as file:
         file.seek(start)
         while data := file.read(_PIECE_BYTES):
-            yield data
+            yield decoder.decode(data)
+            if decoder.damage:
+                raise RecordingError(f"it is damaged: {decoder.damage}")
+    _check_end(len(decoder.rest))
+
+
+def _check_end(rest_bytes: int) -> None:
+    if rest_bytes:
+        raise RecordingError(f"it is cut: {rest_bytes} octets of a cut record at the end")
 
 
 _EVT_PIECE_BYTES = 1 << 17  # at most twelve events in each word: 786 432 events
@@ -204,11 +207,17 @@ class EvtReader:
     def __init__(self, path: Path, size: Size | None) -> None:
         with path.open("rb") as file:
             head = file.read(_EVT_MOST_HEADER)
-        self._path, self._start = path, _end_of_evt_header(head)
-        text = head[: self._start]
+        text = re.match(rb"(?:%[^\n]*\n)*?(?:% end\s*?\n|(?!%))", head)
+        if not text:
+            raise RecordingError("its lines of text have no end")
+        if not text[0]:
+            raise RecordingError("it is no .raw file of Prophesee's cameras: they begin with a line of text, '% ...'")
+        self._path, self._start = path, text.end()
         name = format_to_read(path).name
         self._form = None if name == "evt3" else cast("Form", name)
-        self.facts = Facts(_evt_size(text) or size, name)
+        lines = {key.decode(): value.decode(errors="replace") for key, value in _EVT_LINE.findall(text[0])}
+        header = {key: value for key, value in lines.items() if key.lower() not in _EVT_FORM}
+        self.facts = Facts(_evt_size(text[0]) or size, name, header=header)
 
     def parts(self) -> Iterator[Part]:
         """Yield events and triggers, half a mebibyte of words at a time."""
@@ -217,27 +226,18 @@ class EvtReader:
             file.seek(self._start)
             while data := file.read(_EVT_PIECE_BYTES):
                 yield Part(*decoder.decode(data))
+            _check_end((file.tell() - self._start) % {"evt3": 2, "evt2": 4}.get(self._form or "evt3", 8))
 
 
-def _end_of_evt_header(head: bytes) -> int:
-    start = 0
-    while head[start : start + 1] == b"%":
-        end = head.find(b"\n", start)
-        if end < 0:
-            raise RecordingError("its lines of text have no end")
-        line, start = head[start:end], end + 1
-        if line.strip() == b"% end":
-            break
-    if not start:
-        raise RecordingError("it is no .raw file of Prophesee's cameras: they begin with a line of text, '% ...'")
-    return start
+_EVT_LINE = re.compile(rb"(?m)^% (\w{1,50}) +(\S.{,199}?)\s*$")
+_EVT_FORM = {"evt", "format", "geometry", "endianness"}  # what these lines contain is in other facts
 
 
 def _evt_size(text: bytes) -> Size | None:
     patterns = (
-        rb"(?m)^% geometry (?P<width>\d{1,5})x(?P<height>\d{1,5})",
-        rb"width=(?P<width>\d{1,5});height=(?P<height>\d{1,5})",
-        rb"height=(?P<height>\d{1,5});width=(?P<width>\d{1,5})",
+        rb"(?m)^% geometry (?P<width>[1-9]\d{0,4})x(?P<height>[1-9]\d{0,4})",
+        rb"width=(?P<width>[1-9]\d{0,4});height=(?P<height>[1-9]\d{0,4})",
+        rb"height=(?P<height>[1-9]\d{0,4});width=(?P<width>[1-9]\d{0,4})",
     )
     for pattern in patterns:
         if size := re.search(pattern, text):

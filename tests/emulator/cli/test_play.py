@@ -143,6 +143,27 @@ def test_no_event_is_lost_in_a_small_terminal(evstim, terminal, clock, recording
     assert np.count_nonzero(colours.any(axis=2)) == 3
 
 
+def test_a_terminal_larger_than_any_screen_gets_a_bounded_picture(evstim, terminal, clock, rig):
+    terminal(65535, 65535)
+    out = evstim("play", rig, "--seconds", "0.04").out
+    assert len(out) < 3 * 20_000_000
+    assert [colours.shape for colours, _ in pictures(out)] == [(960, 1280, 3)] * 2
+
+
+def test_a_name_does_not_reach_the_terminal_as_a_command(evstim, terminal, clock, tmp_path):
+    terminal()
+    recording = tmp_path / "a\x1b]0;b\x07\n\udc9b2J.raw"  # the last one is a byte that is no UTF-8
+    file = RecordingFile(recording, FORMATS["evt3"], Facts(SIZE))
+    file.write(Part(EVENTS))
+    file.close()
+    out = evstim("play", recording, "--speed", "10").out
+    assert pictures(out)[0][1] == r"a\x1b]0;b\x07\n\udc9b2J.raw  0.00 s, events of 400 ms"
+    assert r"a\x1b]0;b" in out.rpartition(LEAVE)[2]
+    assert not re.search(r"\x1b\]|[\x07\udc9b]", out)
+    done = evstim("play", recording, "--out", recording.with_name("a.png"))
+    assert (done.code, "\x1b" in done.out) == (0, False)
+
+
 @pytest.mark.parametrize("late_ms", [10, 100])
 def test_a_late_picture_delays_those_after_it_and_the_summary_shows_it(late_ms, evstim, terminal, clock, recording):
     terminal()

@@ -70,7 +70,8 @@ def test_words_of_no_whole_frame_or_sample_are_counted_and_left_out():
 @pytest.mark.parametrize("unix_us", [0, 1_700_000_000_123_000])
 def test_the_header_tells_size_and_date(unix_us):
     head = aedat2_header(SIZE, unix_us)
-    assert parse_aedat2_header(head + b"\x00" * 8) == (len(head), SIZE, unix_us)
+    chip = "eu.seebetter.ini.chips.davis.davis346blue"
+    assert parse_aedat2_header(head + b"\x00" * 8) == (len(head), SIZE, unix_us, chip)
     assert head.startswith(b"#!AER-DAT2.0\r\n")
     assert head.endswith(b"#End Of ASCII Header\r\n")
 
@@ -87,6 +88,49 @@ def test_the_first_record_never_looks_like_a_line_of_text():
     assert guarded_start(records[1:]) == records[1:]
 
 
+DVS128 = b"#!AER-DAT2.0\r\n# AEChip: ch.unizh.ini.jaer.chip.retina.DVS128\r\n"
+OF_DVS128 = bytes.fromhex("000007f400000064 00001437000000c8 00005a860000012c 000078eb00000190")
+
+
+@pytest.mark.parametrize("head", [DVS128, b"#!AER-DAT2.0\r\n# created Thu\r\n", DVS128.replace(b"DVS", b"Tmpdiff")])
+def test_addresses_of_a_dvs128_have_their_own_bits(head):
+    parsed = parse_aedat2_header(head + OF_DVS128)
+    assert (parsed.start, parsed.size) == (len(head), None if b"created" in head else (128, 128))
+    decoder = Aedat2Decoder((128, 128), parsed.chip)
+    part = decoder.decode(OF_DVS128 + struct.pack(">IiIi", 0x8000, 500, 0x1_07F4, 600))
+    events = [(100, 5, 120, True), (200, 100, 107, False), (300, 60, 37, True), (400, 10, 7, False)]
+    assert part.events.tolist() == events
+    assert part.edges.tolist() == [(500, EdgeKind.PULSE, 0, 0)]
+    assert (decoder.others, decoder.outside) == (0, 1)  # an address of 17 bits
+
+
+def test_a_davis_or_our_own_sensor_of_that_size_keeps_the_bits_of_a_davis():
+    size, events = (128, 128), np.array([(5, 10, 20, True), (6, 127, 127, False)], EVENT)
+    for line in (aedat2_header(size), b"#!AER-DAT2.0\r\n# AEChip: eu.seebetter.ini.chips.davis.DAVIS208\r\n"):
+        chip = parse_aedat2_header(line).chip
+        np.testing.assert_array_equal(Aedat2Decoder(size, chip).decode(encode_aedat2(events, size)).events, events)
+
+
+def test_a_chip_with_other_addresses_is_refused_by_its_name():
+    head = b"#!AER-DAT2.0\r\n# AEChip: ch.unizh.ini.jaer.chip.cochlea.CochleaAMS1c\r\n"
+    with pytest.raises(ValueError, match=r"AEDAT 2\.0 file of the chip .*cochleaams1c"):
+        parse_aedat2_header(head)
+
+
+@pytest.mark.parametrize(("times", "read", "damage"), [
+    ([5, 100, -7, 200], [5, 100], "record 2 has the time -7 us"),
+    ([-5, -3, 0, 9], [2**32 - 5, 2**32 - 3, 2**32, 2**32 + 9], ""),
+    ([2**31 - 1, -(2**31), 2**31 - 2], [2**31 - 1, 2**31, 2**31 - 2], ""),
+    ([100, 300, 200], [100, 300, 200], ""),
+])  # fmt: skip
+@pytest.mark.parametrize("piece", [3, 8, 99])
+def test_times_stay_as_they_are_stored_and_a_negative_one_is_damage(times, read, damage, piece):
+    data, decoder = b"".join(struct.pack(">Ii", 0, t) for t in times), Aedat2Decoder(SIZE)
+    parts = [decoder.decode(data[k : k + piece]) for k in range(0, len(data), piece)]
+    assert np.concatenate([part.events["t"] for part in parts]).tolist() == read
+    assert decoder.damage == damage
+
+
 @given(st.binary(max_size=300))
 def test_any_bytes_are_read_or_refused_in_words(data):
     events = Aedat2Decoder(SIZE).decode(data).events
@@ -95,7 +139,7 @@ def test_any_bytes_are_read_or_refused_in_words(data):
     for head in (data, b"#!AER-DAT2.0\r\n#" + data):
         refused, start = "", 1
         try:
-            start, _, _ = parse_aedat2_header(head)
+            start = parse_aedat2_header(head).start
         except ValueError as error:
             refused = str(error)
         assert not refused or "AEDAT 2.0" in refused or "no end" in refused

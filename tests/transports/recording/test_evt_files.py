@@ -7,7 +7,7 @@ from firmware_protocol.evt.evt2 import Evt2Encoder, evt2_header
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
-from transports.recording.part import Facts
+from transports.recording.part import Facts, RecordingError
 from transports.recording.word_files import Evt21LegacyWriter, EvtReader
 
 EVENTS = sample_events()
@@ -48,3 +48,32 @@ def test_the_text_is_what_openeb_writes_for_these_words(tmp_path):
     assert (tmp_path / "a.raw").read_bytes() == (
         b"% endianness legacy\n% format EVT21;endianness=legacy;height=260;width=346\n% geometry 346x260\n% end\n"
     )
+
+
+EVK4 = b"""% camera_integrator_name Prophesee
+% date 2023-03-29 16:37:46
+% evt 3.0
+% format EVT3;height=720;width=1280
+% geometry 1280x720
+% plugin_name hal_plugin_imx636_evk4
+% serial_number 00ca0009
+% end
+"""
+
+
+def test_date_serial_number_and_plug_in_of_the_text_are_facts(tmp_path):
+    (tmp_path / "a.raw").write_bytes(EVK4 + Evt3Encoder().encode(EVENTS))
+    assert EvtReader(tmp_path / "a.raw", None).facts.header == {
+        "camera_integrator_name": "Prophesee", "date": "2023-03-29 16:37:46", "plugin_name": "hal_plugin_imx636_evk4",
+        "serial_number": "00ca0009",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("form", "octets"), [("evt3", 1), ("evt2", 3), ("evt21", 7)])
+def test_a_cut_word_is_damage_after_the_events_before_it(form, octets, tmp_path):
+    encoder, head = (Evt3Encoder(), EVK4) if form == "evt3" else (Evt2Encoder(form), evt2_header(SIZE, form))
+    (tmp_path / "a.raw").write_bytes(head + encoder.encode(EVENTS[:100]) + bytes(octets))
+    parts = EvtReader(tmp_path / "a.raw", None).parts()
+    assert len(next(parts).events) == 100
+    with pytest.raises(RecordingError, match=f"{octets} octets of a cut record at the end"):
+        list(parts)
