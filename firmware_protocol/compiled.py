@@ -84,24 +84,25 @@ def _log_no_folder() -> None:
 
 
 if os.path.expanduser("~") == "~":  # numba would make a folder of that name
-    os.environ["HOME"] = "/nonexistent"
+    os.environ["HOME"] = os.devnull
 
 _Cache: Any = caching.FunctionCache
+_config: Any = config
 
 
 class _EntryCache(_Cache):  # type: ignore[misc]
     """Code of an entry on disk; raises RuntimeError or OSError where no folder can be used."""
 
     def __init__(self, function: Any, checksum: int) -> None:
-        self._is_private, configured = False, config.CACHE_DIR
+        self._is_private, configured = False, _config.CACHE_DIR
         try:
             super().__init__(function)
         except RuntimeError:  # numba has no folder that this user can write
             self._is_private = True
-            config.CACHE_DIR = str(private_folder())
+            _config.CACHE_DIR = str(private_folder())
             super().__init__(function)
         finally:
-            config.CACHE_DIR = configured
+            _config.CACHE_DIR = configured
         self._cache_file._version = f"{self._cache_file._version} {checksum}"
 
     def load_overload(self, signature: Any, target: Any) -> Any:
