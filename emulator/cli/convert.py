@@ -5,9 +5,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from emulator.cli.checks import check_recording, parsed_size, reading, writing
@@ -40,71 +37,46 @@ def convert(
     sensor = parsed_size(size)
     with reading(source), OpenRecording(source, sensor, topic=topic) as recording:
         form = check_recording("OUT", target, to)
-        return _print(source, target, form, _convert(recording, recording.facts, target, form), json)
+        return _convert(source, recording, recording.facts, target, form, json)
 
 
-@dataclass(frozen=True)
-class _Done:
-    """Result of a conversion, and the reason if its input was not read to the end."""
-
-    read: Counter[str]
-    file: RecordingFile
-    trouble: str
-    seconds: float
-
-
-def _convert(source: OpenRecording | Reader, facts: Facts, target: Path, form: Format) -> _Done:
+def _convert(path: Path, source: OpenRecording | Reader, facts: Facts, target: Path, form: Format, json: bool) -> int:
+    """Write what a reader of the file `path` reads, print the result, and return the exit code."""
     start_s = time.monotonic()
     tally = Counter[str]()
     trouble = ""
     with writing(target):
         file = RecordingFile(target, form, facts, hold=bool(facts.streams & set(form.holds)))
-    with _closed(file, target):
-        parts = source.parts()
-        next_s = start_s + _PROGRESS_S
-        while True:
-            try:
-                part = next(parts, None)
-            except RecordingError as error:
-                trouble = str(error)
-                break
-            if part is None:
-                break
+    next_s = start_s + _PROGRESS_S
+    try:
+        for part in source.parts():
             tally.update(counts_of(part))
             with writing(target):
                 file.write(part)
             if time.monotonic() > next_s:
                 next_s += _PROGRESS_S
                 status.print(f"{tally['events']:>14} events")
-    return _Done(tally, file, trouble, time.monotonic() - start_s)
-
-
-@contextmanager
-def _closed(file: RecordingFile, target: Path) -> Iterator[None]:
-    """Finish the file in any case."""
-    try:
-        yield
+    except RecordingError as error:
+        trouble = str(error)
     finally:
         with writing(target):
             file.close()
-
-
-def _print(source: Path, target: Path, form: Format, done: _Done, json: bool) -> int:
-    file, rate = done.file, done.file.written["events"] / max(done.seconds, 1e-9) * 1e-6
+    seconds = time.monotonic() - start_s
     result = {
-        "input": source, "output": file.paths, "format": form.name,
+        "input": path, "output": file.paths, "format": form.name,
         **{name: file.written[name] for name in ("events", "edges", "imu", "frames")},
-        "left_out": +(done.read - file.written), "trouble": done.trouble, "seconds": done.seconds,
+        "left_out": +(tally - file.written), "trouble": trouble, "seconds": seconds,
     }  # fmt: skip
+    rate = file.written["events"] / max(seconds, 1e-9) * 1e-6
     lines = [f"{target}: {form.title}, {named(file.written) or 'nothing'}, {rate:.1f} Mev/s"]
     for reason, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, file.late)):
         if omitted := named(counts):
             lines.append(f"left out, {reason}: {omitted}")
     lines.append(f"opens in: {form.readers}")
-    if done.trouble:
-        lines.append(f"{source}: {done.trouble}; the part before it is in {target}")
+    if trouble:
+        lines.append(f"{path}: {trouble}; the part before it is in {target}")
     print_result(json, result, lines)
-    return BAD_VERDICT if done.trouble else GOOD
+    return BAD_VERDICT if trouble else GOOD
 
 
 def _check_apart(source: Path, target: Path) -> None:
@@ -131,7 +103,7 @@ def recover(source: Path, target: Path, /, *, size: SensorSize = None, json: Jso
         with reading(source):
             source.stat()
             facts = Facts(parsed_size(size) or (1 << 16, 1 << 16), "record", streams=frozenset())
-            return _print(source, target, form, _convert(RawEvents(source, facts.size), facts, target, form), json)
+            return _convert(source, RawEvents(source, facts.size), facts, target, form, json)
     return _recover_aedat4(source, target, json)
 
 

@@ -9,8 +9,6 @@ jAER counts columns from the right and rows from the bottom: x = width - 1 - col
 of time wrap to negative after 2147 s; readers count that, and a file that begins with a negative time is from after it.
 A DVS128 has addresses of 16 bits: 15 external event   14..8 y   7..1 x   0 polarity (0 = ON).
 
-Sources: jAER, DavisChip.java, DVS128.java and AEFileOutputStream.java; v2e, aedat2_output.py.
-
 AEDAT 3.1, the format of cAER: text lines, then packets of events of one kind, little-endian.
 
     i16 kind   i16 source   i32 event size   i32 offset of the time   i32 wraps of 2^31 us
@@ -23,8 +21,6 @@ AEDAT 3.1, the format of cAER: text lines, then packets of events of one kind, l
 
 Row 0 is the top row. Other kinds and frames with colours are left out.
 
-Sources: docs.inivation.com, "AEDAT 3.1"; libcaer, events/common.h, polarity.h, special.h, frame.h, imu6.h.
-
 Frames and samples of an inertial unit as records of AEDAT 2.0:
 
     address of a read of a pixel:   31 = 1   30..22 y   21..12 x   11..10 read: 0 reset, 1 signal   9..0 ADC value
@@ -36,7 +32,8 @@ pixel's brightness is their difference. Its exposure begins with the last reset 
 signal reads alternate (rolling shutter), and ends with the first signal read. Columns count from the left here, unlike
 those of events, rows from the bottom.
 
-Sources: jAER, IMUSample.java, DavisBaseCamera.java (DavisEventExtractor); docs.inivation.com, "AEDAT 2.0".
+Sources: jAER, DavisChip.java, DVS128.java, AEFileOutputStream.java, IMUSample.java, DavisBaseCamera.java; v2e,
+aedat2_output.py; docs.inivation.com, "AEDAT 2.0", "AEDAT 3.1"; libcaer, events/*.h.
 """
 
 from __future__ import annotations
@@ -49,7 +46,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EDGE, EdgeKind, Edges, Events, empty_edges, make_events
+from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, make_edges, make_events
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part, ten_bits
 
 CHIPS: Mapping[tuple[int, int], str] = {
@@ -183,11 +180,6 @@ class Aedat2Decoder:
         self.outside = 0
         self.damage = ""
 
-    @property
-    def others(self) -> int:
-        """Records so far that belong to no complete sample or frame; the last ones may still become complete."""
-        return self._imu.others + self._frames.others
-
     def decode(self, data: bytes) -> Part:
         """Return the content that the next bytes complete; they may end inside a record."""
         data = self.rest + data
@@ -244,11 +236,8 @@ def _of_dvs128(address: np.ndarray) -> np.ndarray:
 
 def _edges(address: np.ndarray, t: np.ndarray, selected: np.ndarray) -> Edges:
     address, t = address[selected], t[selected]
-    edges = np.zeros(len(t), EDGE)
-    edges["t"] = t
     pin = address & 0x3FF
-    edges["kind"] = np.select([pin == 2, pin == 3], [EdgeKind.FALLING, EdgeKind.RISING], EdgeKind.PULSE)
-    return edges
+    return make_edges(t, np.select([pin == 2, pin == 3], [EdgeKind.FALLING, EdgeKind.RISING], EdgeKind.PULSE))
 
 
 _HEAD = np.dtype(
@@ -337,12 +326,12 @@ def parse_aedat31_header(head: bytes) -> tuple[int, str]:
 class Aedat31Decoder:
     """Decoder of packets in pieces.
 
-    `others`: events without meaning here so far. `rest`: bytes after the last complete packet. `damage`: reason why
-    nothing is read from some packet on; empty if there is none.
+    `rest`: bytes after the last complete packet. `damage`: reason why nothing is read from some packet on; empty if
+    there is none.
     """
 
     def __init__(self) -> None:
-        self._packets = self.others = 0
+        self._packets = 0
         self.rest = b""
         self.damage = ""
 
@@ -370,20 +359,23 @@ class Aedat31Decoder:
         return Part(events, edges, imu, tuple(frame for part in parts for frame in part.frames))
 
     def _part(self, head: np.void, body: bytes) -> Part:
-        """Return the records of a packet; those without a meaning here are counted."""
-        kind, number = int(head["kind"]), int(head["number"])
+        """Return the records of a packet; those without a meaning here are left out."""
+        kind = int(head["kind"])
         dtype = {_SPECIAL: _EVENT, _POLARITY: _EVENT, _IMU6: _IMU}.get(kind)
         if dtype is None or head["event_bytes"] != dtype.itemsize:
-            self.others += number
             return Part()
-        records = np.frombuffer(body, dtype, number)
+        records = np.frombuffer(body, dtype)
         records = records[records["data"] & 1 == 1]
         t = (int(head["wraps"]) << 31) + records["t"].astype(np.int64)
         sound = self._sound(t)
         records, t = records[:sound], t[:sound]
         if kind == _POLARITY:
             return Part(_events(records["data"], t))
-        return Part(imu=_imu(records, t)) if kind == _IMU6 else Part(edges=self._edges(records["data"], t))
+        if kind == _IMU6:
+            return Part(imu=_imu(records, t))
+        kinds = (records["data"] >> 1) & 0x7F
+        understood = np.isin(kinds, [int(kind) for kind in EdgeKind])
+        return Part(edges=make_edges(t[understood], kinds[understood]))
 
     def _sound(self, t: npt.NDArray[np.int64]) -> int:
         """Return the number of records of a packet, of the times `t` (n,), before the first negative time: damage."""
@@ -392,19 +384,10 @@ class Aedat31Decoder:
             self.damage = f"record {k} of packet {self._packets} has the time {t[k]} us"
         return k
 
-    def _edges(self, data: np.ndarray, t: np.ndarray) -> Edges:
-        kinds = (data >> 1) & 0x7F
-        understood = np.isin(kinds, [int(kind) for kind in EdgeKind])
-        edges = np.zeros(int(np.count_nonzero(understood)), EDGE)
-        edges["t"], edges["kind"] = t[understood], kinds[understood]
-        self.others += len(kinds) - len(edges)
-        return edges
-
     def _frames(self, head: np.void, body: bytes) -> Part:
         size, wraps_us = int(head["event_bytes"]), int(head["wraps"]) << 31
         frames = [_frame(body[at : at + size], wraps_us) for at in range(0, len(body), size)]
         valid = [frame for frame in frames if frame is not None]
-        self.others += len(frames) - len(valid)
         return Part(frames=tuple(valid[: self._sound(np.array([frame.t_us for frame in valid], np.int64))]))
 
 
@@ -479,11 +462,10 @@ def frame_words(frame: Frame, height: int) -> tuple[Words, Words]:
 
 
 class ImuWords:
-    """Decoder of words into samples; `others`: words that belong to no complete sample."""
+    """Decoder of words into samples; words that belong to no complete sample are left out."""
 
     def __init__(self) -> None:
         self._rest = np.empty(0, WORD)
-        self.others = 0
 
     def decode(self, words: Words) -> ImuRecords:
         """Return the samples (n,) IMU that the next words complete."""
@@ -494,7 +476,6 @@ class ImuWords:
         complete = (code[starts[:, None] + np.arange(7)] == np.arange(7)).all(1)
         at = starts[complete][:, None] + np.arange(7)
         self._rest = words[int(at[-1, -1]) + 1 if len(at) else 0 :][-6:]
-        self.others += len(words) - len(self._rest) - at.size
         return _samples(words[at])
 
 
@@ -510,38 +491,31 @@ def _samples(words: Words) -> ImuRecords:
 
 
 class FrameWords:
-    """Decoder of words into frames, of a sensor of `size` = (width, height): whole frames or rectangles of them.
-
-    `others`: words that belong to no complete frame, and those of reads that are neither reset nor signal.
-    """
+    """Decoder of words into frames, of a sensor of `size` = (width, height): whole frames or rectangles of them."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
         self._waiting = np.empty(0, WORD)
-        self.others = 0
 
     def decode(self, words: Words) -> tuple[Frame, ...]:
         """Return the frames that the next words complete."""
         read = (words["address"] >> 10) & 3
-        self.others += int(np.count_nonzero(read > 1))
         return tuple(self._frames(words[read <= 1]))
 
     def _frames(self, words: Words) -> Iterator[Frame]:
         waiting = np.concatenate([self._waiting, words]) if len(words) else self._waiting
         while len(waiting):
-            skipped = int(np.argmin(_is_signal(waiting)))  # signal reads without reset reads before them
-            skipped = len(waiting) if _is_signal(waiting)[skipped] else skipped
-            waiting, self.others = waiting[skipped:], self.others + skipped
+            waiting = waiting[
+                int(np.append(~_is_signal(waiting), True).argmax()) :
+            ]  # without signal reads at the start
             end = _end_of_frame(waiting)
             if not end:
                 break
             frame = self._frame(waiting[:end])
-            self.others += 0 if frame is not None else end
             waiting = waiting[end:]
             if frame is not None:
                 yield frame
         if len(waiting) > 4 * self._size[0] * self._size[1]:  # reads are missing
-            self.others += len(waiting)
             waiting = waiting[:0]
         self._waiting = waiting
 

@@ -401,14 +401,11 @@ def _later(part: Part, by_us: int) -> Part:
         return part
     imu = part.imu.copy()
     imu["t"] = np.maximum(imu["t"].astype(np.int64) + by_us, 0)
-    frames = tuple(
-        dataclasses.replace(
-            frame, t_us=frame.t_us + by_us, exposure_begin_us=frame.exposure_begin_us + by_us,
-            exposure_end_us=frame.exposure_end_us + by_us,
-        )
-        for frame in part.frames
-    )  # fmt: skip
-    return Part(part.events, part.edges, imu, frames)
+    times = ("t_us", "exposure_begin_us", "exposure_end_us")
+    frames = (
+        dataclasses.replace(frame, **{name: getattr(frame, name) + by_us for name in times}) for frame in part.frames
+    )
+    return Part(part.events, part.edges, imu, tuple(frames))
 
 
 def _mono(data: bytes, base_ns: int) -> Events:
