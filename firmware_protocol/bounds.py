@@ -1,13 +1,15 @@
 """Bounds of the numbers of a dataclass, each in the annotation of its field: `Annotated[float, Meta(ge=0, le=1)]`.
 
 They stand there once: `check_bounds` holds a dataclass to them wherever it is made; the schema, the reference of rigs
-and the live page show them.
+and the live page show them. `whole_number` is for the arguments of functions.
 """
 
 from __future__ import annotations
 
+import operator
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import fields
 from functools import cache
 from typing import Annotated, Any
 
@@ -24,6 +26,11 @@ def bounds_of(target: type) -> Mapping[str, Meta]:
     return {name: of.__metadata__[0] for name, of in hints.items() if typing.get_origin(of) is Annotated}
 
 
+@cache
+def _whole_fields(target: type) -> Collection[str]:
+    return {name for name, of in typing.get_type_hints(target).items() if of is int}
+
+
 def range_text(bounds: Meta) -> str:
     """Return bounds in words, such as "0 to 1"."""
     named = {"above": bounds.gt, "at least": bounds.ge, "at most": bounds.le}
@@ -33,9 +40,50 @@ def range_text(bounds: Meta) -> str:
 
 
 def check_bounds(owner: Any) -> None:
-    """Raise ValueError where a number of a dataclass lies outside the bounds of its field, or is NaN."""
+    """Raise ValueError where a number of a dataclass lies outside the bounds of its field, is NaN, or should be whole.
+
+    Lists and arrays in it become tuples, which the program that made it cannot change afterwards.
+    """
+    for field in fields(owner):
+        object.__setattr__(owner, field.name, _plain(getattr(owner, field.name)))
     for name, bounds in bounds_of(owner.__class__).items():
         value = getattr(owner, name)
+        if name in _whole_fields(owner.__class__) and type(value) is not int:
+            raise ValueError(f"{name} must be a whole number, got {value!r}")
         above = value > bounds.gt if bounds.gt is not None else bounds.ge is None or value >= bounds.ge
         if not (above and (bounds.le is None or value <= bounds.le)):
             raise ValueError(f"{name} must be {range_text(bounds)}, got {value!r}")
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with tuples for lists and arrays, Python's numbers for those of NumPy, and copies of mappings."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return tuple(map(_plain, value)) if type(value) in (list, tuple) else value
+
+
+class NotWhole(TypeError, ValueError):
+    """A number that is not whole, or is none: both a wrong type and a wrong value."""
+
+
+_WHOLE = {"us": "whole microseconds (1 s is 1000000) are", "ns": "whole nanoseconds are"}
+_LAST = {"us": (1 << 52) - 1, "ns": (1 << 62) - 1}  # 140 years
+
+
+def whole_number(name: str, value: Any, least: int | None = None, most: int | None = None) -> int:
+    """Return the argument `name` as an int; raises NotWhole, and ValueError outside its bounds.
+
+    The end of the name gives the unit, as in `t_us`; without bounds, times are at most 140 years from zero.
+    """
+    unit = name[-2:]
+    most = _LAST[unit] if most is None else most
+    least = -most if least is None else least
+    bounds = f"{least} to {most if most & (most + 1) else f'2^{most.bit_length()} - 1'}"
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise NotWhole(f"{name} is {value!r}: {_WHOLE.get(unit, 'a whole number is')} needed, {bounds}")
+    number = operator.index(value)
+    if not least <= number <= most:
+        remedy = "; if it is in nanoseconds, divide it by 1000" if unit == "us" and number > most else ""
+        raise ValueError(f"{name} is {number}: it must be {bounds}{remedy}")
+    return number

@@ -23,8 +23,10 @@ The layout is packed (12 bytes), like that of the events.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -74,6 +76,43 @@ def bytes_of(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8]:
     if not (records.flags.c_contiguous and records.flags.writeable):
         records = records.view(f"V{records.dtype.itemsize}").copy()
     return records.view(np.uint8)
+
+
+def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return an array that stays as it is: a read-only copy, or the array where it is read-only and has its own memory."""
+    if array.flags.owndata and not array.flags.writeable:
+        return array
+    copy = np.empty(array.shape, array.dtype)
+    raw = f"V{array.itemsize}" if array.dtype.names else array.dtype
+    copy.view(raw)[...] = array.view(raw)
+    copy.flags.writeable = False
+    return copy
+
+
+class _OneLine(reprlib.Repr):
+    def repr_ndarray(self, array: npt.NDArray[Any], _: int) -> str:
+        """Return shape and type."""
+        return f"{array.shape} {'records' if array.dtype.names else array.dtype}"
+
+
+class Kept:
+    """Base of frozen dataclasses that others fill: arrays become read-only copies, lists tuples; printed on one line."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, _kept(value))
+
+    def __repr__(self) -> str:
+        values = (f"{name}={_OneLine().repr(value)}" for name, value in vars(self).items())
+        return f"{type(self).__name__}({', '.join(values)})"
+
+
+def _kept(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return read_only(value)
+    if isinstance(value, Mapping):
+        return {key: _kept(item) for key, item in value.items()}
+    return tuple(map(_kept, value)) if type(value) in (list, tuple) else value
 
 
 EDGE = np.dtype([("t", "<u8"), ("kind", "u1"), ("channel", "u1"), ("seq", "<u2")])
