@@ -15,6 +15,7 @@ from __future__ import annotations
 import atexit
 import dataclasses
 import io
+import logging
 import os
 import pickle
 import reprlib
@@ -49,6 +50,8 @@ from firmware_protocol.recordings.part import Frame, ImuRecords
 from transports.file import FileLink
 from transports.link.deliveries import DeliveredParts
 from transports.link.pacing import MonotonicClock
+
+log = logging.getLogger(__name__)
 
 LONGEST_US = 3_600_000_000
 """The longest step, us of stream time."""
@@ -375,7 +378,7 @@ class Simulation:
         except BaseException as error:
             if not (self._program.ended or self._closed_by):
                 self._closed_by = f"{type(error).__name__} {place} closed it: begin another one, and restore a state"
-                error.add_note(f"evstim.Simulation of {self.rig.name}: {self._closed_by}")
+                log.warning("the simulation of %s: %s", self.rig.name, self._closed_by)
             self._stop()
             raise
 
