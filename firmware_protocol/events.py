@@ -55,9 +55,9 @@ def make_events(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike, on: npt.Ar
 _RECORD = f"V{EVENT.itemsize}"
 
 
-def copy_events(events: Events) -> Events:
-    """Return a contiguous copy of `events`, (n,) EVENT."""
-    return events.view(_RECORD).copy().view(EVENT)
+def copy_events(events: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
+    """Return a contiguous copy of `events`, (n,) EVENT, or of other packed records."""
+    return events.view(f"V{events.itemsize}").copy().view(events.dtype)
 
 
 def join_events(parts: Sequence[Events]) -> Events:
@@ -73,20 +73,8 @@ def bytes_of(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8]:
 
     Records that are read-only or have gaps are copied: compiled code has a version for each kind of array.
     """
-    if not (records.flags.c_contiguous and records.flags.writeable):
-        records = records.view(f"V{records.dtype.itemsize}").copy()
-    return records.view(np.uint8)
-
-
-def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return an array that stays as it is: a read-only copy, or the array where it is read-only and has its own memory."""
-    if array.flags.owndata and not array.flags.writeable:
-        return array
-    copy = np.empty(array.shape, array.dtype)
-    raw = f"V{array.itemsize}" if array.dtype.names else array.dtype
-    copy.view(raw)[...] = array.view(raw)
-    copy.flags.writeable = False
-    return copy
+    is_simple = records.flags.c_contiguous and records.flags.writeable
+    return (records if is_simple else copy_events(records)).view(np.uint8)
 
 
 class _OneLine(reprlib.Repr):
@@ -109,7 +97,8 @@ class Kept:
 
 def _kept(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return read_only(value)
+        value = copy_events(value) if value.dtype.names else value.copy()
+        value.flags.writeable = False
     if isinstance(value, Mapping):
         return {key: _kept(item) for key, item in value.items()}
     return tuple(map(_kept, value)) if type(value) in (list, tuple) else value

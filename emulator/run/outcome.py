@@ -24,6 +24,7 @@ from typing import Literal, Protocol
 
 from emulator.run.changes import Change
 from emulator.run.pacing import Lateness
+from firmware_protocol.events import Kept
 from transports.link.report import LinkReport
 
 
@@ -85,7 +86,7 @@ class Ledger:
 
 
 @dataclass(frozen=True)
-class RunStatus:
+class RunStatus(Kept):
     """Counts of a run so far, for the live table."""
 
     sim_seconds: float
@@ -123,7 +124,7 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class RunResult:
+class RunResult(Kept):
     """Result of a run.
 
     Attributes

@@ -20,9 +20,9 @@ import os
 import pickle
 import reprlib
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn, Self
@@ -104,53 +104,22 @@ class SimulationStep(Kept):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulationState(Kept):
-    """State of a `Simulation` between two steps, for `Simulation.restore`, as often as it is needed.
-
-    It can be pickled, for a simulation of the same rig in another process.
+    """State of a `Simulation` between two steps, for `Simulation.restore`, as often as it is needed; it can be pickled.
 
     Attributes
     ----------
+    rig : with the seed of the run.
+    bodies : those that take poses.
+    evstim : version.
     t_us : end of the last step, us of stream time.
-    made_by : the rig with the run's seed, the bodies that take poses, and the version of evstim.
-    content : pickle of the state, without the scene and the paths.
+    content : pickle of all else, but for the scene and the paths.
     """
-
-    t_us: int
-    made_by: _Maker
-    content: bytes
-
-
-@dataclass(frozen=True)
-class _Maker:
-    """Things that have to be equal where a state is restored."""
 
     rig: Rig
     bodies: tuple[str, ...]
     evstim: str
-
-
-class _Pickler(pickle.Pickler):
-    """Pickler of a state; `shared` are the objects of a simulation that are no part of it."""
-
-    def __init__(self, file: io.BytesIO, shared: Sequence[object]) -> None:
-        super().__init__(file, pickle.HIGHEST_PROTOCOL)
-        self._numbers = {id(of): k for k, of in enumerate(shared)}
-
-    def persistent_id(self, obj: object) -> int | None:
-        """Return the number of a shared object."""
-        return self._numbers.get(id(obj))
-
-
-class _Unpickler(pickle.Unpickler):
-    """Unpickler of a state, for a simulation with these `shared` objects."""
-
-    def __init__(self, content: bytes, shared: Sequence[object]) -> None:
-        super().__init__(io.BytesIO(content))
-        self._shared = shared
-
-    def persistent_load(self, pid: int) -> object:
-        """Return the shared object of a number."""
-        return self._shared[pid]
+    t_us: int = field(default=0, compare=False)
+    content: bytes = field(default=b"", compare=False)
 
 
 class _Program:
@@ -240,8 +209,8 @@ class Simulation:
             loaded, self._record = dataclasses.replace(loaded, links=(FileLink(path=str(record)),)), None
         self.rig, self._paths = _driven(loaded, bodies)
         named = tuple(sorted(name for name in self._paths if name is not None))
-        without_threads = dataclasses.replace(loaded, run=dataclasses.replace(run, threads=0))  # they change no event
-        self._maker = _Maker(without_threads, named, version("evstim"))
+        comparable = dataclasses.replace(loaded, run=dataclasses.replace(run, threads=0))  # they change no event
+        self._state = SimulationState(comparable, named, version("evstim"))
         self._process, self._closed_by = os.getpid(), ""
         self._time = Timescale(getattr(self.rig.scene, "time_scale", 1.0))
         for name, pose in self._checked(camera, bodies if isinstance(bodies, Mapping) else {}).items():
@@ -331,9 +300,12 @@ class Simulation:
 
         Raises RuntimeError where the run has links: what has left a camera does not come back.
         """
-        state, content = self._alone().state(), io.BytesIO()
-        _Pickler(content, self._shared).dump((state, [path.known for path in self._paths.values()], self._parts))
-        return SimulationState(self.t_us, self._maker, content.getvalue())
+        session, content = self._alone(), io.BytesIO()
+        pickler = pickle.Pickler(content, pickle.HIGHEST_PROTOCOL)
+        numbers = {id(of): k for k, of in enumerate(self._shared)}
+        pickler.persistent_id = lambda of: numbers.get(id(of))  # type: ignore[method-assign]
+        pickler.dump((session.state(), [path.known for path in self._paths.values()], self._parts))
+        return dataclasses.replace(self._state, t_us=self.t_us, content=content.getvalue())
 
     def restore(self, state: SimulationState) -> None:
         """Go to a state of this simulation, or of one of the same rig, seed, bodies and version of evstim.
@@ -343,9 +315,11 @@ class Simulation:
         session = self._alone()
         if not isinstance(state, SimulationState):
             raise ValueError(f"a state is what `save` returns, got {type(state).__name__}")
-        if differences := list(_differences(state.made_by, self._maker)):
+        if differences := list(_differences(state, self._state)):
             raise ValueError(f"the state is of another simulation: {'; '.join(differences[:_MOST_LISTED])}")
-        of_session, known, parts = _Unpickler(state.content, self._shared).load()
+        unpickler = pickle.Unpickler(io.BytesIO(state.content))
+        unpickler.persistent_load = self._shared.__getitem__  # type: ignore[method-assign, assignment]
+        of_session, known, parts = unpickler.load()
         with self._closing("within `restore`"):
             session.restore(*of_session)
             self._parts = parts
@@ -472,8 +446,8 @@ def _differences(first: Any, second: Any, place: str = "") -> Iterator[str]:
     if not dataclasses.is_dataclass(first) or type(first) is not type(second):
         yield f"{place[1:]} is {reprlib.repr(first)}, here {reprlib.repr(second)}"
         return
-    for field in filter(lambda field: field.compare, dataclasses.fields(first)):
-        yield from _differences(getattr(first, field.name), getattr(second, field.name), f"{place}.{field.name}")
+    for name in (part.name for part in dataclasses.fields(first) if part.compare):
+        yield from _differences(getattr(first, name), getattr(second, name), f"{place}.{name}")
 
 
 def _driven(rig: Rig, bodies: Collection[str]) -> tuple[Rig, dict[str | None, SimulatedPath]]:
