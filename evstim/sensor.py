@@ -24,7 +24,7 @@ from emulator.sensor.parameters import (
 )
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.tables.typed_table import TableError, convert
-from firmware_protocol.bounds import whole_number
+from firmware_protocol.bounds import LAST_NS, whole_number
 from firmware_protocol.events import Events
 from transports.registry import unknown
 
@@ -160,7 +160,7 @@ class Sensor:
         light : (height, width), linear, >= 0.
         t_ns : stream time of this frame, ns, >= 0.
         """
-        frame, at_ns = self._light(light), whole_number("t_ns", t_ns, 0)
+        frame, at_ns = self._light(light), whole_number("t_ns", t_ns, 0, LAST_NS)
         self._sensor.reset(LightFrame(at_ns, frame))
         self._t_ns = at_ns
 
@@ -181,7 +181,7 @@ class Sensor:
         """
         if self._t_ns is None:
             raise RuntimeError("the sensor has no first frame yet: call reset(light, t_ns) before expose")
-        at_ns = whole_number("t_ns", t_ns, 0)
+        at_ns = whole_number("t_ns", t_ns, 0, LAST_NS)
         if at_ns <= self._t_ns:
             raise ValueError(f"t_ns is {at_ns}: it must be later than the frame before, {self._t_ns} ns")
         if at_ns - self._t_ns > (most_ns := self._sensor.longest_step_ns):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 import typing
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from functools import cache
 from typing import Annotated, Any
@@ -45,7 +45,7 @@ def check_bounds(owner: Any) -> None:
     Lists and arrays in it become tuples, which the program that made it cannot change afterwards.
     """
     for field in fields(owner):
-        object.__setattr__(owner, field.name, _plain(getattr(owner, field.name)))
+        object.__setattr__(owner, field.name, unshared(getattr(owner, field.name)))
     for name, bounds in bounds_of(owner.__class__).items():
         value = getattr(owner, name)
         if name in _whole_fields(owner.__class__) and type(value) is not int:
@@ -55,35 +55,36 @@ def check_bounds(owner: Any) -> None:
             raise ValueError(f"{name} must be {range_text(bounds)}, got {value!r}")
 
 
-def _plain(value: Any) -> Any:
-    """Return a value with tuples for lists and arrays, Python's numbers for those of NumPy, and copies of mappings."""
-    value = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return tuple(map(_plain, value)) if type(value) in (list, tuple) else value
+def unshared(value: Any, of_array: Callable[[Any], Any] = lambda array: unshared(array.tolist())) -> Any:
+    """Return a value that its giver cannot change: tuples for lists, copies of mappings, and what `of_array` returns.
+
+    By default arrays become tuples too, and numbers of NumPy those of Python.
+    """
+    if hasattr(value, "tolist"):
+        return of_array(value)
+    if isinstance(value, Mapping):
+        return {key: unshared(item, of_array) for key, item in value.items()}
+    return tuple(unshared(item, of_array) for item in value) if type(value) in (list, tuple) else value
 
 
 class NotWhole(TypeError, ValueError):
     """A number that is not whole, or is none: both a wrong type and a wrong value."""
 
 
-_WHOLE = {"us": "whole microseconds (1 s is 1000000) are", "ns": "whole nanoseconds are"}
-_LAST = {"us": (1 << 52) - 1, "ns": (1 << 62) - 1}  # 140 years
+LAST_US, LAST_NS = (1 << 52) - 1, (1 << 62) - 1  # 140 years
+_UNITS = {"us": "whole microseconds (1 s is 1000000) are", "ns": "whole nanoseconds are"}
 
 
-def whole_number(name: str, value: Any, least: int | None = None, most: int | None = None) -> int:
+def whole_number(name: str, value: Any, least: int = -LAST_US, most: int = LAST_US) -> int:
     """Return the argument `name` as an int; raises NotWhole, and ValueError outside its bounds.
 
-    The end of the name gives the unit, as in `t_us`; without bounds, times are at most 140 years from zero.
+    The end of the name gives the unit, as in `t_us`.
     """
-    unit = name[-2:]
-    most = _LAST[unit] if most is None else most
-    least = -most if least is None else least
     bounds = f"{least} to {most if most & (most + 1) else f'2^{most.bit_length()} - 1'}"
     if isinstance(value, bool) or not hasattr(value, "__index__"):
-        raise NotWhole(f"{name} is {value!r}: {_WHOLE.get(unit, 'a whole number is')} needed, {bounds}")
+        raise NotWhole(f"{name} is {value!r}: {_UNITS.get(name[-2:], 'a whole number is')} needed, {bounds}")
     number = operator.index(value)
     if not least <= number <= most:
-        remedy = "; if it is in nanoseconds, divide it by 1000" if unit == "us" and number > most else ""
+        remedy = "; if it is in nanoseconds, divide it by 1000" if name.endswith("us") and number > most else ""
         raise ValueError(f"{name} is {number}: it must be {bounds}{remedy}")
     return number

@@ -220,50 +220,37 @@ class InsideWatch:
     """Watch for a camera inside a body, where paths are not known before: a warning at the first time, and counts."""
 
     def __init__(self, world: BodyWorld) -> None:
-        self._world, self.counts = world, Counter[str]()
+        self._world, self._t_ns, self.counts = world, -1, Counter[str]()
         self._groups = rigid_groups(world.parameters.bodies)
-        self._radii_m = [
-            max(float(np.linalg.norm(pose.position_m)) + world.meshes[k].radius_m for k, pose in group.placed)
-            for group in self._groups
-        ]
         self._last: dict[int, tuple[Floats, float, bool]] = {}  # of each body: place, way to its surface, inside it
-        self._t_ns = -1
 
     def look(self, t_ns: int, camera: Pose, firsts: Mapping[int, Pose]) -> None:
-        """Look from a camera, with the poses of the groups' first bodies by number, at the light frame of `t_ns`."""
-        is_new, self._t_ns = t_ns != self._t_ns, t_ns
-        for group, radius_m in zip(self._groups, self._radii_m, strict=True):
+        """Look at the light frame of `t_ns`; `firsts` are the poses of the groups' first bodies, by number."""
+        if t_ns == self._t_ns:
+            return
+        self._t_ns = t_ns
+        for group in self._groups:
             first = firsts[group.members[0]]
-            from_first_m = camera.position_m - first.position_m
-            if from_first_m @ from_first_m > radius_m**2:
-                continue
             for k, pose in group.placed:
-                place_m = (from_first_m @ first.world_from_body - pose.position_m) @ pose.world_from_body
-                if self._is_inside(k, place_m) and is_new:
-                    self._count(k, t_ns, camera, place_m)
+                in_group_m = (camera.position_m - first.position_m) @ first.world_from_body - pose.position_m
+                if in_group_m @ in_group_m < self._world.meshes[k].radius_m ** 2:
+                    self._look_at(k, in_group_m @ pose.world_from_body, camera)
 
-    def _is_inside(self, k: int, place_m: Floats) -> bool:
-        """Return whether a place lies inside body k; it does as long as one on the way to its surface did."""
-        if place_m @ place_m > self._world.meshes[k].radius_m ** 2:
-            return False
+    def _look_at(self, k: int, place_m: Floats, camera: Pose) -> None:
+        """Look from a place in the frame of body k, near it; on the way to the surface nothing changes."""
         looked_m, way_m, is_inside = self._last.get(k, (place_m, 0.0, False))
         if float(np.linalg.norm(place_m - looked_m)) >= way_m:
             is_inside, way_m = enclosure(self._world.as_seen(k), place_m)
             self._last[k] = place_m, way_m, is_inside
-        return is_inside
-
-    def _count(self, k: int, t_ns: int, camera: Pose, place_m: Floats) -> None:
-        body = self._world.parameters.bodies[k]
-        name = body.name or str(body.shape)
-        count = f"light frames from inside {name}"
-        if not self.counts[count]:
+        if not is_inside:
+            return
+        name = self._world.parameters.bodies[k].name or self._world.parameters.bodies[k].shape
+        self.counts[count := f"light frames from inside {name}"] += 1
+        if self.counts[count] == 1:
             place = ", ".join(f"{x:.6g}" for x in camera.position_m)
+            at = f"at {self._t_ns * 1e-9:.6g} s the camera is inside the body {name}: it is at ({place}) m"
             middle_m = float(np.linalg.norm(place_m))
-            log.warning(
-                "at %.6g s the camera is inside the body %s: it is at (%s) m, %.4g m from its middle; "
-                "give poses outside, or look at units_m", t_ns * 1e-9, name, place, middle_m
-            )  # fmt: skip
-        self.counts[count] += 1
+            log.warning("%s, %.4g m from its middle; give poses outside, or look at units_m", at, middle_m)
 
 
 def enclosure(mesh: Mesh, place_m: Floats) -> tuple[bool, float]:
@@ -277,9 +264,9 @@ def enclosure(mesh: Mesh, place_m: Floats) -> tuple[bool, float]:
     la, lb, lc = np.linalg.norm(corners, axis=2).T
     volume = (a * np.cross(b, c)).sum(axis=1)
     others = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
-    middles = corners.mean(axis=1)
-    reach_m = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
-    way_m = float((np.linalg.norm(middles, axis=1) - reach_m).min())
+    middles = corners.mean(axis=1, keepdims=True)
+    reach_m = np.linalg.norm(corners - middles, axis=2).max(axis=1)
+    way_m = float((np.linalg.norm(middles, axis=2)[:, 0] - reach_m).min())
     return abs(float(np.arctan2(volume, others).sum())) > math.pi, way_m
 
 
