@@ -27,7 +27,8 @@ def bounds_of(target: type) -> Mapping[str, Meta]:
 
 
 @cache
-def _whole_fields(target: type) -> Collection[str]:
+def whole_fields(target: type) -> Collection[str]:
+    """Return the fields of a dataclass that are whole numbers."""
     return {name for name, of in typing.get_type_hints(target).items() if of is int}
 
 
@@ -48,7 +49,7 @@ def check_bounds(owner: Any) -> None:
         object.__setattr__(owner, field.name, unshared(getattr(owner, field.name)))
     for name, bounds in bounds_of(owner.__class__).items():
         value = getattr(owner, name)
-        if name in _whole_fields(owner.__class__) and type(value) is not int:
+        if name in whole_fields(owner.__class__) and type(value) is not int:
             raise ValueError(f"{name} must be a whole number, got {value!r}")
         above = value > bounds.gt if bounds.gt is not None else bounds.ge is None or value >= bounds.ge
         if not (above and (bounds.le is None or value <= bounds.le)):
@@ -75,16 +76,16 @@ LAST_US, LAST_NS = (1 << 52) - 1, (1 << 62) - 1  # 140 years
 _UNITS = {"us": "whole microseconds (1 s is 1000000) are", "ns": "whole nanoseconds are"}
 
 
-def whole_number(name: str, value: Any, least: int = -LAST_US, most: int = LAST_US) -> int:
+def whole_number(name: str, value: Any, lowest: int = -LAST_US, highest: int = LAST_US) -> int:
     """Return the argument `name` as an int; raises NotWhole, and ValueError outside its bounds.
 
     The end of the name gives the unit, as in `t_us`.
     """
-    bounds = f"{least} to {most if most & (most + 1) else f'2^{most.bit_length()} - 1'}"
+    bounds = f"{lowest} to {highest if highest & (highest + 1) else f'2^{highest.bit_length()} - 1'}"
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise NotWhole(f"{name} is {value!r}: {_UNITS.get(name[-2:], 'a whole number is')} needed, {bounds}")
     number = operator.index(value)
-    if not least <= number <= most:
-        remedy = "; if it is in nanoseconds, divide it by 1000" if name.endswith("us") and number > most else ""
+    if not lowest <= number <= highest:
+        remedy = "; if it is in nanoseconds, divide it by 1000" if name.endswith("us") and number > highest else ""
         raise ValueError(f"{name} is {number}: it must be {bounds}{remedy}")
     return number

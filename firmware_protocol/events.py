@@ -83,18 +83,19 @@ def bytes_of(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8]:
 
 
 class Kept:
-    """Base of frozen dataclasses that others fill: arrays become read-only copies, lists tuples; printed on one line."""
+    """Base of frozen dataclasses that others fill: arrays become read-only copies, lists tuples; printed on a line."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            object.__setattr__(self, name, unshared(value, _read_only))
+            object.__setattr__(self, name, unshared(value, read_only))
 
     def __repr__(self) -> str:
         shown = {k: f"array {v.shape}" if isinstance(v, np.ndarray) else reprlib.repr(v) for k, v in vars(self).items()}
         return f"{type(self).__name__}({', '.join(f'{name}={text}' for name, text in shown.items())})"
 
 
-def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a copy of an array that cannot be written to."""
     copy = copy_events(array) if array.dtype.names else np.array(array)
     copy.flags.writeable = False
     return copy

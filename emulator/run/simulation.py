@@ -319,11 +319,11 @@ class Simulation:
             raise ValueError(f"the state is of another simulation: {'; '.join(differences[:_MOST_LISTED])}")
         unpickler = pickle.Unpickler(io.BytesIO(state.content))
         unpickler.persistent_load = self._shared.__getitem__  # type: ignore[method-assign, assignment]
-        of_session, known, parts = unpickler.load()
+        of_session, of_paths, parts = unpickler.load()
         with self._closing("within `restore`"):
             session.restore(*of_session)
             self._parts = parts
-            for path, poses in zip(self._paths.values(), known, strict=True):
+            for path, poses in zip(self._paths.values(), of_paths, strict=True):
                 path.known = poses
             self._program.limit_ns = self._program.reached_ns = session.t_ns
 
@@ -380,7 +380,7 @@ class Simulation:
 
     def _alone(self) -> Session:
         if self.rig.links:
-            raise RuntimeError("a run with links or a record cannot be saved and restored: its events have left the camera")
+            raise RuntimeError("a run with links or a record cannot be saved and restored: its events are out")
         return self._running()
 
     def _refuse(self) -> NoReturn:

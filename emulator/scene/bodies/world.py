@@ -220,7 +220,8 @@ class InsideWatch:
     """Watch for a camera inside a body, where paths are not known before: a warning at the first time, and counts."""
 
     def __init__(self, world: BodyWorld) -> None:
-        self._world, self._t_ns, self.counts = world, -1, Counter[str]()
+        self._world, self._t_ns = world, -1
+        self.counts = Counter[str]()
         self._groups = rigid_groups(world.parameters.bodies)
         self._last: dict[int, tuple[Floats, float, bool]] = {}  # of each body: place, way to its surface, inside it
 
@@ -263,11 +264,11 @@ def enclosure(mesh: Mesh, place_m: Floats) -> tuple[bool, float]:
     a, b, c = corners.transpose(1, 0, 2)
     la, lb, lc = np.linalg.norm(corners, axis=2).T
     volume = (a * np.cross(b, c)).sum(axis=1)
-    others = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+    spread = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
     middles = corners.mean(axis=1, keepdims=True)
     reach_m = np.linalg.norm(corners - middles, axis=2).max(axis=1)
     way_m = float((np.linalg.norm(middles, axis=2)[:, 0] - reach_m).min())
-    return abs(float(np.arctan2(volume, others).sum())) > math.pi, way_m
+    return abs(float(np.arctan2(volume, spread).sum())) > math.pi, way_m
 
 
 @dataclass(frozen=True, eq=False)

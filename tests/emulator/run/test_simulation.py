@@ -188,7 +188,7 @@ def test_a_state_of_another_version_is_refused(monkeypatch):
     with Simulation(rig_of()) as sim:
         state = sim.save()
         old = dataclasses.replace(state, evstim="0.0.1")
-        with pytest.raises(ValueError, match="evstim is '0.0.1', here"):
+        with pytest.raises(ValueError, match=r"evstim is '0.0.1', here"):
             sim.restore(old)
 
 
@@ -252,7 +252,7 @@ def test_an_error_within_a_step_closes_the_simulation(error, monkeypatch, caplog
         assert threading.active_count() < threads
         monkeypatch.setattr("emulator.run.simulation._Program.go_to", go_to)
         for refused in (lambda: sim.step(1000), sim.save, lambda: sim.restore(state), lambda: sim.light):
-            with pytest.raises(RuntimeError, match=f"has ended: {error.__name__} within a step closed it: begin another"):
+            with pytest.raises(RuntimeError, match=f"has ended: {error.__name__} within a step closed it: begin"):
                 refused()
     assert f"{error.__name__} within a step closed it" in caplog.text
     assert sim.result.ledger.balanced
