@@ -13,6 +13,7 @@ from dataclasses import fields
 from functools import cache
 from typing import Annotated, Any
 
+import numpy as np
 from msgspec import Meta
 
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -59,10 +60,12 @@ def check_bounds(owner: Any) -> None:
 def unshared(value: Any, of_array: Callable[[Any], Any] = lambda array: unshared(array.tolist())) -> Any:
     """Return a value that its giver cannot change: tuples for lists, copies of mappings, and what `of_array` returns.
 
-    By default arrays become tuples too, and numbers of NumPy those of Python.
+    By default arrays become tuples too. Numbers of NumPy become those of Python.
     """
-    if hasattr(value, "tolist"):
+    if isinstance(value, np.ndarray):
         return of_array(value)
+    if hasattr(value, "tolist"):
+        return unshared(value.tolist(), of_array)
     if isinstance(value, Mapping):
         return {key: unshared(item, of_array) for key, item in value.items()}
     return tuple(unshared(item, of_array) for item in value) if type(value) in (list, tuple) else value

@@ -184,11 +184,7 @@ class RunResult(Kept):
     @property
     def good(self) -> bool:
         """True when all events, edges and readings have one fate, no link failed, files are whole, the run kept up."""
-        if not self.ledger.balanced or self.too_late or self.scene_trouble:
-            return False
-        links = self.links.values()
-        balanced = all(link.edges_balanced and link.readings_balanced for link in links)
-        return balanced and not any(link.error is not None or link.file_troubles for link in links)
+        return all(judgement.good for judgement in _always(self))
 
 
 @dataclass(frozen=True)

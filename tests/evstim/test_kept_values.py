@@ -132,6 +132,8 @@ def test_lists_in_lists_and_numbers_of_numpy():
     run = evstim.RunParameters(step_us=np.int64(500), seconds=np.float32(0.5))
     assert [type(run.step_us), type(run.seconds)] == [int, float]
     assert evstim.FixedPath(position_m=np.arange(3)).position_m == (0, 1, 2)
+    frame = evstim.Frame(np.int64(5), 0, 9, np.zeros((2, 3), np.uint8))
+    assert (type(frame.t_us), frame.t_us) == (int, 5)
 
 
 @pytest.mark.parametrize("made", [lambda a: a, lambda a: a[::2], lambda a: a.view()])

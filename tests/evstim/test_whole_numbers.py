@@ -56,7 +56,10 @@ def test_each_function_is_here():
 @pytest.mark.parametrize("us", [0.02, True, "20"])
 def test_seconds_and_words_are_refused(call, us):
     if (call, us) == ("events_from_frames t_us", 0.02):
-        with pytest.warns(DeprecationWarning, match="whole microseconds"), pytest.raises(ValueError, match="are in microseconds"):
+        with (
+            pytest.warns(DeprecationWarning, match="whole microseconds"),
+            pytest.raises(ValueError, match="are in microseconds"),
+        ):
             CALLS[call](us)
         return
     if (call, us) == ("events_from_frames t_us", True):
