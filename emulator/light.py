@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -291,13 +290,6 @@ class SceneFrames:
         self.scene = scene
         self.last = LightFrame(0, np.zeros(shape, np.float32), rate, at)
         self.count = 0
-
-    def copied(self) -> SceneFrames:
-        """Return light frames of the same scene, with arrays of their own and a copy of the last frame."""
-        frames, last = copy.copy(self), self.last
-        rate = None if last.rate is None else last.rate.copy()
-        frames.last = LightFrame(last.t_ns, last.light.copy(), rate, last.at)
-        return frames
 
     def draw(self, t_ns: int) -> LightFrame:
         """Draw the frame of stream time `t_ns` over the last one, and return it."""

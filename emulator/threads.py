@@ -9,6 +9,7 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 MOST_THREADS = 4
 """More give no gain: memory, not arithmetic, is then the limit."""
@@ -26,9 +27,9 @@ class ThreadPool:
         self.threads = max(threads, 1)
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
-    def __deepcopy__(self, memo: object) -> ThreadPool:
-        """Return the pool itself: copies of an object that uses it share the threads."""
-        return self
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let a copy of an object that uses it have as many threads of its own."""
+        return ThreadPool, (self.threads,)
 
     def each(self, work: Callable[[int, int], object], count: int) -> None:
         """Call work(item, thread) for items 0 to count - 1, each once, in any order; an error of one is raised."""

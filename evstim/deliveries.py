@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import Edges, Events, Kept, empty_edges, empty_events
 from firmware_protocol.recordings.part import IMU, Facts, Frame, ImuRecords, Part, RecordingSummary, counts_of
 from transports.link.deliveries import DeliveryRecorder, RecorderFactory
 from transports.link.process import LinkSetup
@@ -29,8 +29,8 @@ _READ_BYTES = 1 << 20
 _CLOSE_S = 8.0  # a session waits 10 s for a link's last report
 
 
-@dataclass(frozen=True)
-class Delivery:
+@dataclass(frozen=True, repr=False)
+class Delivery(Kept):
     """Items that left a camera together on one link, in the time of the camera's clock.
 
     Attributes

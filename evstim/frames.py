@@ -20,6 +20,7 @@ import numpy.typing as npt
 from emulator.scene.video.video import linear_light, read_frames, resampled
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import Sensor, SensorOptions
+from firmware_protocol.bounds import whole_number
 from firmware_protocol.events import Events, empty_events
 
 _Float32s = npt.NDArray[np.float32]
@@ -44,8 +45,7 @@ class _Conversion:
     def __post_init__(self) -> None:
         if self.levels not in (None, "linear", "srgb"):
             raise ValueError(f'levels is {self.levels!r}: "linear" or "srgb" is needed')
-        if not 1 <= self.step_us <= _MOST_STEP_US:
-            raise ValueError(f"step_us is {self.step_us}: it must be 1 to {_MOST_STEP_US}")
+        whole_number("step_us", self.step_us, 1, _MOST_STEP_US)
         white = self.light_at_white
         if white is not None and not (white > 0 and np.isfinite(white)):
             raise ValueError(f"light_at_white is {white}: it must be above 0")
@@ -166,6 +166,7 @@ def _times_ns(times: _Float64s) -> list[int]:
         raise ValueError(f"t_us has the shape {times.shape}: one time for each frame is needed, (n,)")
     if not (np.isfinite(times).all() and (times >= 0).all()):
         raise ValueError("t_us holds a time that is negative or not finite")
+    whole_number("t_us", int(times.max(initial=0)))
     _check_growth(times, times)
     if times.size > 1:
         _check_interval(float(times[-1] - times[0]) / (times.size - 1))
@@ -317,7 +318,7 @@ def reconstruct(
     if len(events) and (events["x"].max() >= width or events["y"].max() >= height):
         raise ValueError(f"there are events outside the {width} x {height} array")
     on, off = (np.broadcast_to(np.asarray(t, np.float64), start.shape).ravel() for t in (threshold_on, threshold_off))
-    counted = events if t_us is None else events[events["t"] <= t_us]
+    counted = events if t_us is None else events[events["t"] <= whole_number("t_us", t_us, 0)]
     pixel = counted["y"].astype(np.int64) * width + counted["x"]
     steps = np.where(counted["on"], on[pixel], -off[pixel])
     return start + np.bincount(pixel, steps, minlength=start.size).reshape(start.shape)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.bounds import whole_number
 from firmware_protocol.events import Events
 
 TONIC = np.dtype([("x", "<i2"), ("y", "<i2"), ("t", "<i8"), ("p", "?")])
@@ -56,8 +57,8 @@ def voxel_grid(
         raise ValueError(f"bins = {bins}: a voxel grid has at least 2")
     width, height = size
     t_us = events["t"].astype(np.float64)
-    begin = float(t_us[0] if begin_us is None and len(t_us) else begin_us or 0)
-    end = float(t_us[-1] if end_us is None and len(t_us) else end_us or 0)
+    begin = t_us[:1].sum() if begin_us is None else float(whole_number("begin_us", begin_us))
+    end = t_us[-1:].sum() if end_us is None else float(whole_number("end_us", end_us))
     place = (t_us - begin) * ((bins - 1) / max(end - begin, 1e-9))
     inside = (place >= 0) & (place <= bins - 1)
     place, pixels = place[inside], (_cells(events, size) % (width * height))[inside]
@@ -80,10 +81,10 @@ def time_surface(
 
     By default `t_us` is the time of the last event.
     """
-    if not tau_us > 0:
-        raise ValueError(f"tau_us = {tau_us}: it must be above 0")
+    if isinstance(tau_us, bool) or not tau_us >= 1:
+        raise ValueError(f"tau_us = {tau_us}: it must be at least 1, as event times, in microseconds")
     width, height = size
-    now_us = int(events["t"][-1]) if t_us is None and len(events) else t_us or 0
+    now_us = int(events["t"][-1:].sum()) if t_us is None else whole_number("t_us", t_us)
     events = events[: int(np.searchsorted(events["t"], np.uint64(max(now_us, 0)), "right"))]
     last_us = np.full(2 * width * height, -np.inf)
     last_us[_cells(events, size)] = events["t"]  # of several events of a cell the last one stays

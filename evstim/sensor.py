@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import operator
 from collections.abc import Mapping
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -25,11 +24,11 @@ from emulator.sensor.parameters import (
 )
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.tables.typed_table import TableError, convert
+from firmware_protocol.bounds import LAST_NS, whole_number
 from firmware_protocol.events import Events
 from transports.registry import unknown
 
 _Float32s = npt.NDArray[np.float32]
-_LAST_NS = 1 << 62
 
 _Part = Mapping[str, Any]
 
@@ -120,7 +119,7 @@ class Sensor:
         self, model: str | SensorParameters = "davis346", *, seed: int = 0, **parameters: Unpack[SensorOptions]
     ) -> None:
         self.parameters = sensor_parameters(model, **parameters)
-        self._sensor = simulation.Sensor(self.parameters, _seed(seed))
+        self._sensor = simulation.Sensor(self.parameters, whole_number("seed", seed, 0, (1 << 63) - 1))
         self._t_ns: int | None = None
 
     @property
@@ -161,7 +160,7 @@ class Sensor:
         light : (height, width), linear, >= 0.
         t_ns : stream time of this frame, ns, >= 0.
         """
-        frame, at_ns = self._light(light), _time_ns(t_ns)
+        frame, at_ns = self._light(light), whole_number("t_ns", t_ns, 0, LAST_NS)
         self._sensor.reset(LightFrame(at_ns, frame))
         self._t_ns = at_ns
 
@@ -182,7 +181,7 @@ class Sensor:
         """
         if self._t_ns is None:
             raise RuntimeError("the sensor has no first frame yet: call reset(light, t_ns) before expose")
-        at_ns = _time_ns(t_ns)
+        at_ns = whole_number("t_ns", t_ns, 0, LAST_NS)
         if at_ns <= self._t_ns:
             raise ValueError(f"t_ns is {at_ns}: it must be later than the frame before, {self._t_ns} ns")
         if at_ns - self._t_ns > (most_ns := self._sensor.longest_step_ns):
@@ -225,24 +224,3 @@ class Sensor:
             row, column = np.argwhere(~np.isfinite(frame))[0]
             raise ValueError(f"{name} is {array[row, column]} at x = {column}, y = {row}: it must be finite")
         return frame
-
-
-def _time_ns(t_ns: int) -> int:
-    """Return a stream time; raises TypeError or ValueError for any other value."""
-    try:
-        at_ns = operator.index(t_ns)
-    except TypeError:
-        raise TypeError(f"t_ns is {t_ns!r}: whole nanoseconds are needed, as int") from None
-    if not 0 <= at_ns < _LAST_NS:
-        raise ValueError(f"t_ns is {at_ns}: it must be 0 to 2^62 - 1")
-    return at_ns
-
-
-def _seed(seed: int) -> int:
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        raise TypeError(f"seed is {seed!r}: a whole number is needed, 0 to 2^63 - 1") from None
-    if not 0 <= number < 1 << 63:
-        raise ValueError(f"seed is {number}: it must be 0 to 2^63 - 1")
-    return number

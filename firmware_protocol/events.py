@@ -23,11 +23,15 @@ The layout is packed (12 bytes), like that of the events.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from firmware_protocol.bounds import unshared
 
 EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
 
@@ -42,20 +46,23 @@ def empty_events(n: int = 0) -> Events:
 
 def make_events(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike, on: npt.ArrayLike) -> Events:
     """Return (n,) EVENT with these fields, t (n,) us."""
-    events = empty_events(np.size(t))
-    events["t"] = t
-    events["x"] = x
-    events["y"] = y
-    events["on"] = on
-    return events
+    return _of_columns(EVENT, t, x=x, y=y, on=on)
+
+
+def _of_columns(dtype: np.dtype[np.void], t: npt.ArrayLike, **columns: npt.ArrayLike) -> npt.NDArray[np.void]:
+    records = np.zeros(np.size(t), dtype)
+    records["t"] = t
+    for name, column in columns.items():
+        records[name] = column
+    return records
 
 
 _RECORD = f"V{EVENT.itemsize}"
 
 
-def copy_events(events: Events) -> Events:
-    """Return a contiguous copy of `events`, (n,) EVENT."""
-    return events.view(_RECORD).copy().view(EVENT)
+def copy_events(events: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
+    """Return a contiguous copy of `events`, (n,) EVENT, or of other packed records."""
+    return events.view(f"V{events.itemsize}").copy().view(events.dtype)
 
 
 def join_events(parts: Sequence[Events]) -> Events:
@@ -71,9 +78,27 @@ def bytes_of(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8]:
 
     Records that are read-only or have gaps are copied: compiled code has a version for each kind of array.
     """
-    if not (records.flags.c_contiguous and records.flags.writeable):
-        records = records.view(f"V{records.dtype.itemsize}").copy()
-    return records.view(np.uint8)
+    is_simple = records.flags.c_contiguous and records.flags.writeable
+    return (records if is_simple else copy_events(records)).view(np.uint8)
+
+
+class Kept:
+    """Base of frozen dataclasses that others fill: arrays become read-only copies, lists tuples; printed on a line."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, unshared(value, read_only))
+
+    def __repr__(self) -> str:
+        shown = {k: f"array {v.shape}" if isinstance(v, np.ndarray) else reprlib.repr(v) for k, v in vars(self).items()}
+        return f"{type(self).__name__}({', '.join(f'{name}={text}' for name, text in shown.items())})"
+
+
+def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a copy of an array that cannot be written to."""
+    copy = copy_events(array) if array.dtype.names else np.array(array)
+    copy.flags.writeable = False
+    return copy
 
 
 EDGE = np.dtype([("t", "<u8"), ("kind", "u1"), ("channel", "u1"), ("seq", "<u2")])
@@ -97,12 +122,7 @@ def empty_edges(n: int = 0) -> Edges:
 
 def make_edges(t: npt.ArrayLike, kind: npt.ArrayLike, channel: npt.ArrayLike = 0, seq: npt.ArrayLike = 0) -> Edges:
     """Return (n,) EDGE with these fields, t us, (n,) or a number: one edge."""
-    edges = empty_edges(np.size(t))
-    edges["t"] = t
-    edges["kind"] = kind
-    edges["channel"] = channel
-    edges["seq"] = seq
-    return edges
+    return _of_columns(EDGE, t, kind=kind, channel=channel, seq=seq)
 
 
 def level_changes(edges: Edges, pulse_us: int) -> Edges:

@@ -35,7 +35,7 @@ from emulator.report.pictures import deep_png
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
-from firmware_protocol.events import Events, make_events
+from firmware_protocol.events import Events, Kept, make_events
 from transports.link.pacing import MonotonicClock
 from transports.recording.format import FORMATS
 
@@ -223,8 +223,8 @@ def check_layers(truth: SequenceTruth, recorded: RunTruth) -> None:
         raise TruthRefused(f"truth.layers: this scene has no {', '.join(missing)} ({reason})")
 
 
-@dataclass(frozen=True, eq=False)
-class TruthSequence:
+@dataclass(frozen=True, eq=False, repr=False)
+class TruthSequence(Kept):
     """A sequence of a data set.
 
     Attributes

@@ -29,6 +29,7 @@ from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
 from emulator.tables.toml_text import TextFileError, TomlError, dotted, line_of, read_text, read_toml, shortened
 from emulator.tables.typed_table import TableError, beside, convert
+from firmware_protocol.bounds import check_bounds, unshared
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
 from transports.registry import unknown
@@ -100,6 +101,9 @@ class Rig:
     second_camera: SecondCamera | None = None
     source: RigSource | None = field(default=None, compare=False, repr=False)
 
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
 
 def shipped_rigs() -> dict[str, Path]:
     """Return the rigs that come with evstim, by name."""
@@ -166,10 +170,7 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
 def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None, pace: str | None = None) -> Rig:
     """Return the rig with the values that are not None; raises ValueError, its message begins with the name."""
     options = {"seconds": seconds, "seed": seed, "pace": pace}
-    # A number of NumPy becomes one of Python.
-    changed = {
-        name: getattr(value, "item", lambda v=value: v)() for name, value in options.items() if value is not None
-    }
+    changed = unshared({name: value for name, value in options.items() if value is not None})
     try:
         run = convert({**vars(rig.run), **changed}, Run)
     except TableError as error:

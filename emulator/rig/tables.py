@@ -267,6 +267,7 @@ class SecondCamera:
     q_first_from_second: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         if not self.links:
             raise ValueError("links must name the links that carry this camera")
         if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():

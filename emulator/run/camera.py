@@ -11,7 +11,6 @@ receive its frames.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -152,11 +151,6 @@ class CameraView:
         frame = self.frames.draw(t_ns)
         readings = self.readings.read(frame)
         return StepOutput(self.sensor.expose(frame), readings)
-
-    def copied(self) -> CameraView:
-        """Return a camera in the same state; both draw the one scene."""
-        sensor, readings = copy.deepcopy((self.sensor, self.readings))
-        return CameraView(self.frames.copied(), sensor, readings, self.links)
 
     def record_in(self, changes: Changes) -> None:
         """Record the changes that its hosts make to its sensor."""

@@ -24,6 +24,7 @@ from typing import Literal, Protocol
 
 from emulator.run.changes import Change
 from emulator.run.pacing import Lateness
+from firmware_protocol.events import Kept
 from transports.link.report import LinkReport
 
 
@@ -85,7 +86,7 @@ class Ledger:
 
 
 @dataclass(frozen=True)
-class RunStatus:
+class RunStatus(Kept):
     """Counts of a run so far, for the live table."""
 
     sim_seconds: float
@@ -123,7 +124,7 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class RunResult:
+class RunResult(Kept):
     """Result of a run.
 
     Attributes
@@ -183,11 +184,7 @@ class RunResult:
     @property
     def good(self) -> bool:
         """True when all events, edges and readings have one fate, no link failed, files are whole, the run kept up."""
-        if not self.ledger.balanced or self.too_late or self.scene_trouble:
-            return False
-        links = self.links.values()
-        balanced = all(link.edges_balanced and link.readings_balanced for link in links)
-        return balanced and not any(link.error is not None or link.file_troubles for link in links)
+        return all(judgement.good for judgement in _always(self))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ A part of the start that takes long is reported in the log.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import gc
 import logging
@@ -95,15 +94,6 @@ class Schedule:
     max_late_us: float = 0.0
     max_late_share: float = 1.0
     simulation: SimulationDrive | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class SessionState:
-    """State of a session without links between two steps: its time, its camera, and what selects its steps."""
-
-    t_ns: int
-    camera: CameraView
-    steps: Mapping[str, Any]
 
 
 class _StepInterrupted(KeyboardInterrupt):
@@ -182,14 +172,14 @@ class Session:
         """The light that the sensor sees, (height, width) float32; the next step draws over it."""
         return self._first.frames.last.light
 
-    def saved(self) -> SessionState:
-        """Return a copy of the state, between two steps of a run without links and with one camera."""
-        return SessionState(self.t_ns, self._first.copied(), copy.deepcopy(vars(self._step_source)))
+    def state(self) -> tuple[int, CameraView, Mapping[str, Any]]:
+        """Return time, camera and what selects the steps, of a run without links between two steps; no copies."""
+        return self.t_ns, self._first, vars(self._step_source)
 
-    def restore(self, state: SessionState) -> None:
+    def restore(self, t_ns: int, camera: CameraView, steps: Mapping[str, Any]) -> None:
         """Go to a state of this session, between two steps."""
-        self.t_ns, self._first = state.t_ns, state.camera.copied()
-        vars(self._step_source).update(copy.deepcopy(dict(state.steps)))
+        self.t_ns, self._first = t_ns, camera
+        vars(self._step_source).update(steps)
 
     @property
     def changes(self) -> tuple[Change, ...]:

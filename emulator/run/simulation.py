@@ -13,11 +13,17 @@ great circle. Without links there is no process and no socket.
 from __future__ import annotations
 
 import atexit
-import copy
 import dataclasses
+import io
+import logging
+import os
+import pickle
+import reprlib
 import threading
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
@@ -32,26 +38,31 @@ from emulator.run import fill_standard_descriptors
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.kernels import parts_of, prepare, uncompiled
 from emulator.run.outcome import RunResult, RunStatus
-from emulator.run.session import Session, SessionState
+from emulator.run.session import Session
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.live import GivenPath, SimulatedPath, TimedPose
+from emulator.trajectory.live import GivenPath, SimulatedPath
 from emulator.trajectory.parameters import FixedPath, LivePath, TrajectoryParameters
 from emulator.trajectory.pose import Fixed, Pose, Timescale
+from firmware_protocol.bounds import whole_number
 from firmware_protocol.device.items import Reading, ReadingKind
-from firmware_protocol.events import Events, empty_edges, join_events
+from firmware_protocol.events import Events, Kept, empty_edges, join_events
 from firmware_protocol.recordings.part import Frame, ImuRecords
+from transports.file import FileLink
 from transports.link.deliveries import DeliveredParts
 from transports.link.pacing import MonotonicClock
+
+log = logging.getLogger(__name__)
 
 LONGEST_US = 3_600_000_000
 """The longest step, us of stream time."""
 
+_MOST_LISTED = 5  # differences
 _LOOK_S = 0.1  # between two looks of a session that waits, whether it was stopped
 
 
-@dataclass(frozen=True, eq=False)
-class SceneTruth:
-    """The geometry of a scene at an instant; None for what the scene does not have.
+@dataclass(frozen=True, eq=False, repr=False)
+class SceneTruth(Kept):
+    """The geometry of a scene at an instant, in read-only arrays; None for what the scene does not have.
 
     Attributes
     ----------
@@ -69,9 +80,9 @@ class SceneTruth:
     names: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationStep:
-    """Output of a step of a `Simulation`.
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulationStep(Kept):
+    """Output of a step of a `Simulation`, in read-only arrays.
 
     Attributes
     ----------
@@ -91,13 +102,24 @@ class SimulationStep:
     truth: SceneTruth | None
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationState:
-    """State of a `Simulation` between two steps, for `Simulation.restore`, as often as it is needed."""
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulationState(Kept):
+    """State of a `Simulation` between two steps, for `Simulation.restore`, as often as it is needed; it can be pickled.
 
-    session: SessionState
-    poses: Mapping[str | None, tuple[TimedPose, ...]]
-    parts: DeliveredParts
+    Attributes
+    ----------
+    rig : with the seed of the run.
+    bodies : those that take poses.
+    evstim : version.
+    t_us : end of the last step, us of stream time.
+    content : pickle of all else, but for the scene and the paths.
+    """
+
+    rig: Rig
+    bodies: tuple[str, ...]
+    evstim: str
+    t_us: int = field(default=0, compare=False)
+    content: bytes = field(default=b"", compare=False)
 
 
 class _Program:
@@ -152,6 +174,7 @@ class Simulation:
     rig : path of a rig file, name of a shipped rig, or a Rig. Its pace, duration and lockstep are not used.
     seed : seed of everything random. By default the rig's.
     links : True: the links of the rig are served as well, in step. False: no link, fault, trigger or second camera.
+    record : file for what the links deliver, or without a link for the camera's output, in the format of its suffix.
     camera : pose of the camera at time 0. By default that of the rig.
     bodies : names of bodies that stand still in the rig and that `step` is to move; a mapping has poses for time 0.
 
@@ -171,6 +194,7 @@ class Simulation:
         *,
         seed: int | None = None,
         links: bool = False,
+        record: str | Path | None = None,
         camera: Pose | None = None,
         bodies: Collection[str] | Mapping[str, Pose] = (),
     ) -> None:
@@ -180,7 +204,14 @@ class Simulation:
         loaded = dataclasses.replace(loaded, run=run)
         if not links:
             loaded = dataclasses.replace(loaded, links=(), faults=(), trigger=None, second_camera=None)
+        self._record = None if record is None else Path(record)
+        if self._record is not None and not loaded.links:
+            loaded, self._record = dataclasses.replace(loaded, links=(FileLink(path=str(record)),)), None
         self.rig, self._paths = _driven(loaded, bodies)
+        named = tuple(sorted(name for name in self._paths if name is not None))
+        comparable = dataclasses.replace(loaded, run=dataclasses.replace(run, threads=0))  # they change no event
+        self._state = SimulationState(comparable, named, version("evstim"))
+        self._process, self._closed_by = os.getpid(), ""
         self._time = Timescale(getattr(self.rig.scene, "time_scale", 1.0))
         for name, pose in self._checked(camera, bodies if isinstance(bodies, Mapping) else {}).items():
             self._paths[name].add(0, pose)
@@ -249,34 +280,52 @@ class Simulation:
             The run has ended.
         """
         session = self._running()
+        us = whole_number("us", us)
         if not 1 <= us <= LONGEST_US:
             raise ValueError(f"a step of {us} us: it must be 1 to {LONGEST_US}; take several")
         poses = self._checked(camera, bodies or {})
-        t0_ns, t1_ns = self._program.limit_ns, self._program.limit_ns + int(us) * 1000
-        for name, path in self._paths.items():
-            path.go_on(self._time.scene_ns(t0_ns), self._time.scene_ns(t1_ns), poses.get(name))
-        self._events, self._readings = [], []
-        if not self._program.go_to(t1_ns):
-            self._refuse()
-        part = self._parts.part(join_events(self._events), empty_edges(), self._readings, 0)
-        geometry = self._look(t1_ns) if truth else None
-        return SimulationStep(t1_ns // 1000, part.events, session.light.copy(), part.imu, part.frames, geometry)
+        t0_ns, t1_ns = self._program.limit_ns, self._program.limit_ns + us * 1000
+        with self._closing("within a step"):
+            for name, path in self._paths.items():
+                path.go_on(self._time.scene_ns(t0_ns), self._time.scene_ns(t1_ns), poses.get(name))
+            self._events, self._readings = [], []
+            if not self._program.go_to(t1_ns):
+                self._refuse()
+            part = self._parts.part(join_events(self._events), empty_edges(), self._readings, 0)
+            geometry = self._look(t1_ns) if truth else None
+            return SimulationStep(t1_ns // 1000, part.events, session.light, part.imu, part.frames, geometry)
 
     def save(self) -> SimulationState:
         """Return a copy of the whole state, so that a program can try what follows and come back.
 
         Raises RuntimeError where the run has links: what has left a camera does not come back.
         """
-        poses = {name: path.known for name, path in self._paths.items()}
-        return SimulationState(self._alone().saved(), poses, copy.deepcopy(self._parts))
+        session, content = self._alone(), io.BytesIO()
+        pickler = pickle.Pickler(content, pickle.HIGHEST_PROTOCOL)
+        numbers = {id(of): k for k, of in enumerate(self._shared)}
+        pickler.persistent_id = lambda of: numbers.get(id(of))  # type: ignore[method-assign]
+        pickler.dump((session.state(), [path.known for path in self._paths.values()], self._parts))
+        return dataclasses.replace(self._state, t_us=self.t_us, content=content.getvalue())
 
     def restore(self, state: SimulationState) -> None:
-        """Go to a state of this simulation; raises RuntimeError where the run has links."""
-        self._alone().restore(state.session)
-        for name, poses in state.poses.items():
-            self._paths[name].known = poses
-        self._parts = copy.deepcopy(state.parts)
-        self._program.limit_ns = self._program.reached_ns = state.session.t_ns
+        """Go to a state of this simulation, or of one of the same rig, seed, bodies and version of evstim.
+
+        Raises ValueError where one of these differs, and RuntimeError where the run has links.
+        """
+        session = self._alone()
+        if not isinstance(state, SimulationState):
+            raise ValueError(f"a state is what `save` returns, got {type(state).__name__}")
+        if differences := list(_differences(state, self._state)):
+            raise ValueError(f"the state is of another simulation: {'; '.join(differences[:_MOST_LISTED])}")
+        unpickler = pickle.Unpickler(io.BytesIO(state.content))
+        unpickler.persistent_load = self._shared.__getitem__  # type: ignore[method-assign, assignment]
+        of_session, of_paths, parts = unpickler.load()
+        with self._closing("within `restore`"):
+            session.restore(*of_session)
+            self._parts = parts
+            for path, poses in zip(self._paths.values(), of_paths, strict=True):
+                path.known = poses
+            self._program.limit_ns = self._program.reached_ns = session.t_ns
 
     def close(self) -> None:
         """End the run; a second call does nothing. Raises the error by which it ends."""
@@ -291,7 +340,25 @@ class Simulation:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def _shared(self) -> list[object]:
+        return [self._scene, *self._paths.values()]
+
+    @contextmanager
+    def _closing(self, place: str) -> Iterator[None]:
+        """Close the simulation where an error, such as KeyboardInterrupt, ends the block: it would be half-way."""
+        try:
+            yield
+        except BaseException as error:
+            if not (self._program.ended or self._closed_by):
+                self._closed_by = f"{type(error).__name__} {place} closed it: begin another one, and restore a state"
+                log.warning("the simulation of %s: %s", self.rig.name, self._closed_by)
+            self._stop()
+            raise
+
     def _stop(self) -> None:
+        if os.getpid() != self._process:  # a fork does not have the thread
+            return
         atexit.unregister(self._stop)
         with self._program.changed:
             self._program.stopping = True  # also of a session that is not there yet
@@ -302,13 +369,18 @@ class Simulation:
 
     def _running(self) -> Session:
         """Return the session; raises the reason where it has ended."""
-        if self._session is None or self._program.ended:
+        if os.getpid() != self._process:
+            raise RuntimeError(
+                f"the run of {self.rig.name} goes on in the process that this is a fork of: begin another Simulation "
+                "here, and restore a pickled state"
+            )
+        if self._session is None or self._program.ended or self._closed_by:
             self._refuse()
         return self._session
 
     def _alone(self) -> Session:
         if self.rig.links:
-            raise RuntimeError("a run with links cannot be saved and restored: its events have left the camera")
+            raise RuntimeError("a run with links or a record cannot be saved and restored: its events are out")
         return self._running()
 
     def _refuse(self) -> NoReturn:
@@ -318,7 +390,7 @@ class Simulation:
             raise self._error
         if self._result is not None and self._result.scene_trouble:
             raise SceneError(self._result.scene_trouble)
-        raise RuntimeError(f"the run of {self.rig.name} has ended")
+        raise RuntimeError(f"the run of {self.rig.name} has ended" + f": {self._closed_by}" * bool(self._closed_by))
 
     def _checked(self, camera: Pose | None, bodies: Mapping[str, Pose]) -> dict[str | None, Pose]:
         """Return the poses by the name of a body, None for the camera; raises ValueError."""
@@ -348,7 +420,7 @@ class Simulation:
         try:
             prepare(uncompiled(parts_of(self.rig)))
             with build_scene(self.rig) as self._scene:
-                setups = link_setups(self.rig)
+                setups = link_setups(self.rig, self._record)
                 self._session = build_session(self.rig, self._scene, setups, MonotonicClock(), has_host=bool(setups))
                 plan = dataclasses.replace(schedule(self.rig), simulation=self._program)
                 self._result = self._session.run(plan, self._renew, self._take)
@@ -365,6 +437,17 @@ class Simulation:
         for kind, records in self._session.last_readings if self._session is not None else ():
             parts = [records] if kind is ReadingKind.IMU else [records[k : k + 1] for k in range(len(records))]
             self._readings += [Reading(kind, part) for part in parts]
+
+
+def _differences(first: Any, second: Any, place: str = "") -> Iterator[str]:
+    """Yield where two dataclasses differ, with both values."""
+    if first == second:
+        return
+    if not dataclasses.is_dataclass(first) or type(first) is not type(second):
+        yield f"{place[1:]} is {reprlib.repr(first)}, here {reprlib.repr(second)}"
+        return
+    for name in (part.name for part in dataclasses.fields(first) if part.compare):
+        yield from _differences(getattr(first, name), getattr(second, name), f"{place}.{name}")
 
 
 def _driven(rig: Rig, bodies: Collection[str]) -> tuple[Rig, dict[str | None, SimulatedPath]]:

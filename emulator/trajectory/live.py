@@ -252,17 +252,13 @@ class SimulatedPath(ComingPoses):
     """A path whose poses come step by step from a program that waits for each step.
 
     It follows `start` until the first pose has come. Between two poses it is a straight line and a great circle. After
-    the newest one the last motion goes on, as rates of change are taken a moment around a light frame. Copies of
-    objects that use the path share it.
+    the newest one the last motion goes on, as rates of change are taken a moment around a light frame.
     """
 
     def __init__(self, start: Trajectory) -> None:
         self._start = start
         self.span_ns = start.span_ns
         self._known: deque[TimedPose] = deque(maxlen=_KNOWN)
-
-    def __deepcopy__(self, memo: object) -> SimulatedPath:
-        return self
 
     @property
     def known(self) -> tuple[TimedPose, ...]:

@@ -149,7 +149,7 @@ class Pose:
 
     Attributes
     ----------
-    position_m : (3,) float64, in the world.
+    position_m : (3,) float64, in the world; read-only copies both.
     q_world_from_body : (4,) float64, unit, scalar first; one within 0.1 % of unit length is made so.
     """
 
@@ -157,14 +157,16 @@ class Pose:
     q_world_from_body: Quaternion
 
     def __post_init__(self) -> None:
-        position, q = np.asarray(self.position_m, np.float64), np.asarray(self.q_world_from_body, np.float64)
+        position, q = np.array(self.position_m, np.float64), np.array(self.q_world_from_body, np.float64)
         if position.shape != (3,) or not (np.abs(position) <= FARTHEST_M).all():  # NaN compares false
             raise ValueError(f"a position is three finite metres, at most {FARTHEST_M:g}, got {position}")
         length = float(np.linalg.norm(q)) if (np.abs(q) < 2).all() else math.inf
         if q.shape != (4,) or not abs(length - 1) < _UNIT_WITHIN:
             raise ValueError(f"an attitude is a unit quaternion (w, x, y, z), got {q} of length {length:.4g}")
+        q /= length
+        position.flags.writeable = q.flags.writeable = False
         object.__setattr__(self, "position_m", position)
-        object.__setattr__(self, "q_world_from_body", q / length)
+        object.__setattr__(self, "q_world_from_body", q)
 
     @cached_property
     def world_from_body(self) -> Matrix:

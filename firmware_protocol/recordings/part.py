@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import Edges, Events, Kept, empty_edges, empty_events
 
 _AXES = [f"{unit}_{axis}" for unit in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
 IMU = np.dtype([("t", "<u8"), ("temperature", "<f4"), *((name, "<f4") for name in _AXES)])
@@ -20,8 +20,8 @@ ImuRecords = npt.NDArray[np.void]
 """An array of IMU records, shape (n,), sorted by t."""
 
 
-@dataclass(frozen=True)
-class Frame:
+@dataclass(frozen=True, repr=False)
+class Frame(Kept):
     """An image of the camera.
 
     Attributes

@@ -155,6 +155,7 @@ class LitBodies:
             raise SceneError("the scene is closed: build it again")
         world = self._world
         self._motion = motion = motion_at(t_ns, world.camera, self._poses, world.time)
+        world.inside.look(t_ns, motion.now.camera, motion.now.bodies)
         surface_lights, shadows = self._lighting.light_and_polygons(motion)
         bodies = [(root, vertices, 1.0) for root, vertices, _ in self._placed]
         between = [

@@ -10,7 +10,9 @@ stand still in the world are one group too. A group's frame is that of its first
 
 from __future__ import annotations
 
+import logging
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +31,8 @@ from emulator.trajectory.building import build_trajectories, build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError, instants_over
+
+log = logging.getLogger(__name__)
 
 _LOOKS = 64  # of each path
 
@@ -126,6 +130,7 @@ class BodyWorld:
     camera : the camera's path.
     meshes : the shape of each body, with its detail.
     grain : the octaves of its ground; None: it has no grain.
+    inside : watch for light frames that are drawn from inside a body.
     paths : of each body.
     arrangement : poses and ranges.
     ranges_m : (bodies,), the closest range of each body's origin.
@@ -162,11 +167,12 @@ class BodyWorld:
                     self.grain.append(None)
         self._as_seen: dict[int, Mesh] = {}
         self._require_visible()
+        self.inside = InsideWatch(self)
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Counts of poses received from outside."""
-        return live_counts(self.camera, *self.paths)
+        """Counts of poses received from outside, and of light frames from inside a body."""
+        return live_counts(self.camera, *self.paths) | self.inside.counts
 
     def notes(self, first_frame: npt.NDArray[np.float32]) -> tuple[str, ...]:
         """Return remarks on faults of the shapes, on detail that was left out, and on a black first frame."""
@@ -208,6 +214,61 @@ class BodyWorld:
                 f"the largest body is {across_px:.2g} px across at its closest and would be lost "
                 "between samples: go nearer, take a longer lens, or look at units_m"
             )
+
+
+class InsideWatch:
+    """Watch for a camera inside a body, where paths are not known before: a warning at the first time, and counts."""
+
+    def __init__(self, world: BodyWorld) -> None:
+        self._world, self._t_ns = world, -1
+        self.counts = Counter[str]()
+        self._groups = rigid_groups(world.parameters.bodies)
+        self._last: dict[int, tuple[Floats, float, bool]] = {}  # of each body: place, way to its surface, inside it
+
+    def look(self, t_ns: int, camera: Pose, firsts: Mapping[int, Pose]) -> None:
+        """Look at the light frame of `t_ns`; `firsts` are the poses of the groups' first bodies, by number."""
+        if t_ns == self._t_ns:
+            return
+        self._t_ns = t_ns
+        for group in self._groups:
+            first = firsts[group.members[0]]
+            for k, pose in group.placed:
+                in_group_m = (camera.position_m - first.position_m) @ first.world_from_body - pose.position_m
+                if in_group_m @ in_group_m < self._world.meshes[k].radius_m ** 2:
+                    self._look_at(k, in_group_m @ pose.world_from_body, camera)
+
+    def _look_at(self, k: int, place_m: Floats, camera: Pose) -> None:
+        """Look from a place in the frame of body k, near it; on the way to the surface nothing changes."""
+        looked_m, way_m, is_inside = self._last.get(k, (place_m, 0.0, False))
+        if float(np.linalg.norm(place_m - looked_m)) >= way_m:
+            is_inside, way_m = enclosure(self._world.as_seen(k), place_m)
+            self._last[k] = place_m, way_m, is_inside
+        if not is_inside:
+            return
+        name = self._world.parameters.bodies[k].name or self._world.parameters.bodies[k].shape
+        self.counts[count := f"light frames from inside {name}"] += 1
+        if self.counts[count] == 1:
+            place = ", ".join(f"{x:.6g}" for x in camera.position_m)
+            at = f"at {self._t_ns * 1e-9:.6g} s the camera is inside the body {name}: it is at ({place}) m"
+            middle_m = float(np.linalg.norm(place_m))
+            log.warning("%s, %.4g m from its middle; give poses outside, or look at units_m", at, middle_m)
+
+
+def enclosure(mesh: Mesh, place_m: Floats) -> tuple[bool, float]:
+    """Return whether a mesh encloses a place in its frame, and a distance that its surface keeps at least, m.
+
+    The sum of the facets' solid angles is 4 pi inside a closed surface, and 0 outside (van Oosterom and Strackee, IEEE
+    Transactions on Biomedical Engineering 30, 1983); of an open one more than half of it counts as inside.
+    """
+    corners = mesh.vertices[mesh.faces] - place_m
+    a, b, c = corners.transpose(1, 0, 2)
+    la, lb, lc = np.linalg.norm(corners, axis=2).T
+    volume = (a * np.cross(b, c)).sum(axis=1)
+    spread = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+    middles = corners.mean(axis=1, keepdims=True)
+    reach_m = np.linalg.norm(corners - middles, axis=2).max(axis=1)
+    way_m = float((np.linalg.norm(middles, axis=2)[:, 0] - reach_m).min())
+    return abs(float(np.arctan2(volume, spread).sum())) > math.pi, way_m
 
 
 @dataclass(frozen=True, eq=False)

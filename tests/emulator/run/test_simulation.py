@@ -2,7 +2,9 @@
 
 import dataclasses
 import itertools
+import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -134,6 +136,173 @@ def test_links_change_no_bit_and_deliver_the_same_events(flight, tmp_path):
     assert sorted(read[: len(sent)].tolist()) == sorted(sent.tolist())
 
 
+def rolled_out(content):
+    """Return the events that follow a pickled state, for another process."""
+    with Simulation(rig_of(threads=2)) as sim:
+        sim.restore(pickle.loads(content))
+        return np.concatenate([step.events for step in flown(sim, range(1, 5))])
+
+
+@pytest.mark.sampled
+def test_a_state_can_be_pickled_for_rollouts_in_other_processes(flight):
+    """Threads change no event, so a state goes to a simulation with another number of them."""
+    rig = rig_of()
+    with Simulation(rig) as sim:
+        flown(sim, range(1))
+        content = pickle.dumps(sim.save())
+        followed = np.concatenate([step.events for step in flown(sim, range(1, 5))])
+    assert len(followed) > 200
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        for events in pool.map(rolled_out, [content] * 2):
+            np.testing.assert_array_equal(events, followed)
+
+
+def other_sensor(rig, **changed):
+    sensor = dataclasses.replace(rig.camera.sensor, **changed)
+    return dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
+
+
+@pytest.mark.parametrize(
+    ("other", "why"),
+    [
+        (lambda rig: (rig, {"seed": 4}), "rig.run.seed is 3, here 4"),
+        (lambda rig: (other_sensor(rig, width=63), {}), "rig.camera.sensor.width is 64, here 63"),
+        (lambda rig: (other_sensor(rig, threshold_on=0.5), {}), "rig.camera.sensor.threshold_on is .*, here 0.5"),
+        (lambda rig: (rig, {"bodies": ["moon"]}), r"bodies is \('ball',\), here \('ball', 'moon'\)"),
+        (lambda rig: (evstim.load_rig("loopback"), {}), "rig.name is 'a', here 'loopback'"),
+    ],
+)
+def test_a_state_of_another_simulation_is_refused_with_what_differs(other, why):
+    with Simulation(rig_of()) as sim:
+        sim.step(4_000)
+        state = sim.save()
+    rig, options = other(rig_of())
+    with Simulation(rig, **options) as sim:
+        with pytest.raises(ValueError, match=f"the state is of another simulation: .*{why}"):
+            sim.restore(state)
+        assert sim.t_us == 0
+        sim.step(4_000)
+
+
+def test_a_state_of_another_version_is_refused(monkeypatch):
+    with Simulation(rig_of()) as sim:
+        state = sim.save()
+        old = dataclasses.replace(state, evstim="0.0.1")
+        with pytest.raises(ValueError, match=r"evstim is '0.0.1', here"):
+            sim.restore(old)
+
+
+def test_steps_and_states_print_on_a_line():
+    with Simulation(rig_of()) as sim:
+        for value in (sim.step(4_000, truth=True), sim.save()):
+            assert "\n" not in repr(value)
+            assert len(repr(value)) < 400
+
+
+def test_a_pose_is_that_of_the_moment_it_was_given():
+    """The program moves its own array after each step, as the manual's loop does."""
+
+    def events(kept):
+        place = np.array([0.0, 0.0, -4.0])
+        with Simulation(rig_of()) as sim:
+            parts, states = [], []
+            for _ in range(5):
+                parts.append(sim.step(10_000, camera=Pose(kept(place), AS_THE_WORLD)).events)
+                place[0] += 0.05
+                states.append(sim.save())
+            sim.restore(states[0])
+            return np.concatenate([*parts, sim.step(10_000).events])
+
+    np.testing.assert_array_equal(events(lambda place: place), events(np.copy))
+
+
+def test_output_of_a_step_stays_as_it_was():
+    with Simulation(rig_of()) as sim:
+        steps = [sim.step(10_000, camera=at(k), truth=True) for k in range(3)]
+        assert not any(np.array_equal(a.light, b.light) for a, b in itertools.pairwise(steps))
+        light, depth = (array.copy() for array in (steps[0].light, steps[0].truth.depth))
+        sim.step(10_000, camera=at(9), truth=True)
+        np.testing.assert_array_equal(steps[0].light, light)
+        np.testing.assert_array_equal(steps[0].truth.depth, depth)
+        assert not any(array.flags.writeable for array in (steps[0].light, steps[0].events, steps[0].truth.depth))
+
+
+class Late(Exception):
+    """An error of the program's own."""
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, Late])
+def test_an_error_within_a_step_closes_the_simulation(error, monkeypatch, caplog):
+    """As a signal's handler raises it while the program waits for the step; a state goes on in another simulation."""
+    rig = rig_of()
+    with Simulation(rig) as sim:
+        sim.step(4_000)
+        state, threads = sim.save(), threading.active_count()
+        go_to = type(sim._program).go_to
+
+        def interrupted(program, t_ns):
+            with program.changed:
+                program.limit_ns = t_ns
+                program.changed.notify_all()
+            raise error
+
+        monkeypatch.setattr("emulator.run.simulation._Program.go_to", interrupted)
+        with pytest.raises(error):
+            sim.step(400_000)
+        assert threading.active_count() < threads
+        monkeypatch.setattr("emulator.run.simulation._Program.go_to", go_to)
+        for refused in (lambda: sim.step(1000), sim.save, lambda: sim.restore(state), lambda: sim.light):
+            with pytest.raises(RuntimeError, match=f"has ended: {error.__name__} within a step closed it: begin"):
+                refused()
+    assert f"{error.__name__} within a step closed it" in caplog.text
+    assert sim.result.ledger.balanced
+    with Simulation(rig) as sim:
+        expected = [sim.step(4_000), *flown(sim)]
+    with Simulation(rig) as again:
+        again.restore(state)
+        assert_same(flown(again), expected[1:])
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_fork_is_refused_at_once():
+    with Simulation(rig_of()) as sim:
+        sim.step(4_000)
+        reader, writer = os.pipe()
+        if not (child := os.fork()):  # as multiprocessing does it
+            said = []
+            for call in (lambda: sim.step(4_000), sim.save, sim.close):
+                try:
+                    call()
+                except RuntimeError as error:
+                    said.append(str(error))
+            os.write(writer, "\n".join(said).encode())
+            os._exit(0)
+        os.close(writer)
+        with os.fdopen(reader) as answer:
+            said = answer.read().splitlines()
+        assert os.waitpid(child, 0)[1] == 0
+        assert len(said) == 2
+        assert all("a fork" in line and "begin another Simulation" in line for line in said)
+        assert sim.step(4_000).t_us == 8_000
+
+
+@pytest.mark.parametrize("links", [False, True])
+def test_a_simulation_without_a_link_can_be_recorded(links, tmp_path):
+    rig, file = rig_of(), tmp_path / "flight.aedat4"
+    with Simulation(rig, record=file, links=links) as sim:
+        steps = flown(sim)
+        with pytest.raises(RuntimeError, match="a record cannot be saved"):
+            sim.save()
+    with Simulation(rig) as sim:
+        assert_same(flown(sim), steps)
+    read = evstim.read_events(file)
+    sent = np.concatenate([step.events for step in steps])
+    np.testing.assert_array_equal(read["t"][: len(sent)], sent["t"])
+    assert len(read) - len(sent) < 5
+    with pytest.raises(ValueError, match="path"):
+        Simulation(rig, record=tmp_path / "flight.xyz")
+
+
 def test_without_poses_it_is_the_rigs_own_run(tmp_path):
     rig = rig_of()
     recorded = dataclasses.replace(rig, links=(evstim.FileLink(path=str(tmp_path / "events.raw")),))
@@ -219,6 +388,12 @@ NAN = np.array([np.nan, 0.0, 0.0])
         (lambda sim: sim.step(0), "a step of 0 us"),
         (lambda sim: sim.step(-5), "a step of -5 us"),
         (lambda sim: sim.step(LONGEST_US + 1), "take several"),
+        (lambda sim: sim.step(10**18), "if it is in nanoseconds, divide it by 1000"),
+        (lambda sim: sim.step(0.02), r"us is 0.02: whole microseconds \(1 s is 1000000\) are needed"),
+        (lambda sim: sim.step(1.5), "whole microseconds"),
+        (lambda sim: sim.step(True), "whole microseconds"),
+        (lambda sim: sim.step(np.float64(2.0)), "whole microseconds"),
+        (lambda sim: sim.restore((1, 2)), "a state is what `save` returns, got tuple"),
         (lambda sim: sim.step(1000, camera=Pose(NAN, AS_THE_WORLD)), "three finite metres"),
         (lambda sim: sim.step(1000, camera=Pose(ORIGIN, np.zeros(4))), "unit quaternion"),
         (lambda sim: sim.step(1000, camera=(ORIGIN, AS_THE_WORLD)), "the camera: a pose is an evstim.Pose, got tuple"),
