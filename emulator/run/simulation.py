@@ -318,7 +318,7 @@ class Simulation:
         if differences := list(_differences(state, self._state)):
             raise ValueError(f"the state is of another simulation: {'; '.join(differences[:_MOST_LISTED])}")
         unpickler = pickle.Unpickler(io.BytesIO(state.content))
-        unpickler.persistent_load = self._shared.__getitem__  # type: ignore[method-assign, assignment]
+        unpickler.persistent_load = self._shared.__getitem__  # type: ignore[method-assign]
         of_session, of_paths, parts = unpickler.load()
         with self._closing("within `restore`"):
             session.restore(*of_session)
