@@ -39,6 +39,7 @@ that is an address of this machine (a name that a foreign DNS server resolves to
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import secrets
@@ -65,6 +66,8 @@ LIVE_PAGE = "live page"  # name of its viewers in the record of a run
 
 _HEADER = struct.Struct("<4sIHHQQIHHI")
 _MAGIC = b"EVP2"
+NEWEST = 127
+MOST_COUNT = 15
 _ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
 _CODE_SHIFT = 15  # bits of a float32 that a light code leaves out
 _INFINITE = 0xFF00  # the code of infinity
@@ -120,6 +123,24 @@ def encode_picture(picture: Picture) -> bytes:
     )  # fmt: skip
     planes = picture.place, picture.light, picture.last, picture.count  # the widest first: all are aligned
     return b"".join((header, *(plane.tobytes() for plane in planes)))
+
+
+def joined(first: Picture, then: Picture) -> Picture:
+    """Return the picture of two intervals, one after the other, with the light of the second."""
+    place, at = np.unique(np.concatenate((first.place, then.place)), return_inverse=True)
+    early, late = at[: len(first.place)], at[len(first.place) :]
+    share = (first.until_us - first.from_us) / max(then.until_us - first.from_us, 1)
+    last, on, off = (np.zeros(len(place)) for _ in range(3))
+    last[early] = np.sign(first.last) * np.maximum(np.abs(first.last) * share, 1)
+    last[late] = np.sign(then.last) * np.maximum(np.abs(then.last) * (1 - share) + NEWEST * share, 1)
+    for where, picture in ((early, first), (late, then)):
+        on[where] += picture.count & MOST_COUNT
+        off[where] += picture.count >> 4
+    count = np.minimum(on, MOST_COUNT).astype(np.uint8) | np.minimum(off, MOST_COUNT).astype(np.uint8) << 4
+    return dataclasses.replace(
+        then, from_us=first.from_us, events=first.events + then.events, every=max(first.every, then.every),
+        place=place, last=last.round().astype(np.int8), count=count,
+    )  # fmt: skip
 
 
 def parse_command(text: str) -> dict[str, Any]:

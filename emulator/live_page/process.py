@@ -26,14 +26,12 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.live_page.axis import RunHistory
-from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, Picture, encode_picture, light_codes
+from emulator.live_page.messages import MOST_COMMAND_BYTES, MOST_COUNT, NEWEST, Access, Picture, light_codes
 from firmware_protocol.events import Events
 from transports.link.rings import EventRing
 
 _MOST_SIZE = (640, 480)
 _MOST_DRAWN = 60_000  # events of a picture; of more, each second, third ... is drawn
-_NEWEST = 127
-_MOST_COUNT = 15
 
 
 def reduction(size: tuple[int, int]) -> int:
@@ -86,7 +84,7 @@ class Canvas:
         plane = np.zeros(self._height * self._width, np.int8)
         length_us = max(self._until_us - from_us, 1)
         since_us = np.clip(events["t"].astype(np.int64) - from_us, 0, length_us)
-        level = 1 + since_us * (_NEWEST - 1) // length_us
+        level = 1 + since_us * (NEWEST - 1) // length_us
         plane[place] = np.where(events["on"], level, -level)  # of several at one place the last stays
         active = np.flatnonzero(plane)
         return active.astype(np.uint32), plane[active]
@@ -99,7 +97,7 @@ class Canvas:
         slot[active] = np.arange(len(active))
         on = events["on"]
         up, down = (
-            np.minimum(np.bincount(slot[place[polarity]], minlength=len(active)), _MOST_COUNT) for polarity in (on, ~on)
+            np.minimum(np.bincount(slot[place[polarity]], minlength=len(active)), MOST_COUNT) for polarity in (on, ~on)
         )
         return np.asarray(up | down << 4, np.uint8)
 
@@ -152,10 +150,13 @@ class SharedView:
         self._cells[_COMMANDS] = count
 
     def show(self, events: Events, light: npt.NDArray[np.float32], now_us: int) -> None:
-        """Show the events of a step, up to `now_us`, and the light at its end."""
-        if not self._cells[_VIEWERS]:
+        """Show the events of a step, up to `now_us`, and the light at its end.
+
+        Of too many events the newest are shown, and none of a step while earlier ones fill the memory.
+        """
+        if not self._cells[_VIEWERS] or (len(events) > self._ring.room and self._ring.waiting):
             return
-        self._ring.push(events)
+        self._ring.push(events[-self._ring.capacity :])
         self._ring.publish(now_us)
         if not 0 <= now_us - self._light_us < _LIGHT_PERIOD_US:
             self._light_us = now_us
@@ -164,7 +165,7 @@ class SharedView:
     def take(self) -> tuple[Events, int]:
         """Return the events shown since the last call, and the end of their time; for the page's process."""
         now_us = self._ring.now_us
-        return self._ring.take(1 << 62), now_us
+        return self._ring.take(now_us), now_us
 
 
 _PICTURE_PERIOD_S = 0.04
@@ -262,7 +263,7 @@ class PageProcess:
                 self._canvas.begin(until_us)
                 watched = True
                 continue
-            self._viewers.put(encode_picture(self._canvas.draw(events, self._view.light, until_us)))
+            self._viewers.put(self._canvas.draw(events, self._view.light, until_us))
 
     def _receive(self) -> None:
         """Forward the messages of the session."""

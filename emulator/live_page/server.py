@@ -1,6 +1,6 @@
 """The page's web server: a few files, and a WebSocket for each viewer.
 
-A viewer is a browser. A message that it does not read in time is replaced by a newer one. It reports the last message
+A viewer is a browser. A status that it does not read in time is replaced by a newer one, a picture joined with it. It reports the last message
 that it has shown; at most three are on their way to it. So a slow viewer or network gets fewer pictures, and one that
 stops reading has at most three of them in the machine's buffers until it is dropped.
 
@@ -25,7 +25,15 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, BadMessage, parse_command
+from emulator.live_page.messages import (
+    MOST_COMMAND_BYTES,
+    Access,
+    BadMessage,
+    Picture,
+    encode_picture,
+    joined,
+    parse_command,
+)
 from transports.connections import Admission, Places, Seat
 from transports.network import AllowList
 
@@ -44,7 +52,7 @@ class Viewer:
         self.number = number
         self._now_s = now_s
         self._status: str | None = None
-        self._picture: bytes | None = None
+        self._picture: Picture | None = None
         self._answers: deque[str] = deque(maxlen=_MOST_ANSWERS)
         self._sent = self._seen = 0
         self._moved_s = self._filled_s = now_s()
@@ -61,12 +69,12 @@ class Viewer:
         """True when it has shown none of the sent messages for so long that it is to be dropped."""
         return self.on_the_way >= _MOST_ON_THE_WAY and self._now_s() - self._moved_s > STALLED_S
 
-    def put(self, message: str | bytes) -> None:
-        """Queue a status (str) or a picture (bytes), in place of an older one that was not sent."""
-        if isinstance(message, bytes):
-            self._picture = message
-        else:
+    def put(self, message: str | Picture) -> None:
+        """Queue a status (str), in place of one that was not sent, or a picture, joined with one that was not sent."""
+        if isinstance(message, str):
             self._status = message
+        else:
+            self._picture = message if self._picture is None else joined(self._picture, message)
         self._look()
 
     def answer(self, message: str) -> None:
@@ -89,13 +97,13 @@ class Viewer:
         if self._tokens < 0:
             raise BadMessage("too many messages")
 
-    async def next(self) -> str | bytes:
+    async def next(self) -> str | Picture:
         """Wait for a message that the viewer can take, and return it."""
         while (message := self.take()) is None:
             await self._ready.wait()
         return message
 
-    def take(self) -> str | bytes | None:
+    def take(self) -> str | Picture | None:
         """Return the message to be sent now; None where there is none."""
         if not self._ready.is_set():
             return None
@@ -106,10 +114,10 @@ class Viewer:
         self._look()
         return message
 
-    def _newest(self) -> str | bytes | None:
+    def _newest(self) -> str | Picture | None:
         if self._answers:
             return self._answers.popleft()
-        message: str | bytes | None
+        message: str | Picture | None
         if self._status is not None:
             message, self._status = self._status, None
         else:
@@ -148,7 +156,7 @@ class Viewers:
         """Remove a viewer."""
         self._viewers.pop(viewer.number, None)
 
-    def put(self, message: str | bytes) -> None:
+    def put(self, message: str | Picture) -> None:
         """Send a status or a picture to all."""
         for viewer, _ in self._viewers.values():
             viewer.put(message)
@@ -331,8 +339,10 @@ class PageServer:
 async def _send(socket: WebSocket, viewer: Viewer) -> None:
     while True:
         message = await viewer.next()
-        send = socket.send_bytes(message) if isinstance(message, bytes) else socket.send_text(message)
-        await asyncio.wait_for(send, _SEND_S)
+        if isinstance(message, str):
+            await asyncio.wait_for(socket.send_text(message), _SEND_S)
+        else:
+            await asyncio.wait_for(socket.send_bytes(encode_picture(message)), _SEND_S)
 
 
 async def _text(socket: WebSocket) -> str:

@@ -25,12 +25,11 @@ from typing import Any
 
 from emulator.sensor.sensor import AdjustableSource
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
-from transports.link.report import CameraSettings
+from transports.link.report import ADDED_FACTORS, CameraSettings
 
 log = logging.getLogger(__name__)
 
 _MOST = 10_000
-_ADDED = ("highpass_hz",)  # parameters to which biases add, because they may be 0
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ class BiasFollowing:
         accepted = self._accepted.setdefault(link, {})
         factors = settings.sensor_factors
         for name in sorted({*accepted, *factors}):
-            neutral = 0.0 if name in _ADDED else 1.0
+            neutral = 0.0 if name in ADDED_FACTORS else 1.0
             factor = factors.get(name, neutral)
             if factor == accepted.get(name, neutral):
                 continue
@@ -138,7 +137,7 @@ class BiasFollowing:
                 continue
             total = self._total(link, name, factor)
             before, applied = sensor.adjustable[name], self._applied.get(name, neutral)
-            value = max(round(before + total - applied, 9), 0.0) if name in _ADDED else before * total / applied
+            value = max(round(before + total - applied, 9), 0.0) if name in ADDED_FACTORS else before * total / applied
             if value != before:
                 try:
                     sensor.adjust(name, value)
@@ -153,7 +152,7 @@ class BiasFollowing:
 
     def _total(self, link: str, name: str, factor: float) -> float:
         """Return the sum, or the product within the bounds of one, of all links' factors with a new one of `link`."""
-        if name in _ADDED:
+        if name in ADDED_FACTORS:
             return factor + sum(factors.get(name, 0.0) for other, factors in self._accepted.items() if other != link)
         other_factors = (factors.get(name, 1.0) for other, factors in self._accepted.items() if other != link)
         product = factor * math.prod(other_factors)

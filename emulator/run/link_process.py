@@ -174,11 +174,15 @@ class LinkProcess:
             self.listen()
 
     def take_changes(self, before_us: int) -> list[CameraSettings | Occurrence]:
-        """Return the changes at the camera before a stream time that have come and have not been taken, in order."""
+        """Return the changes at the camera before a stream time that have come and have not been taken, in order.
+
+        They act at one time, so of several settings only the last.
+        """
         self.listen()
         due = [change for change in self._changes if change.t_us < before_us]
         self._changes = [change for change in self._changes if change.t_us >= before_us]
-        return due
+        *_, last = None, *(change for change in due if isinstance(change, CameraSettings))
+        return [change for change in due if change is last or isinstance(change, Occurrence)]
 
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; events without room in the ring are refused and counted there."""

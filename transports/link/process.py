@@ -121,7 +121,7 @@ class Link:
     def _advance(self, origin_ns: int | None, now_us: int) -> None:
         """Move all data that are due, of a stream with the origin `origin_ns` that has reached `now_us`."""
         self.ticked_ns = self._clock.now_ns()
-        self._watch.look(self._feed.reached_us)
+        self._watch.look(self._feed.reached_us, self.ticked_ns)
         self._seen_us = now_us
         self._fed = 0 if origin_ns is None else self._feed_due(origin_ns, now_us)
         if not self._watch.waiting:  # a session without pacing computes its next step while the endpoint sends
@@ -259,7 +259,12 @@ class Link:
         self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {event}"))
 
     def _free_until_us(self, now_us: int) -> int:
-        """Return the stream time that an unpaced run may reach now: a host's silence lasts in the host's time too."""
+        """Return the stream time that an unpaced run may reach now: a host's silence lasts in the host's time too.
+
+        It stands still while a host writes settings, so that no step ends between two writes.
+        """
+        if self._watch.is_pending:
+            return self._feed.reached_us
         if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))

@@ -15,6 +15,7 @@ A bias on its way: the register (`Fx3Camera._write`), its factor (`sensor_factor
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,7 +29,11 @@ from transports.link.endpoint import LineUse
 from transports.link.feed import ClockReport, EdgeReport, ReadingReport
 
 _MOST_WAITING = 1000  # changes that a busy session has not read
+ADDED_FACTORS = ("highpass_hz",)  # sensor parameters to which biases add, because they may be 0
+
 _FOREVER_US = 1 << 62
+_PAUSE_NS = 2_000_000  # after the last write of a sequence; drivers write a register each 0.1 ms
+_LONGEST_NS = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -67,39 +72,55 @@ class Occurrence:
 
 
 class ChangeWatch:
-    """Detector of one device's changes; `waiting` holds them, the oldest first, until the session takes them."""
+    """Detector of one device's changes; `waiting` holds them, the oldest first, until the session takes them.
+
+    Drivers write long sequences of registers, and pixels do not follow the settings between two writes. So settings are
+    recorded when the host has written nothing for 2 ms, or 20 ms after the first write, as a host may never pause.
+    """
 
     def __init__(self, device: EventDevice) -> None:
         self._device = device if isinstance(device, HostAdjusted) else None
         self._by = "" if self._device is None else self._device.set_by
-        self._factors: dict[str, float] = {}
-        self._without_effect: dict[str, str] = {}
+        self._recorded = CameraSettings(0, self._by)
+        self._pending: CameraSettings | None = None
+        self._first_ns = self._written_ns = 0
         self._not_listed = 0
         self._version: int | None = None
         self.waiting: deque[CameraSettings | Occurrence] = deque()
 
     @property
     def is_behind(self) -> bool:
-        """True if the device has counted a change since the last `look`."""
-        return self._device is not None and self._device.settings_version != self._version
+        """True if the device has counted a change since the last `look`, or settings are pending."""
+        return self._device is not None and (self._device.settings_version != self._version or self.is_pending)
+
+    @property
+    def is_pending(self) -> bool:
+        """True while settings are not recorded because the host may write more of them."""
+        return self._pending is not None
 
     @property
     def acts(self) -> bool:
         """True if hosts of this kind of device can change the sensor."""
         return self._device is not None
 
-    def look(self, t_us: int) -> None:
-        """Record the changes since the last call, at stream time `t_us` of the camera."""
+    def look(self, t_us: int, now_ns: int) -> None:
+        """Record the changes since the last call, at stream time `t_us` of the camera and `now_ns` of the host."""
         device = self._device
-        if device is None or device.settings_version == self._version:
+        if device is None or not self.is_behind:
             return
-        self._version = device.settings_version
-        for command in device.take_commands():
-            self.add(Occurrence(t_us, self._by, command))
-        factors, without_effect = dict(device.sensor_factors), dict(device.without_effect)
-        if (factors, without_effect) != (self._factors, self._without_effect):
-            self._factors, self._without_effect = factors, without_effect
-            self.add(CameraSettings(t_us, self._by, factors, without_effect))
+        if device.settings_version != self._version:
+            self._version, self._written_ns = device.settings_version, now_ns
+            for command in device.take_commands():
+                self.add(Occurrence(t_us, self._by, command))
+            if self._pending is None:
+                self._first_ns = now_ns
+            factors = {k: factor for k, factor in device.sensor_factors.items() if factor != 1 or k in ADDED_FACTORS}
+            self._pending = CameraSettings(t_us, self._by, factors, dict(device.without_effect))
+            if dataclasses.replace(self._pending, t_us=self._recorded.t_us) == self._recorded:
+                self._pending = None
+        if self._pending is not None and now_ns >= min(self._written_ns + _PAUSE_NS, self._first_ns + _LONGEST_NS):
+            self.add(self._pending)
+            self._recorded, self._pending = self._pending, None
 
     def add(self, change: CameraSettings | Occurrence) -> None:
         """Record a change; if 1000 wait, occurrences are only counted, and settings replace the last ones.

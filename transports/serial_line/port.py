@@ -219,37 +219,39 @@ class ThreadedPort(Port):
                 self._waiting -= len(piece)
 
 
-_DEVICES = "/dev/pts/"
+_MARK = "/./"  # in the target of each link that is made here, and in no usual one
 
 
 class PtySymlink:
-    """Symbolic link at `path` to `target`, held until `close`.
+    """Symbolic link at `path` to the device `pty`, held until `close`; it replaces one of an ended process.
 
-    Raises OSError if a running link or another file has this path, or the folder cannot be written.
+    Raises OSError if a running link, another link or file has this path, or the folder cannot be written.
     """
 
-    def __init__(self, path: Path, target: str) -> None:
-        self._path, self._target = path, target
+    def __init__(self, path: Path, pty: str) -> None:
+        self._path, self._target = path, _MARK.join(os.path.split(pty))
+        remove_abandoned(path)
         self._claim = _claimed(path)
         try:
-            if path.is_symlink():
-                path.unlink()
-            path.symlink_to(target)
+            path.symlink_to(self._target)
         except OSError as error:
             self._claim.close()
-            raise OSError(_refusal(path, error.strerror or str(error))) from error
+            is_foreign = isinstance(error, FileExistsError)
+            reason = "it exists, and no link of this kind made it" if is_foreign else error.strerror or str(error)
+            raise OSError(_refusal(path, reason)) from error
 
     def close(self) -> None:
         """Remove the link, unless another one has replaced it, and release the path."""
-        if self._path.is_symlink() and os.readlink(self._path) == self._target:
-            self._path.unlink()
+        with suppress(OSError):
+            if os.readlink(self._path) == self._target:
+                self._path.unlink()
         self._claim.close()
 
 
 def remove_abandoned(path: Path) -> None:
-    """Remove a link to a pty whose process has ended; that of a running process stays, and so does any other file."""
+    """Remove a link of a `PtySymlink` whose process has ended; that of a running one stays, and so does any other."""
     with suppress(OSError), _claimed(path):
-        if path.is_symlink() and os.readlink(path).startswith(_DEVICES):
+        if (target := os.readlink(path)).startswith("/dev/") and _MARK in target:
             path.unlink()
 
 

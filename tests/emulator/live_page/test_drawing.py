@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.live_page.process import Canvas, reduction
+from emulator.live_page.process import Canvas, SharedView, reduction
 from firmware_protocol.events import EVENT
 from tests.emulator.live_page.pictures import light_of_codes
 
@@ -58,3 +58,39 @@ def test_light_is_sent_with_its_value():
     light = np.geomspace(1e-6, 1e6, 20, dtype=np.float32).reshape(4, 5)
     sent = Canvas((5, 4)).draw(np.zeros(0, EVENT), light, 1).light
     assert np.allclose(light_of_codes(sent), light, rtol=2**-9)
+
+
+def _every(count, until_us):
+    """Return `count` events, the last at `until_us`."""
+    events = np.zeros(count, EVENT)
+    events["t"] = until_us - count + 1 + np.arange(count)
+    return events
+
+
+def test_of_a_step_with_too_many_events_the_newest_are_shown():
+    view, light = SharedView((4, 3)), np.zeros((3, 4), np.float32)
+    view.viewers = 1
+    view.show(_every(1_000_000, 1_000_000), light, 1_000_000)
+    events, until_us = view.take()
+    assert (int(events["t"][-1]), until_us) == (1_000_000, 1_000_000)
+    assert len(events) == 1 << 19
+
+
+def test_the_shown_time_is_that_of_the_events_when_they_are_not_taken():
+    """A step without room is left out whole; time and events of the ones before stay together."""
+    view, light = SharedView((4, 3)), np.zeros((3, 4), np.float32)
+    view.viewers = 1
+    for step in range(1, 5):
+        view.show(_every(200_000, 200_000 * step), light, 200_000 * step)
+    events, until_us = view.take()
+    assert (int(events["t"][-1]), until_us) == (400_000, 400_000)
+    view.show(_every(200_000, 1_000_000), light, 1_000_000)
+    assert view.take()[1] == 1_000_000
+
+
+def test_events_are_taken_with_their_time():
+    view = SharedView((4, 3))
+    view._ring.push(_every(10, 1000))  # the step is being shown: its time is not published yet
+    assert len(view.take()[0]) == 0
+    view._ring.publish(1000)
+    assert [len(view.take()[0]), view.take()[1]] == [10, 1000]

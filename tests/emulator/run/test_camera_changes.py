@@ -57,8 +57,8 @@ class FaultyScript(Faulty):
 class ScriptedHost(Endpoint):
     """Writes each bias as soon as its camera's clock has reached a time; takes no events."""
 
-    def __init__(self, device, script):
-        self._device, self._script = device, list(script)
+    def __init__(self, device, script, most_writes=100):
+        self._device, self._script, self._most_writes = device, list(script), most_writes
         self.faulty = FaultyScript(FaultPlan("usbip"))
 
     async def start(self):
@@ -66,9 +66,9 @@ class ScriptedHost(Endpoint):
             self._device.attached()
 
     def listen(self):
-        while self._script and self._device.now_us >= self._script[0][0]:
-            _, name, value = self._script.pop(0)
-            self._set(name, value)
+        for _ in range(self._most_writes):
+            if self._script and self._device.now_us >= self._script[0][0]:
+                self._set(*self._script.pop(0)[1:])
 
     def _set(self, name, value):
         if isinstance(self._device, Davis346):
@@ -92,9 +92,10 @@ class ScriptedHost(Endpoint):
 @dataclasses.dataclass(frozen=True)
 class ScriptedFactory(EndpointFactory):
     script: tuple
+    most_writes: int = 100
 
     def build(self, device, deliveries):
-        return ScriptedHost(device, self.script)
+        return ScriptedHost(device, self.script, self.most_writes)
 
 
 class Flicker(Scene):
@@ -114,9 +115,9 @@ class Flicker(Scene):
         pass
 
 
-def link(name="usbip", script=SCRIPT, device=Davis346, **more):
+def link(name="usbip", script=SCRIPT, device=Davis346, most_writes=100, **more):
     make = partial(Davis346, Davis346Settings(size=SIZE)) if device is Davis346 else partial(Instrument, SIZE)
-    return LinkSetup(name, EventRing(), make, ScriptedFactory(script), **more)
+    return LinkSetup(name, EventRing(), make, ScriptedFactory(script, most_writes), **more)
 
 
 class ListedSteps:
@@ -160,6 +161,7 @@ def repeated(changes, ends_ns):
 
 
 FREE = Schedule(duration_ns=50 * MS, paced=False, drain_s=0.1)
+PACED = Schedule(duration_ns=100 * MS, lead_ns=6 * MS, drain_s=0.1)
 MACHINES = {"quick": (100, 0.0), "slow link": (4000, 0.0), "slow scene": (300, 0.004), "both": (2500, 0.003)}
 
 
@@ -217,12 +219,26 @@ def test_a_run_in_lockstep_has_the_same_events_on_any_machine():
 @pytest.mark.system
 def test_a_paced_run_can_be_repeated_from_its_record():
     """Steps are computed ahead of the camera there: a bias acts from the first one on that is not."""
-    paced = dataclasses.replace(FREE, paced=True, lead_ns=6 * MS)
-    events, result, ends_ns = events_of(session([link()]), paced)
+    events, result, ends_ns = events_of(session([link()]), PACED)
     assert len(result.changes) == 3
     for change in result.changes:
         assert change.t_ns > change.taken_us * 1000
         assert change.t_ns in ends_ns
+    assert np.array_equal(events, repeated(result.changes, ends_ns))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("schedule", [FREE, PACED], ids=["free", "paced"])
+def test_a_register_between_two_writes_acts_on_no_step(schedule):
+    """The host of this link writes one register a tick, so that the camera's time may move between two of them."""
+    lowest, default = int(CoarseFine(4, 60)), int(CoarseFine(5, 255))
+    opening = [(20_000, "OnBn", lowest), (20_000, "OffBn", lowest), (20_000, "OnBn", HIGHER)]
+    again = [(35_000, "OnBn", lowest), (35_000, "OnBn", default), (35_000, "OnBn", HIGHER)]
+    running = session([link(script=(*opening, *again), most_writes=1)])
+    events, result, ends_ns = events_of(running, schedule)
+    assert [change.what for change in result.changes] == ["threshold_off", "threshold_on"]
+    assert all(20_000 <= change.taken_us < 35_000 for change in result.changes)
+    assert len({change.t_ns for change in result.changes}) == 1
     assert np.array_equal(events, repeated(result.changes, ends_ns))
 
 

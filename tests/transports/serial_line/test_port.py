@@ -87,7 +87,6 @@ def test_a_reader_sees_the_pty_hang_up():
 
 def test_a_link_leads_to_the_pty_and_goes_with_it(tmp_path):
     link = tmp_path / "camera"
-    link.symlink_to("/nowhere")
     port = open_port(SerialLink(symlink=str(link)))
     assert port.address == str(link)
     assert stat.S_ISCHR(os.stat(link).st_mode)
@@ -128,11 +127,23 @@ def test_the_link_of_a_killed_process_is_replaced_by_the_next_start_or_removed(t
     assert not link.is_symlink()
 
 
-def test_what_is_not_a_link_to_a_pty_stays(tmp_path):
+@pytest.mark.parametrize("target", ["/nowhere", "/dev/pts/0", "/dev/pts/99999", ".", "a/./b"])
+def test_a_user_s_own_link_is_neither_replaced_nor_removed(tmp_path, target):
     link = tmp_path / "camera"
-    link.symlink_to(tmp_path / "elsewhere")
+    link.symlink_to(target)
+    with pytest.raises(OSError, match="it exists, and no link of this kind made it"):
+        open_port(SerialLink(symlink=str(link)))
     remove_abandoned(link)
-    assert link.is_symlink()
+    assert os.readlink(link) == target
+    link.unlink()
+    port = open_port(SerialLink(symlink=str(link)))
+    link.unlink()
+    link.symlink_to(target)
+    port.close()
+    assert os.readlink(link) == target
+
+
+def test_what_is_not_a_link_to_a_pty_stays(tmp_path):
     remove_abandoned(tmp_path / "nothing")
     (tmp_path / "file").write_text("precious")
     remove_abandoned(tmp_path / "file")
