@@ -265,7 +265,8 @@ def _error_of(error: BaseException, order: Mapping[str, Any]) -> dict[str, Any]:
         mib = order["limits"]["memory_bytes"] // _MIB
         text = f"needs more than {mib} MiB to read, which no intact file of its size does"
     elif isinstance(error, ImportError) and not is_own:
-        named = re.search(r"(?:No module named '|pip install )([\w-]+)", text)  # of a library that raises the error anew
+        # Some libraries raise the error anew, without the name.
+        named = re.search(r"(?:No module named '|pip install )([\w-]+)", text)
         package = (error.name or (named[1] if named else "")).partition(".")[0]
         advice = install_command(_EXTRAS[package]) if package in _EXTRAS else f"pip install {package}"
         needs = f"{package}: {advice}" if package else f"a library that is not installed ({text[:_MOST_TEXT]})"
