@@ -143,8 +143,8 @@ def read_images(path: Path) -> dict[str, Any]:
     """Return `levels` (n, height, width) of a file or of a folder's images, `times_s` (n,) or none, and `notes`."""
     if not path.is_dir():
         return {"levels": stacked(_frames([path])), "times_s": np.zeros(0), "notes": []}
-    images, others = _files_of(path)
-    inner = [other for other in others if other.is_dir() and other.name in _INNER]
+    images, no_images = _files_of(path)
+    inner = [other for other in no_images if other.is_dir() and other.name in _INNER]
     if inner and not images:
         return read_images(inner[0])
     times_s, notes = np.zeros(0), list[str]()
@@ -155,13 +155,14 @@ def read_images(path: Path) -> dict[str, Any]:
     levels = stacked(_frames(images))
     if len(times_s) not in (0, len(levels)):
         raise SceneError(f"{listed.name} has {len(times_s)} times for {len(levels)} frames: an image has several")
-    names = ", ".join(other.name for other in others[:_MOST_NAMED]) + ", ..." * (len(others) > _MOST_NAMED)
-    notes += [f"{len(others)} files of the folder are no images and are left out: {names}"] if others else []
+    names = ", ".join(other.name for other in no_images[:_MOST_NAMED]) + ", ..." * (len(no_images) > _MOST_NAMED)
+    notes += [f"{len(no_images)} files of the folder are no images and are left out: {names}"] if no_images else []
     return {"levels": levels, "times_s": times_s, "notes": notes}
 
 
 _INNER = ("imgs", "images")  # folders of images beside their times
 _MOST_NAMED = 5
+_LONGEST_NAME = 255
 _MOST_LIST_BYTES = 1 << 26
 _LONGEST_S, _SHORTEST_US = 100, 1_000_000  # from image to image
 _MOST_S = 1e9
@@ -175,22 +176,19 @@ def _lists_of_times(folder: Path) -> list[Path]:
 
 
 def _files_of(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Return a folder's images, by the numbers in their names, and what else it holds, but hidden files."""
+    """Return a folder's images, frame10 behind frame2, and what else it holds, but hidden files."""
     from PIL import Image
 
     Image.init()
     suffixes = {suffix for suffix, form in Image.EXTENSION.items() if form in Image.OPEN}
-    images, others = list[Path](), list[Path]()
-    for path in sorted(folder.iterdir(), key=lambda path: (_by_number(path.name), path.name)):
+    images, no_images = list[Path](), list[Path]()
+    by_number = {
+        path: re.sub("[0-9]+", lambda digits: digits[0].zfill(_LONGEST_NAME), path.name) for path in folder.iterdir()
+    }
+    for path in sorted(by_number, key=lambda path: (by_number[path], path.name)):
         if not path.name.startswith(".") and path not in _lists_of_times(folder):
-            (images if path.is_file() and path.suffix.lower() in suffixes else others).append(path)
-    return images, others
-
-
-def _by_number(name: str) -> list[tuple[int, str]]:
-    """Return the key that sorts frame10 behind frame2."""
-    parts = re.split("([0-9]+)", name)
-    return [(int(part), "") if k % 2 else (0, part) for k, part in enumerate(parts)]
+            (images if path.is_file() and path.suffix.lower() in suffixes else no_images).append(path)
+    return images, no_images
 
 
 def _timed(listed: Path, images: list[Path]) -> tuple[npt.NDArray[np.float64], list[Path], list[str]]:
@@ -236,7 +234,8 @@ def _seconds(stamps: list[Decimal]) -> tuple[npt.NDArray[np.float64], str]:
 
 def _later(times_s: npt.NDArray[np.float64]) -> tuple[list[int], list[str]]:
     """Return the frames that are later than all before them, and a note on the others; SceneError: these are most."""
-    kept, left, first = list[int](), Counter[str](), ""
+    kept, left = list[int](), Counter[str]()
+    first = ""
     for k, t_s in enumerate(times_s):
         last_s = times_s[kept[-1]] if kept else -math.inf
         if t_s > last_s:
