@@ -138,6 +138,8 @@ def events_from_video(  # noqa: PLR0913 - one call that names all it needs
         raise ValueError(f"frames_per_s is {frames_per_s}: it must be above 0")
     how = _Conversion(sensor, None, light_at_white, step_us, seed)
     video = read_frames(Path(path))
+    for note in video.notes:
+        warnings.warn(note, stacklevel=2)
     count, rows, columns = video.levels.shape
     times_s = np.arange(count) / frames_per_s if video.times_s is None else np.asarray(video.times_s)
     size = parameters.get("width", columns), parameters.get("height", rows)

@@ -23,6 +23,7 @@ import importlib
 import json
 import math
 import os
+import re
 import resource
 import select
 import signal
@@ -264,9 +265,12 @@ def _error_of(error: BaseException, order: Mapping[str, Any]) -> dict[str, Any]:
         mib = order["limits"]["memory_bytes"] // _MIB
         text = f"needs more than {mib} MiB to read, which no intact file of its size does"
     elif isinstance(error, ImportError) and not is_own:
-        package = (error.name or "").partition(".")[0]
+        # Some libraries raise the error anew, without the name.
+        named = re.search(r"(?:No module named '|pip install )([\w-]+)", text)
+        package = (error.name or (named[1] if named else "")).partition(".")[0]
         advice = install_command(_EXTRAS[package]) if package in _EXTRAS else f"pip install {package}"
-        text = f"reading {Path(order['path']).suffix or 'it'} needs {package}: {advice}"
+        needs = f"{package}: {advice}" if package else f"a library that is not installed ({text[:_MOST_TEXT]})"
+        text = f"reading {Path(order['path']).suffix or 'it'} needs {needs}"
     elif not is_own:
         text = f"cannot be read: {text if len(text) <= _MOST_TEXT else f'{text[:_MOST_TEXT]} ...'}"
     return {"@error": text, "lacks": isinstance(error, ImportError)}

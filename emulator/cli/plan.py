@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from emulator.cli.checks import failures, prepared
 from emulator.cli.output import GOOD, Json, RigName, print_result
-from emulator.plan.plan import Decision, Plan
+from emulator.plan.plan import Decision, Plan, line_loads
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import load_rig
 from emulator.run.assembly import build_scene, plan_of
@@ -48,6 +48,7 @@ def _as_json(planned: Plan) -> dict[str, object]:
         "tolerance": planned.tolerance,
         "probe": _finite(dataclasses.asdict(planned.probe)),
         "steps": planned.steps,
+        "lines": line_loads(planned.rig, planned.probe.events_per_s),
         "effects": [_finite({**d, "kept": d["kept"] or (planned.pinned and d["choice"])}) for d in decisions],
     }
 
@@ -76,6 +77,8 @@ def _lines(planned: Plan, speed: ExpectedSpeed) -> Iterator[str]:
         f"{steps.bound}; timestamp error {_us(steps.error_us)} (95 %); a straight line would need "
         f"{steps.line_step_us:.0f} us for that"
     )
+    for load in line_loads(planned.rig, p.events_per_s):
+        yield f"line     {load.line}"
     yield f"speed    {speed.line}\n"
     yield from _effects(planned)
     if planned.pinned:

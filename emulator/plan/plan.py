@@ -45,6 +45,7 @@ the rig has switched off are not modelled and have no bound.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 from emulator.plan.costs import SHAPES_NOISE, Decision, Tolerance, chip_costs, lens_costs, pixel_costs
@@ -53,8 +54,9 @@ from emulator.plan.step_control import Limits
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.sensor.presets import SensorParameters
+from transports.link.kind import CameraFacts, InstrumentLink
 
-__all__ = ["Decision", "Plan", "Steps", "Tolerance", "decide", "limits", "make_plan", "without"]
+__all__ = ["Decision", "Plan", "Steps", "Tolerance", "decide", "limits", "line_loads", "make_plan", "without"]
 
 
 def decide(sensor: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision]:
@@ -137,6 +139,42 @@ class Plan:
         """The sensor as it will run."""
         sensor = self.rig.camera.sensor
         return sensor if self.pinned else without(sensor, self.decisions)
+
+
+@dataclass(frozen=True)
+class LineLoad:
+    """Load of the line of a link: events a second that it carries, and is expected to get, about, and the share.
+
+    Both of the last are None where no scene was probed.
+    """
+
+    link: str
+    carries_hz: float
+    expected_hz: float | None = None
+    share: float | None = None
+
+    @property
+    def line(self) -> str:
+        """The load as a sentence, numbers with two digits."""
+        text = f"link {self.link}: its line carries about {float(f'{self.carries_hz:.2g}'):.0f} events/s"
+        if self.expected_hz is None or self.share is None:
+            return f"{text}; `evstim plan` gives the share of the scene's"
+        part = "all" if self.share == 1 else f"{100 * self.share:.2g} %"
+        return f"{text}, {part} of the {float(f'{self.expected_hz:.2g}'):.0f} that the scene is expected to give"
+
+
+def line_loads(rig: Rig, events_per_s: float | None = None) -> list[LineLoad]:
+    """Return the loads of the lines that have a limit; `events_per_s` of the camera, None: not known."""
+    size, loads = rig.camera.size, []
+    camera = CameraFacts(rig.camera.model, size, speed=rig.camera.speed)
+    for link in rig.links:
+        carries_hz, expected_hz = link.carries_hz(camera), events_per_s
+        if expected_hz and isinstance(link, InstrumentLink):
+            expected_hz *= link.instrument.selected_share(size)
+        if carries_hz < math.inf:
+            share = None if expected_hz is None else min(1.0, carries_hz / max(expected_hz, 1e-9))
+            loads.append(LineLoad(link.name, carries_hz, expected_hz, share))
+    return loads
 
 
 def make_plan(rig: Rig, probe: Probe) -> Plan:

@@ -48,9 +48,12 @@ def convert(table: object, target: type[T], path: KeyPath = ()) -> T:
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
     types = field_types(target)
-    for key in table:
+    choices = {key: typing.get_args(of) for key, of in types.items() if typing.get_origin(of) is Literal}
+    for key, value in table.items():
         if key not in types:
             raise TableError(unknown(key, list(types)), (*path, key))
+        if isinstance(value, str) and value not in choices.get(key, (value,)):
+            raise TableError(_unknown_choice(key, value, choices), (*path, key))
     values = {key: _value(value, types[key], (*path, key)) for key, value in table.items()}
     for field in dataclasses.fields(target):  # type: ignore[arg-type]
         is_optional = field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
@@ -63,6 +66,18 @@ def convert(table: object, target: type[T], path: KeyPath = ()) -> T:
         if first_word and first_word.group() in types:
             path = (*path, first_word.group())
         raise TableError(str(error), path) from error
+
+
+def _unknown_choice(key: str, value: str, choices: Mapping[str, tuple[object, ...]]) -> str:
+    """Return the message that a key has no such choice, with the keys that have it, or one of which it is part."""
+    fitting = [
+        f"{other} = {choice!r}"
+        for other, of in choices.items()
+        for choice in of
+        if other != key and value.lower() in (choice, *re.split("[-_]", str(choice)))
+    ]
+    meant = f"; or is {' or '.join(fitting)} meant?" if fitting else ""
+    return unknown(value, [str(choice) for choice in choices[key]]) + meant
 
 
 def convert_kind(table: object, kinds: Mapping[str, type[T]], path: KeyPath) -> T:
@@ -141,8 +156,6 @@ def _value(value: object, annotation: Any, path: KeyPath) -> object:
 
 
 def _plain(value: object, annotation: Any, path: KeyPath) -> object:
-    if typing.get_origin(annotation) is Literal and isinstance(value, str) and value not in typing.get_args(annotation):
-        raise TableError(unknown(value, [str(choice) for choice in typing.get_args(annotation)]), path)
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:

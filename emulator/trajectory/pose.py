@@ -137,6 +137,11 @@ FARTHEST_M = 1e18
 """A hundred light years; the squares and cubes of it stay finite."""
 
 _UNIT_WITHIN = 1e-3
+_FROM_MATRIX = (
+    "; a rotation matrix (3, 3) becomes one by "
+    "scipy.spatial.transform.Rotation.from_matrix(matrix).as_quat(scalar_first=True), a scalar last (x, y, z, w) by "
+    "evstim.attitude_from_scalar_last"
+)
 
 
 class TrajectoryError(Exception):
@@ -162,7 +167,10 @@ class Pose:
             raise ValueError(f"a position is three finite metres, at most {FARTHEST_M:g}, got {position}")
         length = float(np.linalg.norm(q)) if (np.abs(q) < 2).all() else math.inf
         if q.shape != (4,) or not abs(length - 1) < _UNIT_WITHIN:
-            raise ValueError(f"an attitude is a unit quaternion (w, x, y, z), got {q} of length {length:.4g}")
+            exact = math.hypot(*q) if q.shape == (4,) else math.nan
+            fault = f" of length {exact:.4g}" if exact < math.inf else ""
+            advice = _FROM_MATRIX if q.shape in ((3, 3), (4, 4), (9,), (16,)) else ""
+            raise ValueError(f"an attitude is a unit quaternion (w, x, y, z), got {q}{fault}{advice}")
         q /= length
         position.flags.writeable = q.flags.writeable = False
         object.__setattr__(self, "position_m", position)

@@ -9,6 +9,7 @@ IMX636      number of its register after 1000, in steps of four octets: 1 fo, 3 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -70,11 +71,34 @@ class InstrumentSettings:
         """Limits of the queue."""
         return QueueBounds(self.queue_events, round(self.queue_ms * 1000), self.block_events, Policy(self.when_full))
 
+    def carried_hz(self, bits_per_s: float, size: tuple[int, int]) -> float:
+        """Return the events a second that a line of `bits_per_s` for packets carries from an array of `size`, about.
+
+        The step between two events that are spread evenly over pixels and ticks has a geometric distribution; its
+        entropy and a polarity are the bits of an event. Bursts of neighbours need fewer.
+        """
+        rate_hz, is_flat = bits_per_s / 32, self.coding == "flat"
+        span_us = 1 << (31 - sum((side - 1).bit_length() for side in size)) if is_flat else math.inf
+        for _ in range(_ROUNDS):
+            step = size[0] * size[1] * 1e6 / (rate_hz * self.tick_us)
+            bits = 32 if is_flat else math.log2(math.e * max(step, 1.0)) + 1
+            of_block = min(8 * (self.block_bytes - 14) / bits, self.block_events, max(1.0, rate_hz * span_us * 1e-6))
+            rate_hz = bits_per_s / (bits + 8 * _HEAD_BYTES / of_block)
+        return min(rate_hz, self.rate_limit or math.inf)
+
     def selection(self, size: tuple[int, int]) -> Selection:
         """Return the selected pixels of an array of `size` = (width, height); raises ValueError."""
         x, y, width, height = self.region or (0, 0, *size)
         return Selection(x, y, width, height, self.keep_every).within(size)
 
+    def selected_share(self, size: tuple[int, int]) -> float:
+        """Return the share of an array's pixels that are selected, about."""
+        chosen = self.selection(size)
+        return chosen.width * chosen.height / (chosen.keep_every**2 * size[0] * size[1])
+
+
+_HEAD_BYTES = 40  # of a block, its packet and its frame
+_ROUNDS = 8
 
 _FIRST, _STEP = 0x1000, 4  # of the addresses of IMX636 biases
 _MOST = 255

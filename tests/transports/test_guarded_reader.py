@@ -51,6 +51,18 @@ def without_library(path):
     import faery_that_is_not_installed  # noqa: F401
 
 
+def raised_anew(path):
+    raise ModuleNotFoundError("No module named 'networkx'")
+
+
+def with_advice(path):
+    raise ImportError("missing `pip install pycollada`")
+
+
+def without_name(path):
+    raise ImportError("none of them is here")
+
+
 def own_error(path):
     raise ForeignFileError("row 3 has no columns")
 
@@ -102,11 +114,18 @@ def test_a_reader_that_sleeps_is_ended(path, monkeypatch):
         read_guarded(f"{HERE}:asleep", path, limits=LIMITS)
 
 
-def test_a_missing_library_is_distinguished(path):
-    with pytest.raises(
-        ForeignFileError, match=r"reading \.txt needs faery_that_is_not_installed: pip install"
-    ) as caught:
-        read_guarded(f"{HERE}:without_library", path)
+@pytest.mark.parametrize(
+    ("reader", "words"),
+    [
+        ("without_library", "needs faery_that_is_not_installed: pip install faery_that_is_not_installed"),
+        ("raised_anew", "needs networkx: pip install networkx"),
+        ("with_advice", "needs pycollada: pip install pycollada"),
+        ("without_name", r"needs a library that is not installed \(none of them is here\)"),
+    ],
+)
+def test_a_missing_library_is_named_and_distinguished(path, reader, words):
+    with pytest.raises(ForeignFileError, match=rf"reading \.txt {words}") as caught:
+        read_guarded(f"{HERE}:{reader}", path)
     assert caught.value.lacks
 
 

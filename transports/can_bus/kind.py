@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal
@@ -11,7 +12,7 @@ from msgspec import Meta
 from firmware_protocol.bounds import check_bounds
 from firmware_protocol.can_frames.canopen import SelectorSettings
 from firmware_protocol.can_frames.dbc import Identifiers
-from firmware_protocol.can_frames.frame import BitRates
+from firmware_protocol.can_frames.frame import FD_LENGTHS, BitRates, Frame, frame_bits
 from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.transport import IsoTpSettings
@@ -120,6 +121,15 @@ class CanLink(InstrumentLink):
         """Bit rates of the bus."""
         return BitRates(self.bitrate, self.data_bitrate)
 
+    def carries_hz(self, camera: CameraFacts) -> float:
+        """Return the events a second that its share of the bus carries, in frames of arbitrary data."""
+        octets = FD_LENGTHS[-1] if self.fd else 8
+        frame = Frame(0, bytes(_DATA[:octets]), extended=self.carriage == "cfp", fd=self.fd, brs=self.fd)
+        frames_per_s = self.share * 1e9 / self.rates.duration_ns(frame_bits(frame))
+        if self.carriage == "raw":
+            return min(frames_per_s * (19 if self.fd else 2), self.instrument.rate_limit or math.inf)
+        return self.instrument.carried_hz(8 * frames_per_s * (octets - (self.carriage == "isotp")), camera.size)
+
     @property
     def isotp(self) -> IsoTpSettings:
         """Settings of our ISO-TP channel."""
@@ -165,6 +175,8 @@ class CanLink(InstrumentLink):
             return ()
         return tuple(network_interface(name) for name in (self.channel, self.channel_b) if name)
 
+
+_DATA = b"\x3a\x91\xd4\x07\x6c\xe2\x58\xbf" * 8  # stuffed as often as random data
 
 _OWN_BUSES = ("served", "virtual")
 """Interfaces that transmit a given error frame; with the others the controller makes its own."""

@@ -11,7 +11,7 @@ from msgspec import Meta
 from firmware_protocol.bounds import check_bounds
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.faults.kinds import GIGE_STREAM
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Port, Unsuitable
+from transports.link.kind import EVENT_OCTETS, CameraFacts, LinkKind, LinkParameters, Listener, Port, Unsuitable
 from transports.network import check_allow
 
 
@@ -64,6 +64,10 @@ class GigeLink(LinkParameters):
     def listens_on(self) -> tuple[str, int] | None:
         """Return the address, unless any free port is suitable."""
         return (self.host, self.port) if self.port else None
+
+    def carries_hz(self, camera: CameraFacts) -> float:
+        """Return the events a second that its highest rate carries."""
+        return self.mbit_s * 1e6 / 8 / EVENT_OCTETS["evt3"]
 
     def sends_evt(self) -> bool:
         """Return true: its blocks contain EVT3 words."""

@@ -7,6 +7,7 @@ group "evstim.links". `emulator.rig.kinds` lists the built-in ones; docs/extend.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Generic, Literal, Protocol, TypeVar
@@ -17,6 +18,11 @@ from transports.faults.kinds import FAULTS, Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.needs import Need
+
+EVENT_OCTETS = {"jaer": 8, "caer": 8, "t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8} | {
+    "evt2": 4, "evt21": 8, "evt3": 5, "spif": 4  # fewer for rows that are full of events
+}  # fmt: skip
+"""Octets of an event in streams without packets of an instrument, about."""
 
 Port = Annotated[int, Meta(ge=0, le=65535)]
 """A port of UDP or TCP to listen on; 0: any free one."""
@@ -49,6 +55,10 @@ class LinkParameters:
         """Return the requirements on the machine, beyond evstim and its base dependencies."""
         return ()
 
+    def carries_hz(self, camera: CameraFacts) -> float:
+        """Return the events a second that its line carries, about; infinity: it has no limit of its own."""
+        return math.inf
+
     def sends_evt(self) -> bool:
         """Return true if it sends EVT3 or EVT2 words: a run compiles their kernels before it begins."""
         return False
@@ -58,6 +68,8 @@ class _Instrument(Protocol):
     def selection(self, size: tuple[int, int], /) -> object:
         """Return the region of a sensor of `size`; raises ValueError if it extends beyond."""
         ...
+
+    def selected_share(self, size: tuple[int, int], /) -> float: ...
 
 
 class InstrumentLink(LinkParameters):
@@ -82,6 +94,7 @@ class CameraFacts:
     gige_models : function that returns the camera models that have a GigE Vision device.
     streams : streams of the camera beside events, as `Facts.streams`.
     imu_unit : type of its inertial unit: 1 MPU-6050, 2 MPU-9250, 3 BMI160.
+    speed : its USB speed: "high" or "super".
     """
 
     model: str
@@ -92,6 +105,7 @@ class CameraFacts:
     gige_models: Callable[[], tuple[str, ...]] = tuple
     streams: frozenset[str] = frozenset({"edges"})
     imu_unit: int = 2
+    speed: str = "super"
 
 
 _NO_CAMERA = CameraFacts("", (0, 0))

@@ -22,7 +22,7 @@ from firmware_protocol.network_streams.coders import (
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
 from firmware_protocol.network_streams.words import WORD_CONNECTION_CODERS, WORD_DATAGRAM_CODERS
-from transports.link.kind import LinkKind, LinkParameters, Port, check_size
+from transports.link.kind import EVENT_OCTETS, CameraFacts, LinkKind, LinkParameters, Port, check_size
 from transports.needs import Need, package
 from transports.network import DatagramRate, DestinationPort, check_allow, check_destination
 
@@ -112,6 +112,10 @@ class UdpLink(LinkParameters):
     def __post_init__(self) -> None:
         check_bounds(self)
         check_destination(self.host, elsewhere=self.elsewhere)
+
+    def carries_hz(self, camera: CameraFacts) -> float:
+        """Return the events a second that its highest rate carries."""
+        return self.mbit_s * 1e6 / 8 / EVENT_OCTETS[self.format]
 
     def sends_evt(self) -> bool:
         """Return true if the format is one of EVT words."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
@@ -12,7 +13,7 @@ from firmware_protocol.bounds import check_bounds
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.network_streams.words import WORD_CONNECTION_CODERS
 from transports.faults.kinds import FAULTS, SERIAL_LINE
-from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, check_region, check_size
+from transports.link.kind import EVENT_OCTETS, CameraFacts, InstrumentLink, LinkKind, Listener, check_region, check_size
 
 _PARITY_BITS = {"none": 0, "even": 1, "odd": 1, "mark": 1, "space": 1}
 
@@ -74,6 +75,13 @@ class SerialLink(InstrumentLink):
     def sends_evt(self) -> bool:
         """Return true if the format is one of EVT words."""
         return self.format.startswith("evt")
+
+    def carries_hz(self, camera: CameraFacts) -> float:
+        """Return the events a second that the line carries at its baud rate."""
+        octets_per_s = self.baud / self.bits
+        if self.sends_words:
+            return min(octets_per_s / EVENT_OCTETS[self.format], self.instrument.rate_limit or math.inf)
+        return self.instrument.carried_hz(8 * octets_per_s, camera.size)
 
     def impossible_faults(self) -> Collection[str]:
         """Leave out all faults of the line with words: their loss is known of messages alone."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 from firmware_protocol.bounds import check_bounds
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import DATAGRAMS
-from transports.link.kind import InstrumentLink, LinkKind, Listener, Port, check_region
+from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, Port, check_region
 from transports.network import DatagramRate, DestinationPort, check_allow, check_destination
 
 
@@ -46,6 +46,10 @@ class UdpPacketsLink(InstrumentLink):
         if (self.host, self.port) == (self.command_host, self.command_port):
             raise ValueError("port and command_port are the same: the camera would receive its own packets")
         check_allow(self.command_host, self.allow, "command_host")
+
+    def carries_hz(self, camera: CameraFacts) -> float:
+        """Return the events a second that its highest rate carries."""
+        return self.instrument.carried_hz(self.mbit_s * 1e6, camera.size)
 
 
 UDP_PACKETS = LinkKind(

@@ -80,6 +80,9 @@ def check_name(name: str) -> None:
         raise ValueError(f"a gadget's name has 1 to 31 letters, digits, '-' and '_', got {name!r}")
 
 
+_CABLE_HZ = {"high": 35e6 / 5, "super": 400e6 / 5}  # at some five octets an event
+
+
 @dataclass(frozen=True)
 class UsbGadgetLink(LinkParameters):
     """The camera on a real USB cable, on a machine with a USB device port, such as a Raspberry Pi (docs/hosts.md).
@@ -98,6 +101,10 @@ class UsbGadgetLink(LinkParameters):
 
     def __post_init__(self) -> None:
         check_name(self.gadget)
+
+    def carries_hz(self, camera: CameraFacts) -> float:
+        """Return the events a second that a cable carries at the camera's speed; a slower cable carries fewer."""
+        return _CABLE_HZ[camera.speed]
 
     def needs(self) -> tuple[Need, ...]:
         """Return the USB device port."""

@@ -181,6 +181,7 @@ class _File(ModelContents):
         super().__init__()
         self._document = document
         self._binary, self._folder = binary, folder
+        self._lists: dict[str, list[_Object]] = {}
         self._buffers: dict[int, bytes] = {}
         self._pixels_left = _MOST_PIXELS
         self._luminances: dict[tuple[int, tuple[float, ...]], str] = {}
@@ -195,7 +196,7 @@ class _File(ModelContents):
                 meshes[mesh] = self._primitives(mesh)
             for part in meshes[mesh]:
                 self._add(k, part)
-        raw = _items(self._document, "animations")
+        raw = self._all("animations")
         require_at_most("animated properties", sum(len(_items(animation, "channels")) for animation in raw))
         animations = [
             {"name": str(raw[k].get("name", f"animation {k}"))[:80], "channels": self._channels(raw[k], k, len(nodes))}
@@ -203,15 +204,21 @@ class _File(ModelContents):
         ]
         return self._values(nodes, animations)
 
+    def _all(self, kind: str) -> list[_Object]:
+        """Return the file's list `kind`, checked once: a list may be long and read often."""
+        if kind not in self._lists:
+            self._lists[kind] = _items(self._document, kind)
+        return self._lists[kind]
+
     def _entry(self, owner: _Object, key: str, kind: str, where: str) -> _Object:
         """Return the entry of the file's list `kind` whose number stands at a key."""
-        entries = _items(self._document, kind)
+        entries = self._all(kind)
         return entries[_number(owner, key, None, len(entries), where)]
 
     # --- nodes
 
     def _nodes(self) -> list[_Object]:
-        raw = _items(self._document, "nodes")
+        raw = self._all("nodes")
         require_at_most("nodes", len(raw))
         nodes = [self._node(node, k) for k, node in enumerate(raw)]
         for k, node in enumerate(raw):
@@ -220,8 +227,6 @@ class _File(ModelContents):
                 if nodes[n]["parent"] >= 0 or n == k:
                     raise SceneError(f"node {n} has two parents, or is its own: the nodes must be a tree")
                 nodes[n]["parent"] = k
-        for k in range(len(nodes)):
-            _root(k, nodes)
         return nodes
 
     def _node(self, node: _Object, k: int) -> _Object:
@@ -244,21 +249,22 @@ class _File(ModelContents):
 
     def _meshes_of_nodes(self, nodes: list[_Object]) -> list[tuple[int, int]]:
         """Return the nodes of the scene with a mesh, and its number."""
-        raw, scenes = _items(self._document, "nodes"), _items(self._document, "scenes")
-        shown = set(range(len(nodes)))
+        raw, scenes = self._all("nodes"), self._all("scenes")
+        roots = _roots(nodes)
+        shown = set(roots)
         if scenes:
             scene = _number(self._document, "scene", 0, len(scenes), "the file")
-            roots = _list(scenes[scene], "nodes")
-            numbers = {_number({"nodes": n}, "nodes", None, len(nodes), f"scene {scene}") for n in roots}
-            shown = {k for k in shown if _root(k, nodes) in numbers}
-        count = len(_items(self._document, "meshes"))
+            named = _list(scenes[scene], "nodes")
+            numbers = {_number({"nodes": n}, "nodes", None, len(nodes), f"scene {scene}") for n in named}
+            shown = {k for k, root in roots.items() if root in numbers}
+        count = len(self._all("meshes"))
         return [(k, _number(raw[k], "mesh", None, count, f"node {k}")) for k in sorted(shown) if "mesh" in raw[k]]
 
     # --- shapes
 
     def _primitives(self, mesh: int) -> list[_Object]:
         primitives: list[_Object] = []
-        for n, primitive in enumerate(_items(_items(self._document, "meshes")[mesh], "primitives")):
+        for n, primitive in enumerate(_items(self._all("meshes")[mesh], "primitives")):
             where = f"mesh {mesh}, primitive {n}"
             mode = _number(primitive, "mode", 4, 7, where)
             if mode < 4:
@@ -362,7 +368,7 @@ class _File(ModelContents):
         if "source" not in texture:
             self._notes["textures that are neither PNG nor JPEG are left out"] = None
             return None
-        image = _number(texture, "source", None, len(_items(self._document, "images")), where)
+        image = _number(texture, "source", None, len(self._all("images")), where)
         sampler = self._entry(texture, "sampler", "samplers", where) if "sampler" in texture else {}
         wraps = [_number(sampler, axis, REPEAT, 1 << 16, where) for axis in ("wrapS", "wrapT")]
         if not set(wraps) <= set(WRAPS):
@@ -370,7 +376,7 @@ class _File(ModelContents):
         return image, wraps
 
     def _pixels(self, image: int) -> npt.NDArray[np.uint8]:
-        entry, where = _items(self._document, "images")[image], f"image {image}"
+        entry, where = self._all("images")[image], f"image {image}"
         if "uri" in entry:
             data = self._loaded(str(entry["uri"]), where)
         else:
@@ -443,7 +449,7 @@ class _File(ModelContents):
         return rows
 
     def _view(self, view: _Object, where: str) -> bytes:
-        count = len(_items(self._document, "buffers"))
+        count = len(self._all("buffers"))
         data = self._buffer(_number(view, "buffer", None, count, where))
         start, length = (_number(view, key, 0, 1 << 40, where) for key in ("byteOffset", "byteLength"))
         if start + length > len(data):
@@ -452,7 +458,7 @@ class _File(ModelContents):
 
     def _buffer(self, k: int) -> bytes:
         if k not in self._buffers:
-            uri = _items(self._document, "buffers")[k].get("uri")
+            uri = self._all("buffers")[k].get("uri")
             data = self._binary if uri is None else self._loaded(str(uri), f"buffer {k}")
             if data is None:
                 raise SceneError(f"buffer {k} has no data")
@@ -476,13 +482,21 @@ class _File(ModelContents):
         return path.read_bytes()
 
 
-def _root(k: int, nodes: list[_Object]) -> int:
-    """Return the node above a node that has no parent; raises SceneError for a circle."""
-    for _ in nodes:
-        if nodes[k]["parent"] < 0:
-            return k
-        k = int(nodes[k]["parent"])
-    raise SceneError(f"node {k} is its own ancestor: the nodes must be a tree")
+def _roots(nodes: list[_Object]) -> dict[int, int]:
+    """Return the node at the top of each node's chain of parents; raises SceneError for a circle."""
+    children: dict[int, list[int]] = {}
+    for k, node in enumerate(nodes):
+        children.setdefault(node["parent"], []).append(k)
+    waiting = children.get(-1, [])
+    roots = {k: k for k in waiting}
+    for k in waiting:
+        below = children.get(k, [])
+        roots |= dict.fromkeys(below, roots[k])
+        waiting += below
+    if len(roots) < len(nodes):
+        k = min(set(range(len(nodes))) - set(roots))
+        raise SceneError(f"node {k} is its own ancestor, or below such a node: the nodes must be a tree")
+    return roots
 
 
 def _triangles(order: _Array, mode: int) -> _Array:

@@ -18,6 +18,8 @@ files; split vertices are joined again.
 from __future__ import annotations
 
 import hashlib
+import io
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -191,8 +193,10 @@ def _from_cache(parse: Callable[[str], PlateTable], text: str) -> PlateTable:
 
 
 def _require_sound(points: Floats, corners: npt.NDArray[np.int64]) -> None:
-    if not len(points) or not len(corners):
-        raise SceneError(f"{len(points)} vertices and {len(corners)} facets: nothing to draw")
+    if not len(corners):
+        raise SceneError("no facet, nothing to draw: a cloud of points needs facets first, for instance by MeshLab")
+    if not len(points):
+        raise SceneError("no vertex, nothing to draw")
     bad = ~(np.abs(points) < _FARTHEST_M).all(axis=1)  # NaN compares false
     if bad.any():
         raise SceneError(
@@ -266,10 +270,46 @@ def read_surface(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return `vertices` (n, 3) float64 in the file's unit and `faces` (m, 3) int64; textures are ignored."""
     import trimesh  # in the child process alone: it takes a second
 
-    with path.open("rb") as file, reader_errors("trimesh cannot read it as a surface"):
-        loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
+    with reader_errors("trimesh cannot read it as a surface"):
+        data, kind = path.read_bytes(), path.suffix[1:].lower()
+        _require_complete(data, kind)
+        try:
+            loaded = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
+        except ImportError as error:
+            if error.name != "charset_normalizer":
+                raise
+            raise SceneError("holds octets that are not UTF-8 text: it is damaged, or of another format") from error
         vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
     return {"vertices": vertices, "faces": faces}
+
+
+_STL_HEAD, _STL_FACET = 84, 50  # octets
+_COUNTED = {  # heads of texts with a line for each vertex and facet
+    "ply": re.compile(rb"ply\b.*?format\s+ascii.*?end_header", re.DOTALL),
+    "off": re.compile(rb"\s*[A-Z]*OFF\s+(?:#[^\n]*\n\s*)*(\d{1,18})\s+(\d{1,18})\s+\d+"),
+}
+_MOST_HEAD = 1 << 16
+
+
+def _require_complete(data: bytes, kind: str) -> None:
+    """Raise SceneError where an STL, PLY or OFF file is cut: trimesh returns the facets that are there, or none."""
+    if kind == "stl" and (b"\0" in data or data[:5].lower() != b"solid"):
+        count = int.from_bytes(data[_STL_HEAD - 4 : _STL_HEAD], "little")
+        missing = _STL_HEAD + _STL_FACET * count - len(data)
+        if missing > 0:
+            raise SceneError(f"is cut: {count} facets are announced, and {missing} of their octets are missing")
+        if missing:
+            raise SceneError(f"is damaged: {-missing} octets follow the {count} facets that it announces")
+    elif kind == "stl" and not data.rstrip().splitlines()[-1].lower().lstrip().startswith(b"endsolid"):
+        raise SceneError(f"is cut after {data.lower().count(b'endfacet')} facets: no 'endsolid' ends it")
+    elif kind in _COUNTED and (head := _COUNTED[kind].match(data[:_MOST_HEAD])):
+        counts = head.groups() or re.findall(rb"(?m)^\s*element\s+\w+\s+(\d{1,18})", head[0])
+        announced = sum(map(int, counts))
+        lines = sum(bool(line.partition(b"#")[0].strip()) for line in data[head.end() :].splitlines()[1:])
+        if lines < announced:
+            raise SceneError(
+                f"is cut: {announced} vertices and facets are announced, a line each, and {lines} are there"
+            )
 
 
 def read_dsk(path: Path) -> dict[str, npt.NDArray[Any]]:

@@ -191,4 +191,6 @@ def _corners(number: int, words: list[str], count: int) -> list[int]:
         named = [int(word.partition("/")[0][:18]) for word in words[1:]]
     except ValueError:
         _refuse(number, words, "'f a b c' with whole numbers, each perhaps with /texture/normal")
-    return [n - 1 if n > 0 else count + n if n < 0 else -1 for n in named]
+    if not all(n > 0 or -count <= n < 0 for n in named):
+        _refuse(number, words, f"a facet of vertices that count from 1, or backwards from -1 to -{count}")
+    return [n - 1 if n > 0 else count + n for n in named]

@@ -28,7 +28,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -63,6 +62,7 @@ _DIELECTRIC = 0.04
 
 _Floats = npt.NDArray[np.float64]
 _Array = npt.NDArray[Any]
+_Tracks = dict[int, dict[str, Track]]
 
 
 class Bodies(NamedTuple):
@@ -150,13 +150,13 @@ def law_of(material: dict[str, float]) -> Glossy:
 def _bodies(body: BodyTable, model: Model, name: str) -> list[tuple[BodyTable, Mesh]]:
     """Return the bodies of a model: the still ones first, then those of each joint."""
     tracks, period_s = _tracks(body, model)
+    chains = _chains(model, tracks)
     groups: dict[tuple[int, ...], list[int]] = {}
     for number, part in enumerate(model.header["parts"]):
-        moving = tuple(k for k in _ancestry(part["node"], model) if k in tracks)
-        groups.setdefault(moving, []).append(number)
+        groups.setdefault(chains[part["node"]].moving, []).append(number)
     bodies: list[tuple[BodyTable, Mesh]] = []
     for moving in sorted(groups):
-        joints, frame = _joints(moving, model, tracks, body.units_m)
+        joints, frame = _joints(moving, model, tracks, chains, body.units_m)
         first = replace(body, name=_named(name, model, groups[moving][0])) if bodies else replace(body, name=name)
         if moving:
             first = _moving(first, model, JointPath(joints, period_s), name if () in groups else "")
@@ -165,9 +165,7 @@ def _bodies(body: BodyTable, model: Model, name: str) -> list[tuple[BodyTable, M
             table = first
             if number != groups[moving][0]:
                 table = replace(first, name=_named(name, model, number), path=FixedPath(), fixed_to=first.name)
-            above = _ancestry(moving[-1], model) if moving else []
-            below = [k for k in _ancestry(part["node"], model) if k not in above]
-            mesh, material = _covered(body, model, part, frame @ _chain(below, model))
+            mesh, material = _covered(body, model, part, frame @ chains[part["node"]].still)
             law = law_of(material) if material else body.reflectance
             smooth = body.smooth and not part["is_flat"]
             bodies.append((replace(table, reflectance=law, smooth=smooth), mesh))
@@ -231,18 +229,25 @@ def _mesh(model: Model, part: dict[str, Any], matrix: _Floats) -> tuple[Mesh, _F
     return replace(mesh, albedo=None), model.arrays[texture["uv"]][faces[kept]] if texture else None
 
 
-def _ancestry(node: int, model: Model) -> list[int]:
-    """Return the nodes from the root to a node."""
-    nodes = []
-    while node >= 0:
-        nodes.append(node)
-        node = model.header["nodes"][node]["parent"]
-    return nodes[::-1]
+class _Chain(NamedTuple):
+    """Nodes from the root to a node: those that move, and the product (4, 4) of transforms below the last of them."""
+
+    moving: tuple[int, ...]
+    still: _Floats
 
 
-def _chain(nodes: Sequence[int], model: Model) -> _Floats:
-    """Return the product of the transforms of nodes that stand still, (4, 4)."""
-    return reduce(np.matmul, (_local(model.header["nodes"][k]) for k in nodes), np.eye(4))
+def _chains(model: Model, tracks: _Tracks) -> dict[int, _Chain]:
+    """Return the chain of each node with a part, and of each node above it; a chain may have 10 000 nodes."""
+    nodes, chains = model.header["nodes"], {-1: _Chain((), np.eye(4))}
+    for part in model.header["parts"]:
+        k, without = part["node"], []
+        while k not in chains:
+            without.append(k)
+            k = nodes[k]["parent"]
+        for k in reversed(without):
+            moving, still = chains[nodes[k]["parent"]]
+            chains[k] = _Chain((*moving, k), np.eye(4)) if k in tracks else _Chain(moving, still @ _local(nodes[k]))
+    return chains
 
 
 def _local(node: dict[str, Any]) -> _Floats:
@@ -256,9 +261,6 @@ def _local(node: dict[str, Any]) -> _Floats:
 
 def _unit(q: Sequence[float]) -> _Floats:
     return np.asarray(np.array(q) / np.linalg.norm(q))
-
-
-_Tracks = dict[int, dict[str, Track]]
 
 
 def _tracks(body: BodyTable, model: Model) -> tuple[_Tracks, float]:
@@ -297,13 +299,14 @@ def _closes(track: Track) -> bool:
     return bool(off <= 1e-4 * max(1.0, np.abs(track.values).max()))
 
 
-def _joints(moving: Sequence[int], model: Model, tracks: _Tracks, units_m: float) -> tuple[tuple[Joint, ...], _Floats]:
+def _joints(
+    moving: Sequence[int], model: Model, tracks: _Tracks, chains: dict[int, _Chain], units_m: float
+) -> tuple[tuple[Joint, ...], _Floats]:
     """Return the joints of a chain of moving nodes, and the scale of what is fixed to the last of them, (4, 4)."""
     nodes, joints = model.header["nodes"], []
-    frame, at = np.diag([units_m, units_m, units_m, 1.0]), -1
+    frame = np.diag([units_m, units_m, units_m, 1.0])
     for k in moving:
-        ancestry = _ancestry(k, model)
-        frame = frame @ _chain(ancestry[ancestry.index(at) + 1 if at >= 0 else 0 : -1], model)
+        frame = frame @ chains[nodes[k]["parent"]].still
         fixed, scale = _split(frame, nodes[k]["name"], model)
         still = {
             "translation": Track(np.zeros(1), np.array([nodes[k]["translation"]])),
@@ -313,7 +316,7 @@ def _joints(moving: Sequence[int], model: Model, tracks: _Tracks, units_m: float
         place = motion["translation"]
         tangents = None if place.tangents is None else place.tangents * scale
         joints.append(Joint(fixed, Track(place.times_s, place.values * scale, tangents), motion["rotation"]))
-        frame, at = np.diag([*(scale * np.array(nodes[k]["scale"])), 1.0]), k
+        frame = np.diag([*(scale * np.array(nodes[k]["scale"])), 1.0])
     return tuple(joints), frame
 
 

@@ -10,10 +10,17 @@ only the file has.
 
 Frames are read whole, of these formats:
 
-    a folder                 its images in the order of their names, each of any format that pillow reads
+    a folder                 its images by the numbers in their names, each of any format that pillow reads
     .npy                     an array (frames, height, width): uint8 and uint16 are levels, floats are linear light
     .gif .tif .png .webp     the frames of one file, by pillow
     .mp4 .mkv .avi .mov      by PyAV (`pip install '.[files]'`, FFmpeg), with the times that the file gives
+
+A frame whose time is not later than that of the last one before it is left out, counted and named in `notes`.
+
+A list of times, `timestamps.txt` or `images.csv`, lies in the folder, or beside one called imgs or images. A line has a
+time, or a time and a file's name in either order; lines that begin with # or % are comments. Whole numbers that as
+seconds would be more than 100 s apart are nanoseconds, or microseconds where these are less than 1 s apart; a note
+gives the unit. Layouts: esim_py of vid2e (`timestamps.txt`, seconds), ESIM (`images.csv`: nanoseconds, name).
 
 Pillow and PyAV read in a child process, see `guarded_reader`. All frames become one array, within a bound of memory.
 Colours become luminance (Rec. 709). Levels are scaled to 0 to 1 and decoded by the sRGB curve, except linear ones.
@@ -22,10 +29,14 @@ Colours become luminance (Rec. 709). Levels are scaled to 0 to 1 and decoded by 
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
+import re
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -37,7 +48,7 @@ from msgspec import Meta
 from emulator.light import Light, SceneError
 from emulator.scene.files import read_array, read_in_child, reader_errors
 from emulator.scene.kind import SceneKind, SizedScene
-from emulator.tables.toml_text import shortened
+from emulator.tables.toml_text import read_text, shortened
 from emulator.tables.typed_table import NO_FILE, RigFile
 from firmware_protocol.bounds import check_bounds
 from transports.guarded_reader import Limits
@@ -79,11 +90,13 @@ class Frames:
     Attributes
     ----------
     levels : (n, height, width) uint8, uint16 or float32; floats are linear light.
-    times_s : (n,) from the file, first 0; None where it gives none.
+    times_s : (n,) from the file, first 0, increasing; None where it gives none.
+    notes : remarks on times that were used, and on frames and files that were left out.
     """
 
     levels: Levels
     times_s: list[float] | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def full_scale(self) -> float:
@@ -98,7 +111,8 @@ def read_frames(path: Path) -> Frames:
     is_video = path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES
     reader = "read_video" if is_video else "read_images"
     arrays = read_in_child(f"{__name__}:{reader}", path, _LIMITS)
-    return Frames(arrays["levels"], arrays["times_s"].tolist() if arrays["times_s"].size else None)
+    times_s = arrays["times_s"].tolist() if arrays["times_s"].size else None
+    return Frames(arrays["levels"], times_s, tuple(map(str, arrays["notes"])))
 
 
 def linear_light(levels: Levels, full_scale: float, *, is_linear: bool) -> npt.NDArray[np.float32]:
@@ -125,10 +139,117 @@ def _array(path: Path) -> Levels:
     return np.asarray(levels)
 
 
-def read_images(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return `levels` (n, height, width) of a file, or of a folder's files in the order of their names, no times."""
-    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-    return {"levels": stacked(_frames(files)), "times_s": np.zeros(0)}
+def read_images(path: Path) -> dict[str, Any]:
+    """Return `levels` (n, height, width) of a file or of a folder's images, `times_s` (n,) or none, and `notes`."""
+    if not path.is_dir():
+        return {"levels": stacked(_frames([path])), "times_s": np.zeros(0), "notes": []}
+    images, no_images = _files_of(path)
+    inner = [other for other in no_images if other.is_dir() and other.name in _INNER]
+    if inner and not images:
+        return read_images(inner[0])
+    times_s, notes = np.zeros(0), list[str]()
+    listed = next((file for file in _lists_of_times(path) if file.is_file()), path)
+    if listed != path:
+        with reader_errors(listed.name):
+            times_s, images, notes = _timed(listed, images)
+    levels = stacked(_frames(images))
+    if len(times_s) not in (0, len(levels)):
+        raise SceneError(f"{listed.name} has {len(times_s)} times for {len(levels)} frames: an image has several")
+    names = ", ".join(other.name for other in no_images[:_MOST_NAMED]) + ", ..." * (len(no_images) > _MOST_NAMED)
+    notes += [f"{len(no_images)} files of the folder are no images and are left out: {names}"] if no_images else []
+    return {"levels": levels, "times_s": times_s, "notes": notes}
+
+
+_INNER = ("imgs", "images")  # folders of images beside their times
+_MOST_NAMED = 5
+_LONGEST_NAME = 255
+_MOST_LIST_BYTES = 1 << 26
+_LONGEST_S, _SHORTEST_US = 100, 1_000_000  # from image to image
+_MOST_S = 1e9
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]{1,2})?")
+
+
+def _lists_of_times(folder: Path) -> list[Path]:
+    """Return where the times of a folder's images may be listed."""
+    folders = [folder, folder.parent] if folder.name in _INNER else [folder]
+    return [place / name for place in folders for name in ("timestamps.txt", "images.csv")]
+
+
+def _files_of(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return a folder's images, frame10 behind frame2, and what else it holds, but hidden files."""
+    from PIL import Image
+
+    Image.init()
+    suffixes = {suffix for suffix, form in Image.EXTENSION.items() if form in Image.OPEN}
+    images, no_images = list[Path](), list[Path]()
+    by_number = {
+        path: re.sub("[0-9]+", lambda digits: digits[0].zfill(_LONGEST_NAME), path.name) for path in folder.iterdir()
+    }
+    for path in sorted(by_number, key=lambda path: (by_number[path], path.name)):
+        if not path.name.startswith(".") and path not in _lists_of_times(folder):
+            (images if path.is_file() and path.suffix.lower() in suffixes else no_images).append(path)
+    return images, no_images
+
+
+def _timed(listed: Path, images: list[Path]) -> tuple[npt.NDArray[np.float64], list[Path], list[str]]:
+    """Return the times of a list, s, the images that have them, and notes; raises ValueError with the line."""
+    stamps, named = list[Decimal](), list[Path]()
+    for number, line in enumerate(read_text(listed, _MOST_LIST_BYTES).splitlines(), 1):
+        words = re.split(r"\s*[,;]\s*|\s+", line.strip())
+        numbers = [word for word in words if _NUMBER.fullmatch(word)]
+        if words[0][:1] in ("", "#", "%") or not (numbers or stamps):  # nothing, a comment, the names of columns
+            continue
+        if len(words) > 2 or len(numbers) != 1:
+            raise ValueError(f"line {number}: {line.strip()[:60]!r} is not a time, nor a time and a file's name")
+        stamps.append(Decimal(numbers[0]))
+        if len(words) == 2:
+            words.remove(numbers[0])
+            named.append((listed.parent / words[0]).resolve())
+            if not (named[-1].is_file() and named[-1].is_relative_to(listed.parent.resolve())):
+                raise ValueError(f"line {number}: there is no file {words[0][:60]!r} in its folder")
+    shown = named or images
+    if not stamps or len(stamps) != len(shown):
+        raise ValueError(f"has {len(stamps)} times for {len(shown)} images: a line for each is needed")
+    times_s, unit = _seconds(stamps)
+    kept, notes = _later(times_s)
+    unnamed = len({image.resolve() for image in images} - set(shown)) if named else 0
+    notes += [f"{unnamed} images of the folder are not in {listed.name} and are left out"] if unnamed else []
+    notes.insert(0, f"the times of {len(shown)} images are those of {listed.name}, read as {unit}")
+    return times_s[kept] - times_s[kept[0]], [shown[k] for k in kept], notes
+
+
+def _seconds(stamps: list[Decimal]) -> tuple[npt.NDArray[np.float64], str]:
+    """Return times in s, from the first, and the unit that they were taken to have, with the reason."""
+    gaps = sorted(abs(after - before) for before, after in itertools.pairwise(stamps))
+    usual = gaps[len(gaps) // 2] if gaps else Decimal(0)
+    per_s, unit = 1, "seconds"
+    if usual > _LONGEST_S and all(stamp == stamp.to_integral_value() for stamp in stamps):
+        per_s, unit = (10**9, "nanoseconds") if usual >= _SHORTEST_US else (10**6, "microseconds")
+        unit += f", because seconds would put {usual:.4g} s between two images (else set time_scale)"
+    times_s = np.array([float((stamp - stamps[0]) / per_s) for stamp in stamps])
+    if not np.ptp(times_s) < _MOST_S:
+        raise ValueError(f"its times span {np.ptp(times_s):.4g} s, more than {_MOST_S:g} s")
+    return times_s, unit
+
+
+def _later(times_s: npt.NDArray[np.float64]) -> tuple[list[int], list[str]]:
+    """Return the frames that are later than all before them, and a note on the others; SceneError: these are most."""
+    kept, left = list[int](), Counter[str]()
+    first = ""
+    for k, t_s in enumerate(times_s):
+        last_s = times_s[kept[-1]] if kept else -math.inf
+        if t_s > last_s:
+            kept.append(k)
+            continue
+        left["earlier" if t_s < last_s else "without a time" if math.isnan(t_s) else "at the same time"] += 1
+        first = first or f"the first is frame {k}, at {t_s:.6g} s after {last_s:.6g} s"
+    if not left:
+        return kept, []
+    counts = ", ".join(f"{count} {fault}" for fault, count in left.items())
+    note = f"{left.total()} of {len(times_s)} frames are not later than the one before ({counts}; {first})"
+    if len(kept) < left.total():
+        raise SceneError(f"{note}: times that increase are needed")
+    return kept, [f"{note}: left out"]
 
 
 def _frames(paths: list[Path]) -> Iterator[tuple[str, Levels]]:
@@ -153,8 +274,8 @@ def _grey(frame: Any) -> Levels:
     return np.rint(rgb @ np.array([0.2126, 0.7152, 0.0722], np.float32)).astype(np.uint8)
 
 
-def read_video(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return `levels` (n, height, width), and `times_s` (n,) from 0, empty where the file gives none that increase."""
+def read_video(path: Path) -> dict[str, Any]:
+    """Return `levels` (n, height, width), `times_s` (n,) from 0, empty where the file gives none, and `notes`."""
     import av
 
     times: list[float] = []
@@ -171,8 +292,11 @@ def read_video(path: Path) -> dict[str, npt.NDArray[Any]]:
         raise
     except Exception as error:  # FFmpeg's own errors, and those of PyAV
         raise SceneError(f"frame {len(times)} cannot be read: {shortened(error)}") from error
-    has_times = len(times) > 1 and bool(np.all(np.diff(times) > 0))
-    return {"levels": levels, "times_s": np.array(times) - times[0] if has_times else np.zeros(0)}
+    times_s = np.array(times)
+    if np.isnan(times_s).all():
+        return {"levels": levels, "times_s": np.zeros(0), "notes": ["the file gives no times: frames_per_s holds"]}
+    kept, notes = _later(times_s - np.nanmin(times_s))
+    return {"levels": levels[kept] if notes else levels, "times_s": times_s[kept] - times_s[kept[0]], "notes": notes}
 
 
 _Float32s = npt.NDArray[np.float32]
@@ -276,16 +400,19 @@ class Video(JoinedFrames):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks for the user on false events from the bit depth of the frames."""
-        levels = self._frames.levels
+        """Remarks for the user on times, on what was left out, and on false events from the bit depth of the frames."""
+        levels, notes = self._frames.levels, self._frames.notes
+        if self._frames.times_s is not None and self._p.frames_per_s != VideoParameters.frames_per_s:
+            notes += (f"frames_per_s = {self._p.frames_per_s:g} is not used: the frames have times of their own",)
         if levels.dtype.kind == "f":
-            return ()
+            return notes
         scale = self._frames.full_scale
         coarse = coarsest_level(scale, self._p.floor, is_linear=self._is_linear, threshold=_TYPICAL_THRESHOLD)
         share = float((levels[0] < coarse).mean())
         if not share:
-            return ()
+            return notes
         return (
+            *notes,
             f"{levels.dtype.itemsize * 8}-bit frames: below level {coarse} of {scale:.0f} ({share:.0%} of the first "
             f"frame's pixels) one level is a step of more than {_TYPICAL_THRESHOLD} in log light, and fires events "
             "that are not in the scene",

@@ -5,11 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.plan.plan import make_plan
+from emulator.plan.plan import line_loads, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.rig.loading import load_rig
 from emulator.scene.checkerboard.checkerboard import Checkerboard
+from firmware_protocol.instrument.settings import InstrumentSettings
 from tests.emulator.plan.test_decide import SCENE
+from transports.network_streams.kind import TcpLink
+from transports.serial_line.kind import SerialLink
 
 RIG = load_rig("checkerboard")
 
@@ -65,3 +68,19 @@ def test_a_probe_of_the_board_predicts_its_events():
     assert seen.events_per_s == pytest.approx(expected, rel=0.05)
     assert seen.motion_px_s == pytest.approx(100.0)
     assert 0.9 < seen.largest_current / board.bright < 1.1
+
+
+def test_a_line_carries_a_share_of_the_expected_events():
+    rig = dataclasses.replace(load_rig("serial-demo"), links=(SerialLink(baud=115_200), TcpLink()))
+    (load,) = line_loads(rig, 66_000.0)
+    assert 3000 < load.carries_hz < 5000
+    assert load.share == pytest.approx(load.carries_hz / 66_000)
+    assert load.line == (
+        "link serial: its line carries about 3300 events/s, 4.9 % of the 66000 that the scene is expected to give"
+    )
+    width, height = rig.camera.size
+    region = (0, 0, width // 10, height // 10)
+    small = dataclasses.replace(rig, links=(SerialLink(baud=115_200, instrument=InstrumentSettings(region=region)),))
+    assert line_loads(small, 66_000.0)[0].share == 1
+    assert line_loads(rig, 0.0)[0].share == 1
+    assert "evstim plan" in line_loads(rig)[0].line

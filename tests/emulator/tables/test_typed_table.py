@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import pytest
 
@@ -27,7 +27,15 @@ class Square:
 
 
 @dataclass(frozen=True)
+class Line:
+    form: Literal["packets", "words"] = "packets"
+    profile: Literal["pus-cobs", "csp-kiss"] = "pus-cobs"
+    tick: Literal[1, 10] = 1
+
+
+@dataclass(frozen=True)
 class Drawing:
+    line: Line = field(default_factory=Line)
     shape: Circle | Square = field(default_factory=Circle)
     others: tuple[Circle | Square, ...] = ()
     frame: Square | None = None
@@ -60,6 +68,14 @@ def test_a_list_of_tables_and_a_table_that_may_be_left_out():
         ({"others": [3]}, ("others", 0), "expected a table, got 3"),
         ({"frame": {"side_m": 1.0, "corner": [1.0, "x"]}}, ("frame", "corner", 1), "Expected `float`"),
         ({"frame": {"sides_m": 1.0}}, ("frame", "sides_m"), "did you mean 'side_m'"),
+        ({"line": {"form": "wrods"}}, ("line", "form"), "'wrods' is not known here; did you mean 'words'\\?$"),
+        (
+            {"line": {"form": "COBS"}},
+            ("line", "form"),
+            r"known are packets, words; or is profile = 'pus-cobs' meant\?$",
+        ),
+        ({"line": {"profile": "words"}}, ("line", "profile"), "or is form = 'words' meant"),
+        ({"line": {"tick": "1"}}, ("line", "tick"), "'1' is not known here"),
     ],
 )
 def test_a_mistake_is_told_with_its_place(table, path, message):

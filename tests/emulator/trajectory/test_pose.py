@@ -1,5 +1,7 @@
 """Poses are composed and inverted as matrices are, and refuse what is no attitude."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -42,10 +44,24 @@ def test_the_second_turn_is_written_first():
     np.testing.assert_allclose(both @ [1, 0, 0], [0, 0, 1], atol=1e-12)
 
 
-@pytest.mark.parametrize("q", [(2, 0, 0, 0), (0, 0, 0, 0), (np.nan, 0, 0, 1), (1, 0, 0)])
-def test_what_is_no_unit_quaternion_is_refused(q):
-    with pytest.raises(ValueError, match="unit quaternion"):
+@pytest.mark.parametrize(
+    ("q", "says"),
+    [
+        ((2, 0, 0, 0), "of length 2$"),
+        ((1, 2, 3, 4), "of length 5.477$"),
+        ((1e200, 0, 0, 0), "of length 1e\\+200$"),
+        ((0, 0, 0, 0), "of length 0$"),
+        ((np.nan, 0, 0, 1), "1\\.\\]$"),
+        ((1.7e308, 1.7e308, 0, 1), "\\]$"),
+        ((np.inf, 0, 0, 1), "1\\.\\]$"),
+        ((1, 0, 0), "got \\[1. 0. 0.\\]$"),
+        (np.eye(3), r"from_matrix\(matrix\).as_quat\(scalar_first=True\)"),
+    ],
+)
+def test_what_is_no_unit_quaternion_is_refused(q, says):
+    with pytest.raises(ValueError, match=r"unit quaternion \(w, x, y, z\), got") as refusal:
         Pose(np.zeros(3), np.array(q, float))
+    assert re.search(says, str(refusal.value))
 
 
 def test_a_place_must_be_finite():

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from emulator.rig.kinds import CAMERA_MODELS
-from emulator.rig.loading import load_rig
+from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.scene.stars.skies import stars_per_deg2
 from emulator.scene.stars.stars import StarField
+from emulator.sensor.chip.defects import at_temperature
+from emulator.sensor.noise.law import corner_hz, still_hz
 from emulator.sensor.parameters import BackgroundParameters, NoiseParameters, TemperatureParameters
 from emulator.sensor.presets import PRESETS
 from laboratory.validation.star_fields import FALSE_SOURCES, Observatory, Seen, observe
@@ -55,6 +57,17 @@ def test_the_rigs_drift_as_the_recording_did():
     )
     gen3 = load_rig("stars-limit-gen3").camera
     assert np.degrees(2 * np.arctan(640 * 15e-3 / 2 / 85)) == pytest.approx(gen3.lens.field_of_view_deg, abs=1e-4)
+
+
+def test_the_gen3_rig_states_the_noise_of_its_pixels():
+    rig = load_rig("stars-limit-gen3")
+    text = shipped_rigs()["stars-limit-gen3"].read_text()
+    preset = PRESETS["gen31"]
+    for parameters, light, words in (rig.camera.sensor, 0, "0.006 Hz"), (preset, 0, "0.58 Hz"), (preset, 1, "0.06 Hz"):
+        sensor = at_temperature(parameters)
+        noise_hz = sum(still_hz(sensor, float(corner_hz(sensor, light))))
+        assert float(words.split()[0]) == pytest.approx(noise_hz, rel=0.04)
+        assert words in text
 
 
 @pytest.mark.system

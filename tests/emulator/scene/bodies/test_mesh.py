@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.light import SceneError
-from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
-from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates
+from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh, read_surface
+from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates, parse_wavefront
 from tests.emulator.scene.bodies.volume import volume_m3
 
 # a tetrahedron, counter-clockwise from outside, volume 1/6
@@ -192,6 +195,52 @@ def test_errors_of_files_name_the_file(tmp_path):
         load_mesh(write(tmp_path, "v 1 2 three"))
     with pytest.raises(SceneError, match="positive number of metres"):
         load_mesh(write(tmp_path, tagged()), units_m=0.0)
+
+
+def exported(kind, encoding=None):
+    """Return the octets of a shape of 80 facets and 42 vertices."""
+    ball = trimesh.creation.icosphere(1)
+    text = ball.export(file_type=kind, **({"encoding": encoding} if encoding else {}))
+    return text if isinstance(text, bytes) else text.encode()
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "says"),
+    [
+        ("stl", exported("stl")[:-30], "is cut: 80 facets are announced, and 30 of their octets are missing"),
+        ("stl", exported("stl")[:83], "octets are missing"),
+        ("stl", exported("stl") + b"more", "4 octets follow the 80 facets"),
+        ("stl", b"solid" + exported("stl")[5:-1], "1 of their octets are missing"),
+        ("stl", exported("stl_ascii")[:-200], "is cut after 79 facets"),
+        ("ply", exported("ply", "ascii")[:-40], "122 vertices and facets are announced"),
+        ("ply", exported("ply", "binary")[:-40], "unexpected length"),
+        ("off", exported("off")[:-40], "122 vertices and facets are announced"),
+        ("off", exported("off").replace(b"OFF\n", b"OFF\n# 3 4 5\n")[:-40], "122 vertices and facets are announced"),
+        ("ply", trimesh.PointCloud(POINTS).export(file_type="ply"), "no facet, nothing to draw: a cloud of points"),
+        ("off", bytes(range(128, 256)), "not UTF-8|cannot read"),
+    ],
+)
+def test_a_cut_surface_names_what_is_missing(tmp_path, monkeypatch, kind, content, says):
+    """Each is read in this process, and without the library that guesses the encoding of a text."""
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)
+    monkeypatch.setattr("emulator.scene.bodies.mesh.read_in_child", lambda reader, path: read_surface(path))
+    (tmp_path / f"shape.{kind}").write_bytes(content)
+    with pytest.raises(SceneError, match=says):
+        load_mesh(tmp_path / f"shape.{kind}")
+
+
+@pytest.mark.parametrize(("kind", "encoding"), [("stl", None), ("stl_ascii", None), ("ply", "ascii"), ("off", None)])
+def test_an_intact_surface_is_read(tmp_path, kind, encoding):
+    (tmp_path / f"shape.{kind[:3]}").write_bytes(exported(kind, encoding))
+    assert len(read_surface(tmp_path / f"shape.{kind[:3]}")["faces"]) == 80
+
+
+@pytest.mark.parametrize("facet", ["0 1 2", "1 2 -4", "-0 1 2"])
+def test_a_vertex_0_of_an_obj_file_is_refused_with_its_line(facet):
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    assert parse_wavefront(f"{corners}f 1/1 2 -1").facets.tolist() == [[0, 1, 2]]
+    with pytest.raises(PlateTableError, match=f"line 4: 'f {facet}' is not a facet of vertices that count from 1"):
+        parse_wavefront(f"{corners}f {facet}")
 
 
 @pytest.mark.sampled

@@ -1,13 +1,18 @@
 """Videos: straight lines in log light between frames, every depth, and what is broken is told."""
 
 import math
+import re
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from emulator.light import SceneError
-from emulator.scene.video.video import Video, VideoParameters, coarsest_level, linear_light, read_frames
+from emulator.scene.video.video import Video, VideoParameters, coarsest_level, linear_light, read_frames, read_video
 
 SIZE = (12, 8)
 
@@ -98,6 +103,138 @@ def test_a_video_file(tmp_path):
     assert frames.levels.shape == (3, 16, 32)
     np.testing.assert_allclose(frames.levels.mean(axis=(1, 2)), [40, 120, 200], atol=12)
     assert frames.times_s == pytest.approx([0, 0.05, 0.1])
+
+
+def test_a_repeated_time_costs_its_frame_alone():
+    pytest.importorskip("av", reason="the `files` extra is not installed")
+    path = Path(__file__).parent / "onedup.mkv"
+    frames = read_frames(path)
+    assert len(frames.times_s) == len(frames.levels) == 49
+    assert frames.times_s[-1] == pytest.approx(0.48)
+    (note,) = frames.notes
+    assert "1 of 50 frames are not later than the one before (1 at the same time; the first is frame 49" in note
+    assert Video(VideoParameters(str(path), frames_per_s=60.0), SIZE).notes[:2] == (
+        note,
+        "frames_per_s = 60 is not used: the frames have times of their own",
+    )
+
+
+@pytest.mark.parametrize(
+    ("times", "kept", "note"),
+    [
+        ([0, 1, 2, 1, 3], [0, 1, 2, 4], "1 earlier; the first is frame 3, at 0.01 s after 0.02 s"),
+        ([0, 0, 1, 1, 2, 3, 2, 4], [0, 2, 4, 5, 7], "3 of 8 frames .*2 at the same time, 1 earlier"),
+        ([5, 6, 8], [0, 1, 2], ""),
+        ([0, 0], [0], "1 at the same time"),
+    ],
+)
+def test_times_of_a_video_are_kept(monkeypatch, times, kept, note):
+    """A stand-in for PyAV gives the times, because a muxer refuses those that go back."""
+    seen = [
+        SimpleNamespace(time=t / 100, to_ndarray=lambda format, k=k: np.full((2, 2), k, np.uint8))
+        for k, t in enumerate(times)
+    ]
+    container = SimpleNamespace(decode=lambda video: seen)
+    monkeypatch.setitem(sys.modules, "av", SimpleNamespace(open=lambda path: nullcontext(container)))
+    values = read_video(Path("a.mkv"))
+    assert values["levels"][:, 0, 0].tolist() == kept
+    assert values["times_s"] == pytest.approx([(times[k] - times[0]) / 100 for k in kept])
+    assert re.search(note, "".join(values["notes"]))
+    assert bool(values["notes"]) == bool(note)
+
+
+@pytest.mark.parametrize(
+    ("times", "says"), [([3, 0, 1, 2], "3 of 4 frames are not later"), ([0, 0, 0], "2 at the same time")]
+)
+def test_a_video_of_which_most_frames_would_be_left_out_is_refused(monkeypatch, times, says):
+    with pytest.raises(SceneError, match=says):
+        test_times_of_a_video_are_kept(monkeypatch, times, [0], "")
+
+
+def test_a_video_without_times_has_those_of_the_rig(monkeypatch):
+    seen = [SimpleNamespace(time=None, to_ndarray=lambda format: np.zeros((2, 2), np.uint8))] * 3
+    opened = nullcontext(SimpleNamespace(decode=lambda video: seen))
+    monkeypatch.setitem(sys.modules, "av", SimpleNamespace(open=lambda path: opened))
+    values = read_video(Path("a.mkv"))
+    assert len(values["times_s"]) == 0
+    assert values["notes"] == ["the file gives no times: frames_per_s holds"]
+
+
+def folder_of(place, *names):
+    """Write an image for each name, the k-th of level k."""
+    place.mkdir(parents=True, exist_ok=True)
+    for k, name in enumerate(names):
+        Image.fromarray(np.full((2, 3), k, np.uint8)).save(place / name)
+    return place
+
+
+def test_images_of_a_folder_are_in_the_order_of_their_numbers(tmp_path):
+    folder_of(tmp_path, "frame1.png", "frame2.png", "frame10.png", "frame010.tif", "frame11.png", "g3.png")
+    (tmp_path / ".DS_Store").write_bytes(b"junk")
+    (tmp_path / "._frame1.png").write_bytes(b"junk")
+    (tmp_path / "notes.txt").write_text("junk")
+    (tmp_path / "masks").mkdir()
+    frames = read_frames(tmp_path)
+    assert frames.levels[:, 0, 0].tolist() == [0, 1, 2, 3, 4, 5]
+    assert frames.times_s is None
+    assert frames.notes == ("2 files of the folder are no images and are left out: masks, notes.txt",)
+
+
+NAMES = ("f1.png", "f2.png", "f10.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "order", "times_s", "unit"),
+    [
+        ("timestamps.txt", "0.5\n0.75\n1.5\n", [0, 1, 2], [0, 0.25, 1], "read as seconds$"),
+        ("timestamps.txt", "# s\n0 f10.png\n.1 f1.png\n\n1e-1\tf2.png", [2, 0], [0, 0.1], "read as seconds$"),
+        ("timestamps.txt", "f2.png 3\nf1.png 4\nf10.png 6", [1, 0, 2], [0, 1, 3], "read as seconds$"),
+        ("images.csv", "time,file\n1000,f1.png\n34000000,f2.png\n", [0, 1], [0, 0.033999], "as nanoseconds, because"),
+        (
+            "images.csv",
+            "1403636579763555584, f1.png\r\n1403636579813555456, f2.png\r\n",
+            [0, 1],
+            [0, 0.049999872],
+            "nanos",
+        ),
+        ("timestamps.txt", "0\n33333\n66667", [0, 1, 2], [0, 0.033333, 0.066667], "as microseconds, because seconds"),
+    ],
+)
+@pytest.mark.parametrize("place", ["", "images"])
+def test_a_list_of_times_is_used(tmp_path, name, text, order, times_s, unit, place):
+    """It lies in the folder, or beside a folder `images`, and the rig names either."""
+    folder_of(tmp_path / place, *NAMES)
+    (tmp_path / name).write_text(text.replace("f", "images/f") if place and "f" in text else text)
+    for path in {tmp_path, tmp_path / place}:
+        frames = read_frames(path)
+        assert frames.levels[:, 0, 0].tolist() == order
+        assert frames.times_s == pytest.approx(times_s, abs=1e-12)
+        assert re.search(
+            rf"the times of {text.count('.png') or 3} images are those of {name}, .*{unit}", frames.notes[0]
+        )
+        assert len(frames.notes) == 1 + (0 < text.count(".png") < 3) + ("1e-1" in text)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("0\n1\n", r"timestamps\.txt: has 2 times for 3 images"),
+        ("", "has 0 times"),
+        ("0\n1\nnan\n", "line 3: 'nan' is not a time"),
+        ("0 1\n1 2\n2 3\n", "line 1: '0 1' is not a time"),
+        ("0 gone.png\n1 f1.png\n2 f2.png\n", "line 1: there is no file 'gone.png'"),
+        ("0 ../f1.png\n", "line 1: there is no file '../f1.png'"),
+        ("0 f1.png\n1\n2 f2.png\n", "has 3 times for 2 images"),
+        ("0\n1e99\n2\n", "its times span"),
+        ("2\n1\n0\n", "2 of 3 frames are not later"),
+    ],
+)
+def test_a_list_of_times_that_does_not_fit_is_refused(tmp_path, text, says):
+    folder_of(tmp_path / "a", *NAMES)
+    (tmp_path / "f1.png").write_bytes(b"")
+    (tmp_path / "a" / "timestamps.txt").write_text(text)
+    with pytest.raises(SceneError, match=says):
+        read_frames(tmp_path / "a")
 
 
 def test_what_eight_bits_cost_is_told(array):
