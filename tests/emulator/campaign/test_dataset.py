@@ -25,6 +25,7 @@ from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.cli.app import _main
 from emulator.rig.loading import shipped_rigs
 from emulator.run.truth.source import TruthFile
+from tests.hdf5_times import timed_objects
 from transports.recording.files import read_events
 
 COMMAND = [sys.executable, "-c", "from emulator.cli import main; main()"]
@@ -287,6 +288,23 @@ def test_an_interrupted_data_set_goes_on_and_is_the_same(form, rig, tmp_path):
     assert sorted(os.listdir(killed / "sequences")) == [f"{k:06d}.h5" if form == "h5" else f"{k:06d}" for k in range(8)]
     files = [sorted(path.relative_to(folder) for path in folder.glob("sequences/**/*")) for folder in (whole, killed)]
     assert files[0] == files[1]
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("form", ["h5", "npz", "dsec"])
+def test_the_same_sequence_has_the_same_bytes(rig, tmp_path, form):
+    contents = []
+    for name in ("first", "again"):
+        place = tmp_path / name
+        place.mkdir()
+        sequences = Sequences(1, 0.12, SequenceTruth(format=form))
+        row = run_row(Campaign(dataset_source(rig, place / "d.toml", sequences)), 0, Place(place), lambda session: None)
+        assert row["outcome"] == "ok", row["error"]
+        files = [path for path in sorted(place.rglob("*")) if path.is_file()]
+        assert not [path for path in files if path.suffix == ".h5" and timed_objects(path)]
+        contents.append({path.relative_to(place): path.read_bytes() for path in files})
+    assert contents[0] == contents[1]
+    assert len(contents[0]) == (6 if form == "dsec" else 1)
 
 
 @pytest.mark.system
