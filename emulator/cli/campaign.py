@@ -392,7 +392,7 @@ class Content:
     Attributes
     ----------
     count
-        Number of sequences.
+        Number of points, each a sequence, or `repeats` of them; default: 100, and those of a grid.
     seconds
         Length of each, of stream time.
     seed
@@ -410,7 +410,7 @@ class Content:
         events and flow as the DSEC data set has them, and a truth file in each.
     """
 
-    count: int = 100
+    count: int | None = None
     seconds: float = 1.0
     seed: int = 1
     vary: Path | None = None
@@ -478,8 +478,8 @@ def _campaign(rig: str, out: Path, content: Content) -> tuple[Campaign, TruthSel
     layers = tuple(layer.strip() for layer in content.truth.split(",") if layer.strip())
     with failing(WRONG_USE, ValueError, at="--truth, --rate"):
         truth = SequenceTruth(content.rate, layers, content.format)
-    if content.count < 1 or not 0 < content.seconds <= 86_400:
-        raise Failure("--count must be 1 or more, and --seconds up to a day", WRONG_USE)
+    if (content.count is not None and content.count < 1) or not 1e-6 <= content.seconds <= 86_400:
+        raise Failure("--count must be 1 or more, and --seconds a microsecond to a day", WRONG_USE)
     sequences = Sequences(content.count, content.seconds, truth, content.seed, content.vary)
     return Campaign(dataset_source(rig, out.absolute() / "dataset.toml", sequences)), truth.selection
 
