@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import gc
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -46,6 +45,7 @@ from emulator.cli.output import (
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 from emulator.run.truth.source import TruthSelection
+from transports.output_file import TemporaryFolder
 
 _LINE_PERIOD_S = 10.0
 
@@ -203,7 +203,7 @@ def again(
         if before is None:
             prepared(parts_of(rig))
         interrupt_on_stop_signals()
-        with tempfile.TemporaryDirectory(prefix="evstim-") as place:
+        with TemporaryFolder("again") as place:
             row = run_row(campaign, index, Place(Path(place), record=record), lambda _: None)
     different = None
     if before is not None:

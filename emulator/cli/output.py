@@ -17,9 +17,10 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
@@ -64,11 +65,12 @@ status = _SafeConsole(stderr=True, highlight=False)
 
 
 class Failure(Exception):
-    """A command cannot do its work; carries the exit code."""
+    """A command cannot do its work; carries the exit code, and for `--json` what it did before."""
 
-    def __init__(self, message: str, exit_code: int) -> None:
+    def __init__(self, message: str, exit_code: int, result: Mapping[str, object] = MappingProxyType({})) -> None:
         super().__init__(message)
         self.exit_code = exit_code
+        self.result = result
 
 
 def parsed_address(option: str, text: str, least_port: int = 1) -> tuple[str, int]:
