@@ -406,7 +406,7 @@ def _card(campaign: Campaign, sequences: Sequence[Mapping[str, Any]], truth: Seq
 
 Simulated events with truth, made by evstim {version("evstim")}. No real camera was used.
 
-- {len(sequences)} of {campaign.runs} sequences; together {seconds:.6g} s and {events} events
+- sequences: {len(sequences)} of {campaign.runs}, together {seconds:.6g} s; events: {events}
 - camera `{rig.camera.model}`, {width} x {height} pixels; rig `{rig.name}`
 - truth: {layers}; {truth.rate_hz:g} times a second; the cause of each event
 - layout: pages *Data sets* and *Recordings and truth* of evstim's documentation

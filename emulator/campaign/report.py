@@ -282,7 +282,8 @@ def _verdict(campaign: Campaign, rows: Sequence[Row]) -> tuple[str, str]:
     success = proportion(sum(bool(row["success"]) for row in rows), len(rows))
     least = campaign.settings.min_success
     if len(rows) < campaign.runs:
-        return "unfinished", f"Success: {success}. {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
+        are = "run is" if campaign.runs == 1 else "runs are"
+        return "unfinished", f"Success: {success}. {campaign.runs - len(rows)} of {campaign.runs} {are} missing."
     requirement = f"At least {least:.1%} are required" if least else "No least share is required"
     return "good" if success.share >= least else "bad", f"Success: {success}. {requirement} (min_success)."
 

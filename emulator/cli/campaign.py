@@ -37,6 +37,7 @@ from emulator.cli.output import (
     Json,
     RigName,
     console,
+    counted,
     failing,
     print_json,
     print_result,
@@ -91,20 +92,18 @@ class Progress:
             self._bar.update(self._bar.task_ids[0], advance=1, successes=self._success_text)
         elif time.monotonic() - self._printed_s > _LINE_PERIOD_S:
             self._printed_s = time.monotonic()
-            status.print(
-                f"{self._name}: {self._before + len(self.rows)} of {self._wanted} runs, {self._success_text}",
-                markup=False,
-            )
+            runs = f"{self._before + len(self.rows)} of {counted(self._wanted, 'run')}"
+            status.print(f"{self._name}: {runs}, {self._success_text}", markup=False)
 
     @property
     def _success_text(self) -> str:
-        return f"{self._successes} of {len(self.rows)} successes"
+        return f"{self._successes} of {len(self.rows)} successful"
 
     @contextmanager
     def shown(self) -> Iterator[None]:
         """Show a bar while the block lasts, where there is a terminal."""
         if self._before:
-            status.print(f"{self._name}: {self._before} of {self._wanted} runs are done", markup=False)
+            status.print(f"{self._name}: {self._before} of {counted(self._wanted, 'run', 'are')} done", markup=False)
         if not status.is_terminal or status.quiet:
             yield
             return
@@ -139,9 +138,9 @@ def finish(
     complete = len(rows) == campaign.runs
     if rows and (complete or report is not None) and not in_part and not progress.trouble:
         summary["report"] = _write(campaign, rows, folder, report)
-    _print(summary, outcomes, str(success), progress)
+    _print(campaign, summary, outcomes, str(success), progress)
     if progress.trouble:
-        resume = f"{len(rows)} of {campaign.runs} runs are done; the same command goes on with the others"
+        resume = f"{len(rows)} of {counted(campaign.runs, 'run', 'are')} done; the same command goes on with the others"
         raise Failure(f"{progress.trouble}. {resume}", LACKING)
     if as_json:
         print_json(summary)
@@ -157,8 +156,10 @@ def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | Non
         return str(write_report(campaign, rows, report or folder))
 
 
-def _print(summary: dict[str, object], outcomes: Counter[str], success: str, progress: Progress) -> None:
-    lines = [f"{summary['campaign']}: {summary['done']} of {summary['runs']} runs are done"]
+def _print(
+    campaign: Campaign, summary: dict[str, object], outcomes: Counter[str], success: str, progress: Progress
+) -> None:
+    lines = [f"{campaign.name}: {summary['done']} of {counted(campaign.runs, 'run', 'are')} done"]
     lines += [f"success: {success}"] if summary["done"] else []
     lines += [f"{outcome}: {count}" for outcome, count in outcomes.items() if outcome != "ok"]
     lines += ["interrupted: the same command goes on"] if progress.interrupted else []
@@ -320,6 +321,8 @@ def campaign(
         folder = where.folder or file.with_suffix("")
         indices = _wanted(loaded, share)
         in_part = share.only is not None or share.part is not None
+        if in_part and where.report is not None:
+            raise Failure("--report: a part of a campaign writes no report: use `evstim campaign report`", WRONG_USE)
         todo = _begun(loaded, folder, indices)
         with table.working_in(folder, alone=not in_part):
             todo = remaining(folder, todo)
@@ -341,7 +344,8 @@ def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
 
 def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     """Make or check the folder, and return the runs that remain to be done."""
-    with failing(WRONG_USE, OSError, at=f"--folder: {folder}"):
+    option = "--out" if loaded.source.has_options else "--folder"
+    with failing(WRONG_USE, OSError, at=f"{option}: {folder}"):
         remark = table.begin_folder(loaded, folder)
     if remark:
         status.print(f"note: {remark}", markup=False)
@@ -455,7 +459,8 @@ def dataset(
             todo = remaining(out, todo)
             campaign.check_all(todo)
             megabytes = content.seconds * selection.pictures(campaign.rig(0))[1] / 1e6
-            status.print(f"{len(todo)} sequences remain, of at most {megabytes:.3g} MB each before compression")
+            left = counted(len(todo), "sequence", "remain")
+            status.print(f"{left}, of at most {megabytes:.3g} MB each before compression")
             progress = Progress(campaign, campaign.runs, campaign.runs - len(todo))
             _run(campaign, out, todo, Placement(workers=workers, scheduler=scheduler), progress)
         rows = table.read_rows(table.rows_folder(out), progress.rows)
@@ -468,7 +473,8 @@ def dataset(
             raise Failure(f"{progress.trouble}. The same command goes on with the others", LACKING)
         if progress.interrupted:
             console.print("interrupted: the same command goes on", markup=False)
-        console.print(f"{len(manifest['sequences'])} of {campaign.runs} sequences are in {out}", markup=False)
+        total = counted(campaign.runs, "sequence", "are")
+        console.print(f"{len(manifest['sequences'])} of {total} in {out}", markup=False)
         if json:
             print_json({"folder": str(out), "wall_s": progress.wall_s, "run_s": progress.run_s, **manifest})
         return BAD_VERDICT if failed or progress.remaining else GOOD

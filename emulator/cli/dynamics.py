@@ -15,7 +15,18 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, failing, parsed_address, print_result
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    WRONG_USE,
+    Failure,
+    Flag,
+    Json,
+    counted,
+    failing,
+    parsed_address,
+    print_result,
+)
 from emulator.cli.run import summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics import flight
@@ -117,7 +128,7 @@ def dynamics(
     result: dict[str, object] = {}
     if (end := flown.flight) is not None:
         x, y, z = end.last.position_m
-        lines.append(f"{fmu.name}: {end.steps} steps, {end.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m")
+        lines.append(f"{fmu.name}: {counted(end.steps, 'step')}, {end.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m")
         result = {"steps": end.steps, "seconds": end.t_s, "position_m": end.last.position_m}
         result["q_world_from_body"] = end.last.q_world_from_body
     if (run := flown.run) is not None:

@@ -73,6 +73,15 @@ class Failure(Exception):
         self.result = result
 
 
+_SINGULAR = {"are": "is", "remain": "remains"}
+
+
+def counted(count: int, noun: str, verb: str = "") -> str:
+    """Return a number with its noun, and the verb of its plural: "1 run is", "2 runs are"."""
+    words = (noun, _SINGULAR.get(verb, verb)) if count == 1 else (f"{noun}s", verb)
+    return " ".join([str(count), *words]).rstrip()
+
+
 def parsed_address(option: str, text: str, least_port: int = 1) -> tuple[str, int]:
     """Return (host, port) of text such as "127.0.0.1:10015"; raises Failure."""
     host, _, port = text.rpartition(":")

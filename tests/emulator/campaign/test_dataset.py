@@ -22,6 +22,7 @@ from emulator.campaign.campaign import Campaign
 from emulator.campaign.dataset import Sequences, _toml, dataset_source, displacement
 from emulator.campaign.loading import SequenceTruth
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
+from emulator.campaign.table import begin_folder
 from emulator.cli.app import _main
 from emulator.rig.loading import shipped_rigs
 from emulator.run.truth.source import TruthFile
@@ -311,8 +312,49 @@ def test_the_same_sequence_has_the_same_bytes(rig, tmp_path, form):
 def test_another_data_set_does_not_go_into_the_folder(rig, folder):
     before = digests(folder)
     ended = made(rig, folder, "--rate", "10", code=2)
-    assert "campaign.truth.rate_hz was 20.0, is 10.0" in " ".join(ended.stderr.split())
+    said = " ".join(ended.stderr.split())
+    assert "another data set: --rate: campaign.truth.rate_hz was 20.0, is 10.0. Give the options" in said
+    assert "another folder with --out" in said
     assert digests(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "differs"),
+    [
+        (["--truth", "flow"], '--truth: campaign.truth.layers was [], is ["flow"]'),
+        (["--format", "npz"], '--format: campaign.truth.format was "h5", is "npz"'),
+        (["--seconds", "0.3"], "--seconds: campaign.set.run.seconds was 0.2, is 0.3"),
+        (["--seed", "7"], "--seed: campaign.seed was 1, is 7"),
+        (["--count", "4"], "--count: campaign.count was 3, is 4"),
+    ],
+)
+def test_a_changed_option_is_named_and_no_file_that_nobody_wrote(rig, tmp_path, capsys, options, differs):
+    folder = tmp_path / "data"
+    begin_folder(Campaign(dataset_source(rig, folder / "dataset.toml", Sequences(3, 0.2, SequenceTruth()))), folder)
+    as_before = ["--count", "3", "--seconds", "0.2"]
+    assert _main(["dataset", str(rig), "--out", str(folder), "--json", *as_before, *options]) == 2
+    error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert f"has the sequences of another data set: {differs}. Give the options" in error
+    assert "dataset.toml" not in error
+    assert "--folder" not in error
+
+
+def test_the_folder_of_a_data_set_that_cannot_be_is_its_option(rig, tmp_path, capsys):
+    (tmp_path / "file").write_text("x")
+    assert _main(["dataset", str(rig), "--out", str(tmp_path / "file" / "data"), "--json"]) == 2
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["error"].startswith("--out: ")
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("count", [1, 2])
+def test_numbers_of_sequences_are_words(rig, tmp_path, capsys, count):
+    options = ["--count", str(count), "--seconds", "0.02", "--truth", "flow", "--workers", "1"]
+    assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), *options]) == 0
+    printed = capsys.readouterr()
+    assert ("1 sequence remains," if count == 1 else "2 sequences remain,") in " ".join(printed.err.split())
+    words = "1 of 1 sequence is in" if count == 1 else "2 of 2 sequences are in"
+    assert words in " ".join(printed.out.split())
+    assert f"- sequences: {count} of {count}, together" in (tmp_path / "data" / "README.md").read_text()
 
 
 @pytest.mark.parametrize(
