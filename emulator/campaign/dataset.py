@@ -95,7 +95,8 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
     parsed = parse_rig(rig_text, str(rig_file), rig_file.stem)
     if parsed.trigger is not None or parsed.second_camera is not None:
         raise CampaignError(f"{rig_file}: a data set has one camera and no link: remove [trigger] and [second_camera]")
-    vary, truth, source = sequences.vary, sequences.truth, Source(str(file), "", str(rig_file), rig_text, "vary")
+    vary, truth = sequences.vary, sequences.truth
+    source = Source(str(file), "", str(rig_file), rig_text, "vary")
     if isinstance(vary, str | Path):
         source = dataclasses.replace(source, author_file=str(vary), author_text=campaign_text(Path(vary)))
         vary = table_of(source.author_text, str(vary))
@@ -125,7 +126,8 @@ def _check_varied(table: Mapping[str, Any]) -> None:
     for key, path in keys:
         for reason, refused in _REFUSED.items():
             if refused.fullmatch(key):
-                raise TableError(f"{key.removeprefix('set.')}: {reason}; remove it", path)
+                named = f"{key.removeprefix('set.')}: " if path[0] == "parameters" else ""
+                raise TableError(f"{named}{reason}; remove it", path)
 
 
 def _step_us(step_us: int, rate_hz: float) -> int:

@@ -316,7 +316,8 @@ def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     chosen = list(campaign.settings.report.columns)
     results = dict.fromkeys(name for row in rows for name in row if name.startswith("result."))
     columns = chosen or ["margin", "events.rate_hz", *results]
-    return [name for name in columns if len(_finite(rows, name))][:_MOST_COLUMNS]
+    shown = [name for name in columns if len(_finite(rows, name))]
+    return shown if chosen else shown[:_MOST_COLUMNS]
 
 
 def _finite(rows: Sequence[Row], column: str) -> _Floats:

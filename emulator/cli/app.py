@@ -11,9 +11,7 @@ import gc
 import logging
 import os
 import sys
-from collections.abc import Mapping
 from importlib.metadata import version
-from types import MappingProxyType
 from typing import IO, cast
 
 from cyclopts import App, CycloptsError, Group
@@ -118,14 +116,14 @@ def _main(tokens: list[str]) -> int:
     try:
         return _exit_code(tokens, as_json, boxed)
     except CycloptsError as error:
-        return _fail(str(error), WRONG_USE, as_json, printed=boxed)
+        return _fail(Failure(str(error), WRONG_USE), as_json, printed=boxed)
     except Failure as failure:
-        return _fail(str(failure), failure.exit_code, as_json, failure.result)
+        return _fail(failure, as_json)
     except (KeyboardInterrupt, SystemError) as error:  # numba raises the second one within the call of a kernel
         if not isinstance(error, KeyboardInterrupt) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise
         ignore_stop_signals()
-        return _fail("interrupted", BAD_VERDICT, as_json)
+        return _fail(Failure("interrupted", BAD_VERDICT), as_json)
 
 
 def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
@@ -147,20 +145,13 @@ def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
     return code
 
 
-def _fail(
-    message: str,
-    exit_code: int,
-    as_json: bool,
-    result: Mapping[str, object] = MappingProxyType({}),
-    *,
-    printed: bool = False,
-) -> int:
+def _fail(failure: Failure, as_json: bool, printed: bool = False) -> int:
     if not printed:
         status.quiet = False
-        status.print(f"evstim: {message}", markup=False)
+        status.print(f"evstim: {failure}", markup=False)
     if as_json and sys.stdout is not None:
         try:
-            print_json({**result, "error": message, "exit_code": exit_code})
-        except Failure as failure:  # stdout that cannot take it changes neither the message nor the exit code
-            status.print(f"evstim: {failure}", markup=False)
-    return exit_code
+            print_json({**failure.result, "error": str(failure), "exit_code": failure.exit_code})
+        except Failure as unwritten:  # stdout that cannot take it changes neither the message nor the exit code
+            status.print(f"evstim: {unwritten}", markup=False)
+    return failure.exit_code

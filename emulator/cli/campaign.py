@@ -316,6 +316,7 @@ def campaign(
         The campaign, see docs/campaigns.md.
     """
     with failures(), campaign_failures():
+        _check_workers(where)
         loaded = Campaign(load_source(file))
         table.check_tables()
         folder = where.folder or file.with_suffix("")
@@ -330,6 +331,14 @@ def campaign(
             progress = Progress(loaded, len(indices), len(indices) - len(todo))
             _run(loaded, folder, todo, where, progress)
         return finish(loaded, folder, progress, where.report, in_part=in_part, as_json=json)
+
+
+def _check_workers(where: Placement) -> None:
+    """Raise Failure for workers that there cannot be, before a folder is made or a kernel compiled."""
+    if where.workers is not None and not 1 <= where.workers <= 1024:
+        raise Failure(f"--workers must be 1 to 1024, got {where.workers}", WRONG_USE)
+    if where.workers is not None and where.scheduler is not None:
+        raise Failure("--workers and --scheduler: the scheduler's workers do the runs; give one of them", WRONG_USE)
 
 
 def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
@@ -376,15 +385,10 @@ def _run(loaded: Campaign, folder: Path, todo: list[int], where: Placement, prog
 
 def _workers(loaded: Campaign, folder: Path, runs: int, where: Placement) -> Workers:
     if where.scheduler is not None:
-        if where.workers is not None:
-            raise Failure("--workers and --scheduler: the scheduler's workers do the runs; give one of them", WRONG_USE)
         from emulator.campaign.on_dask import DaskWorkers
 
         return DaskWorkers(loaded, folder, where.scheduler)
-    count = cores() if where.workers is None else where.workers
-    if not 1 <= count <= 1024:
-        raise Failure(f"--workers must be 1 to 1024, got {count}", WRONG_USE)
-    count = min(count, runs)
+    count = min(where.workers or cores(), runs)
     threads = max(1, cores() // count)
     return LocalWorkers([WarmWorker(loaded, folder, threads) for _ in range(count)])
 
@@ -448,6 +452,8 @@ def dataset(
         Address of a dask.distributed scheduler whose workers make the sequences, such as tcp://10.0.0.1:8786.
     """
     with failures(), campaign_failures():
+        where = Placement(workers=workers, scheduler=scheduler)
+        _check_workers(where)
         campaign, selection = _campaign(rig, out, content)
         table.check_tables()
         if out.is_dir() and any(out.iterdir()) and not (out / "campaign.json").exists():
@@ -462,7 +468,7 @@ def dataset(
             left = counted(len(todo), "sequence", "remain")
             status.print(f"{left}, of at most {megabytes:.3g} MB each before compression")
             progress = Progress(campaign, campaign.runs, campaign.runs - len(todo))
-            _run(campaign, out, todo, Placement(workers=workers, scheduler=scheduler), progress)
+            _run(campaign, out, todo, where, progress)
         rows = table.read_rows(table.rows_folder(out), progress.rows)
         with failing(LACKING, OSError, at="--out"):
             manifest = write_manifest(campaign, out, rows)
@@ -481,7 +487,7 @@ def dataset(
 
 
 def _campaign(rig: str, out: Path, content: Content) -> tuple[Campaign, TruthSelection]:
-    layers = tuple(layer.strip() for layer in content.truth.split(",") if layer.strip())
+    layers = tuple(layer.strip() for layer in content.truth.split(",")) if content.truth else ()
     with failing(WRONG_USE, ValueError, at="--truth, --rate"):
         truth = SequenceTruth(content.rate, layers, content.format)
     if (content.count is not None and content.count < 1) or not 1e-6 <= content.seconds <= 86_400:

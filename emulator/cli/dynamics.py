@@ -15,18 +15,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures
-from emulator.cli.output import (
-    BAD_VERDICT,
-    GOOD,
-    WRONG_USE,
-    Failure,
-    Flag,
-    Json,
-    counted,
-    failing,
-    parsed_address,
-    print_result,
-)
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, failing, parsed_address, print_result
 from emulator.cli.run import summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics import flight
@@ -82,16 +71,6 @@ _RUNNING_RIG = Target()
 _TO = "127.0.0.1:10364"
 
 
-@dataclass(frozen=True)
-class _Flown:
-    """A flight to its end, and the rig's run in lockstep, which has ended; `trouble` is why the FMU failed before."""
-
-    complete: bool
-    flight: FlightResult | None = None
-    run: Simulation | None = None
-    trouble: str = ""
-
-
 def dynamics(
     fmu: Path,
     /,
@@ -122,28 +101,34 @@ def dynamics(
     ):
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
-        flown = _flown(fmu, map, Pace(seconds, target.stamped, lambda _: True), target)
+        end, run, complete = _flown(fmu, map, Pace(seconds, target.stamped, lambda _: True), target)
     ignore_stop_signals()
-    complete, lines = flown.complete, list[str]()
+    lines: list[str] = []
     result: dict[str, object] = {}
-    if (end := flown.flight) is not None:
+    if isinstance(end, FlightResult):
         x, y, z = end.last.position_m
-        lines.append(f"{fmu.name}: {counted(end.steps, 'step')}, {end.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m")
+        steps = f"{end.steps} step{'s' * (end.steps != 1)}"
+        lines.append(f"{fmu.name}: {steps}, {end.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m")
         result = {"steps": end.steps, "seconds": end.t_s, "position_m": end.last.position_m}
         result["q_world_from_body"] = end.last.q_world_from_body
-    if (run := flown.run) is not None:
+    if run is not None:
         complete = complete and good(judge(run.rig.verdict, run.result))
         result["run"] = summary(run.rig, run.result)
         lines += summary_lines(run.rig, run.result)
-    if not (json and flown.trouble):
-        print_result(json, result, lines)
-    if flown.trouble:
-        raise Failure(flown.trouble, BAD_VERDICT, result)
+    if isinstance(end, flight.FlightEnded):
+        print_result(False, result, [] if json else lines)
+        raise Failure(str(end), BAD_VERDICT, result) from end
+    print_result(json, result, lines)
     return GOOD if complete else BAD_VERDICT
 
 
-def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> _Flown:
-    """Fly; raises FlightEnded where the FMU fails and no rig runs in lockstep."""
+def _flown(
+    file: Path, map_file: Path, pace: Pace, target: Target
+) -> tuple[FlightResult | flight.FlightEnded, Simulation | None, bool]:
+    """Return the flight, or why the FMU ended it; the rig's run in lockstep, which has ended; whether all was flown.
+
+    Raises FlightEnded where no rig has begun to run.
+    """
     address, mapping = parsed_address("--to", target.to or _TO), flight.load_mapping(map_file)
     stopped = threading.Event()
     if target.rig is not None and (target.to is not None or target.stamped):
@@ -160,7 +145,7 @@ def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> _Flown:
             if target.rig is None:
                 pace = dataclasses.replace(pace, waiting=flight.wall_clock(stopped.is_set))
                 flown = flight.fly(unit, mapping, inputs, pace, lambda pose: out.sendto(bytes(pose), address))
-                return _Flown(not stopped.is_set(), flown)
+                return flown, None, not stopped.is_set()
             pace = dataclasses.replace(pace, waiting=lambda _: not stopped.is_set())
             lockstep = _Lockstep(target.rig, mapping.step_s)
             try:
@@ -169,5 +154,5 @@ def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> _Flown:
             except flight.FlightEnded as error:
                 if lockstep.simulation is None:
                     raise
-                return _Flown(False, run=lockstep.simulation, trouble=str(error))
-            return _Flown(not stopped.is_set(), flown, lockstep.simulation)
+                return error, lockstep.simulation, False
+            return flown, lockstep.simulation, not stopped.is_set()

@@ -362,6 +362,9 @@ def test_numbers_of_sequences_are_words(rig, tmp_path, capsys, count):
     [
         (("--truth", "pose"), "poses"),
         (("--truth", "depth,heat"), "heat"),
+        (("--truth", ","), "'' is not known here"),
+        (("--truth", "depth,,flow"), "'' is not known here"),
+        (("--workers", "2", "--scheduler", "tcp://127.0.0.1:9"), "give one of them"),
         (("--rate", "0"), "rate_hz"),
         (("--format", "dsec", "--rate", "25"), "multiple of DSEC's 10 flows a second, got 25"),
         (("--format", "dsec", "--truth", "flow,depth"), 'needs "flow" and "labels"'),
@@ -376,6 +379,7 @@ def test_numbers_of_sequences_are_words(rig, tmp_path, capsys, count):
 def test_mistakes_are_refused_with_their_reason(rig, tmp_path, capsys, options, message):
     assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), "--json", *options]) == 2
     assert message in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert not (tmp_path / "data").exists()
 
 
 SCENES = {
@@ -468,7 +472,7 @@ def test_what_varies_cannot_replace_the_data_set(rig, key):
 GIVEN, IDLE = "the data set itself gives it", "a data set has no links, clocks and verdicts; remove it"
 OWN_SEED = "each run has a seed of its own"
 VARIED = [
-    ("[set]\nlinks = [{ kind = 'file', path = 'leak.raw' }]", "line 2: set.links: links: it has no effect", IDLE),
+    ("[set]\nlinks = [{ kind = 'file', path = 'leak.raw' }]", "line 2: set.links: it has no effect", IDLE),
     ("[[set.links]]\nkind = 'file'\npath = 'leak.raw'", "v.toml: set.links", IDLE),
     ("[[parameters]]\nkey = 'links'\nkind = 'list'\nvalues = [[{kind = 'loopback'}]]", "line 2: parameters", IDLE),
     ("[[parameters]]\nkey = 'faults[0].rate'\nkind = 'list'\nvalues = [1e-3]", "line 2: parameters", IDLE),
