@@ -188,8 +188,11 @@ class Campaign:
         # What is written of a run does not change it.
         runs = {key: value for key, value in self.content["campaign"].items() if key != "truth"}
         self._seeds = _digest(self.content | {"campaign": runs})
-        self._grid = self._grid_values()
-        self._check()
+        try:
+            self._grid = self._grid_values()
+            self._check()
+        except TableError as error:
+            raise located(source, error) from error
 
     @property
     def name(self) -> str:
@@ -257,25 +260,21 @@ class Campaign:
         if self.settings.sampling != "grid":
             return []
         if not self.settings.parameters:
-            raise CampaignError(f"{self.source.shown}: a grid needs [[parameters]]")
+            raise TableError("a grid needs [[parameters]]", ("sampling",))
         grid = []
         for i, law in enumerate(self.settings.parameters):
             try:
                 grid.append(law.grid())
             except ValueError as error:
-                raise located(self.source, TableError(str(error), ("parameters", i))) from error
+                raise TableError(str(error), ("parameters", i)) from error
         return grid
 
     def _check(self) -> None:
-        """Check everything but the rigs of the single runs, before the first run; raises CampaignError."""
-        settings = self.settings
-        try:
-            _check_keys(settings)
-            rig = self.rig(0)
-            check_columns(rig, settings)
-            check_placeholders(rig, settings, Path(self.source.file).parent)
-        except TableError as error:
-            raise located(self.source, error) from error
+        """Check everything but the rigs of the single runs, before the first run; raises TableError, CampaignError."""
+        _check_keys(self.settings)
+        rig = self.rig(0)
+        check_columns(rig, self.settings)
+        check_placeholders(rig, self.settings, Path(self.source.file).parent)
 
     def _check_run(self, rig: Rig) -> None:
         """Raise TableError where the run of a rig would never end, or cannot be recorded, or lacks its truth."""

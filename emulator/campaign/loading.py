@@ -382,11 +382,6 @@ class Source:
     author_text: str = ""
     has_options: bool = False
 
-    @property
-    def shown(self) -> str:
-        """Name of the file for its author."""
-        return self.author_file or self.file
-
 
 def load_source(file: Path) -> Source:
     """Return the texts of a campaign file and its rig; raises CampaignError and RigError."""
@@ -446,7 +441,8 @@ def located(source: Source, error: TableError) -> CampaignError:
     if source.has_options and error.path in OPTIONS:
         return CampaignError(f"{OPTIONS[error.path]}: {shortened(error)}")
     line = line_of(source.author_text if source.author_file else source.text, error.path)
-    at = f"{source.shown}, line {line}" if line else source.shown
+    file = source.author_file or source.file
+    at = f"{file}, line {line}" if line else file
     key = text_of(error.path)[:200]
     return CampaignError(f"{at}: {key}: {shortened(error)}" if key else f"{at}: {shortened(error)}")
 

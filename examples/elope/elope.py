@@ -61,7 +61,7 @@ class Sequence(NamedTuple):
     def load(cls, file: Path) -> Sequence:
         """Read a sequence; raises ValueError for a file with another layout."""
         try:
-            with np.load(file) as arrays:
+            with file.open("rb") as opened, np.load(opened) as arrays:
                 if missing := [name for name in cls._fields if name not in arrays]:
                     raise ValueError(f"{', '.join(missing)} missing")
                 sequence = cls(*(arrays[name] for name in cls._fields))
@@ -83,6 +83,13 @@ class Sequence(NamedTuple):
                 raise ValueError(f"{name} has values that are no finite numbers")
         if self.events.ndim != 1 or self.events.dtype.names is None or not {*"xypt"} <= {*self.events.dtype.names}:
             raise ValueError(f"events are {self.events.dtype}, not x, y, p and t")
+
+    def motion(self) -> np.ndarray:
+        """Return true heights and velocities, (120, 4); raises ValueError where they are not given."""
+        motion = self.traj[:, 2:6]
+        if not np.isfinite(motion).all() or not (motion[:, 0] > 0).all():
+            raise ValueError("its traj lacks velocities, or heights above 0: there is no score without them")
+        return motion
 
 
 class Velocities(msgspec.Struct, forbid_unknown_fields=True):
@@ -193,8 +200,14 @@ def fly(descent: Descent) -> Sequence:
     return Sequence(out, timestamps, np.stack([descent.at(t) for t in timestamps]), np.array(ranges))
 
 
+class Unsolvable(ValueError):
+    """The baseline lacks something in a sequence."""
+
+
 def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
-    """Return velocities at the timestamps, (120, 3), from events, attitudes and ranges."""
+    """Return velocities at the timestamps, (120, 3), from events, attitudes and ranges; raises Unsolvable."""
+    if not np.isfinite(sequence.traj[:, 6:9]).all():
+        raise Unsolvable("its attitudes are not given, which the baseline needs")
     events = np.empty(len(sequence.events), [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
     for name, field in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
         events[name] = sequence.events[field]
@@ -237,14 +250,13 @@ def score(sequence: Sequence, velocities: np.ndarray) -> float:
 
     Raises ValueError for another shape, for values that are not finite, and where the true motion is not given.
     """
-    count, truth = len(sequence.timestamps), sequence.traj[:, 2:6]
+    count, truth = len(sequence.timestamps), sequence.motion()
     if velocities.shape != (count, 3) or not np.isfinite(velocities).all():
         wrong = np.argwhere(~np.isfinite(velocities)) if velocities.shape == (count, 3) else []
         at = "".join(f"; v{'xyz'[column]}[{row}] is {velocities[row, column]}" for row, column in wrong[:1])
         raise ValueError(f"velocities: {count} finite numbers of each are needed{at}")
-    if not np.isfinite(truth).all() or not (truth[:, 0] > 0).all():
-        raise ValueError("its traj lacks velocities, or heights above 0: there is no score without them")
-    errors = np.linalg.norm(velocities - truth[:, 1:], axis=1) / truth[:, 0]
+    with np.errstate(over="ignore"):
+        errors = np.linalg.norm(velocities - truth[:, 1:], axis=1) / truth[:, 0]
     if not np.isfinite(mean := float(errors.mean())):
         raise ValueError(f"its score is {mean}: velocities that large cannot be compared")
     return mean
@@ -275,9 +287,10 @@ def answer(folder: Path, answers: Path, tick_us: int) -> None:
     """Write the baseline's velocities of all sequences of a folder."""
     found = {}
     for number, file in _sequences(folder).items():
-        velocities = solve(Sequence.load(file), tick_us)
-        if not np.isfinite(velocities).all():
-            raise ValueError(f"{file}: its attitudes or heights are not given, so the baseline finds no velocities")
+        try:
+            velocities = solve(Sequence.load(file), tick_us)
+        except Unsolvable as error:
+            raise ValueError(f"{file}: {error}") from error
         found[str(number)] = dict(zip(("vx", "vy", "vz"), velocities.T.tolist(), strict=True))
         print(f"{file}: solved", flush=True)
     answers.write_text(json.dumps(found))
@@ -314,6 +327,12 @@ def scores_of(folder: Path, answers: Path) -> dict[int, float]:
 
 def table(folders: list[Path]) -> None:
     """Print the baseline's mean scores by terrain, in per cent, with the times as they are and in milliseconds."""
+    for file in (file for folder in folders for file in _sequences(folder).values()):
+        sequence = Sequence.load(file)
+        try:
+            sequence.motion()
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from error
     print(f"| descents | times | {' | '.join(TERRAINS)} | all |\n|---|---|{'---|' * (len(TERRAINS) + 1)}")
     for folder in folders:
         sequences = {number: Sequence.load(file) for number, file in _sequences(folder).items()}

@@ -143,7 +143,7 @@ def test_a_sequence_without_its_true_motion_has_no_score(elope, tmp_path, refuse
     np.savez(tmp_path / "0003.npz", **sequence._asdict())
     (tmp_path / "v.json").write_text(json.dumps({"3": dict.fromkeys(("vx", "vy", "vz"), ZEROS)}))
     assert "sequence 3: its traj lacks velocities, or heights above 0" in refused("score")
-    assert "traj" in refused("table")
+    assert "0003.npz: its traj lacks" in refused("table")
 
 
 def test_a_baseline_without_attitudes_is_refused(elope, tmp_path, refused):
