@@ -31,11 +31,13 @@ from emulator.campaign.loading import (
     Settings,
     Source,
     laid_over,
+    leaves,
     located,
     margin,
     parse_settings,
     path_of,
     succeeds,
+    text_of,
     with_value,
     with_worker,
 )
@@ -43,7 +45,6 @@ from emulator.campaign.sampling import Law, grid_digits, unit_points
 from emulator.rig.loading import Rig, rig_of_table
 from emulator.run.machine import pose_port
 from emulator.run.outcome import RunResult, good, judge
-from emulator.run.truth.source import TruthRefused, check_truth
 from emulator.tables.toml_text import shortened
 from emulator.tables.typed_table import KeyPath, TableError
 from transports.registry import unknown
@@ -97,21 +98,17 @@ def judged(settings: Settings, row: Row) -> Row:
 def check_columns(rig: Rig, settings: Settings) -> None:
     """Raise TableError for a column that no row of the campaign has."""
     columns = [*_ALWAYS, *(f"events.{name}" for name in _EVENTS), *(law.key for law in settings.parameters)]
-    columns += ["program.exit", "program.trouble"]
+    columns += ["program.exit", "program.trouble"] if settings.program is not None else []
     columns += [f"link.{link.name}.{column}" for link in rig.links for column in _LINK]
-    for rule in settings.success:
-        if rule.column.startswith(_OF_PROGRAM) and settings.program is None:
-            raise TableError(f"{rule.text!r} needs a [program]", ("success",))
-        _check_column(rule.column, columns, ("success",))
-    shown = settings.report
-    for column in shown.columns:
-        _check_column(column, [*columns, "success", "margin"], ("report", "columns"))
-    _check_column(shown.worst, [*columns, "success", "margin"], ("report", "worst"))
-
-
-def _check_column(column: str, columns: list[str], path: tuple[str, ...]) -> None:
-    if column not in columns and not column.startswith("result."):
-        raise TableError(unknown(column, columns), path)
+    used = [(rule.column, rule.text, ("success",), columns) for rule in settings.success]
+    reported, shown = [*columns, "success", "margin"], settings.report
+    for key, names in (("columns", shown.columns), ("worst", [shown.worst]), ("labels", shown.labels)):
+        used += [(name, name, ("report", key), reported) for name in names]
+    for column, text, path, present in used:
+        if column.startswith(_OF_PROGRAM) and column not in present and settings.program is None:
+            raise TableError(f"{text!r} needs a [program]", path)
+        if column not in present and not column.startswith("result."):
+            raise TableError(unknown(column, present), path)
 
 
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_][\w.\[\]-]*)\}")
@@ -191,8 +188,11 @@ class Campaign:
         # What is written of a run does not change it.
         runs = {key: value for key, value in self.content["campaign"].items() if key != "truth"}
         self._seeds = _digest(self.content | {"campaign": runs})
-        self._grid = self._grid_values()
-        self._check()
+        try:
+            self._grid = self._grid_values()
+            self._check()
+        except TableError as error:
+            raise located(source, error) from error
 
     @property
     def name(self) -> str:
@@ -232,15 +232,20 @@ class Campaign:
 
     def rig(self, index: int, worker: int = 0) -> Rig:
         """Return the rig of a run; raises CampaignError, which names the parameter at fault."""
-        table = with_value(self._base, ("run", "seed"), self.seed(index))
-        values = self.values(index)
+        table, values = self._base, self.values(index)
         try:
             for law in self.settings.parameters:
                 for key in _rig_keys(law):
                     table = with_value(table, path_of(key), values[law.key])
-            return rig_of_table(with_worker(table, worker), self._rig_file.stem, self._rig_file.parent)
+            table = with_worker(with_value(table, ("run", "seed"), self.seed(index)), worker)
+            rig = rig_of_table(table, self._rig_file.stem, self._rig_file.parent)
         except TableError as error:
             raise self._error_of_run(error, index, values) from error
+        try:
+            self._check_run(rig)
+        except TableError as error:
+            raise located(self.source, error) from error
+        return rig
 
     def check_all(self, indices: Iterable[int]) -> None:
         """Raise CampaignError for the first of the runs whose rig cannot be used."""
@@ -255,38 +260,32 @@ class Campaign:
         if self.settings.sampling != "grid":
             return []
         if not self.settings.parameters:
-            raise CampaignError(f"{self.source.file}: a grid needs [[parameters]]")
+            raise TableError("a grid needs [[parameters]]", ("sampling",))
         grid = []
         for i, law in enumerate(self.settings.parameters):
             try:
                 grid.append(law.grid())
             except ValueError as error:
-                raise located(self.source, TableError(str(error), ("parameters", i))) from error
+                raise TableError(str(error), ("parameters", i)) from error
         return grid
 
     def _check(self) -> None:
-        """Check everything but the rigs of the single runs, before the first run; raises CampaignError."""
+        """Check everything but the rigs of the single runs, before the first run; raises TableError, CampaignError."""
+        _check_keys(self.settings)
+        rig = self.rig(0)
+        check_columns(rig, self.settings)
+        check_placeholders(rig, self.settings, Path(self.source.file).parent)
+
+    def _check_run(self, rig: Rig) -> None:
+        """Raise TableError where the run of a rig would never end, or cannot be recorded, or lacks its truth."""
         settings = self.settings
-        try:
-            for i, law in enumerate(settings.parameters):
-                _check_keys(law, i, has_program=settings.program is not None)
-            rig = self.rig(0)
-            check_columns(rig, settings)
-            check_placeholders(rig, settings, Path(self.source.file).parent)
-        except TableError as error:
-            raise located(self.source, error) from error
-        ends = rig.run.seconds or (settings.program is not None and settings.program.ends_run)
-        if not ends:
-            raise CampaignError(
-                f"{self.source.file}: a run would never end: give [set] run.seconds, or a [program] with ends_run"
-            )
+        if not round(rig.run.seconds * 1e9) and not (settings.program is not None and settings.program.ends_run):
+            message = "a run would never end: give [set] run.seconds, or a [program] with ends_run"
+            raise TableError(message, ("set", "run", "seconds"))
         if settings.truth is not None:
-            try:
-                check_truth(rig, settings.truth.selection)
-            except TruthRefused as error:
-                raise CampaignError(f"{self.source.file}: truth: {error}") from error
+            settings.truth.check(rig)
         if settings.record and not rig.links:
-            raise CampaignError(f"{self.source.file}: record: this rig has no link, so no event is delivered")
+            raise TableError("this rig has no link, so no event is delivered", ("record",))
 
     def _error_of_run(self, error: TableError, index: int, values: dict[str, Any]) -> CampaignError:
         """Return the error in a run's rig, with the line of the campaign file that causes it."""
@@ -313,11 +312,28 @@ def _meet(path: KeyPath, other: KeyPath) -> bool:
     return length > 0 and path[:length] == other[:length]
 
 
-def _check_keys(law: Law, i: int, *, has_program: bool) -> None:
-    for key in (law.key, *law.also):
-        try:
-            path_of(key)
-        except ValueError as error:
-            raise TableError(str(error), ("parameters", i, "key")) from error
-        if key.startswith(_FOR_PROGRAM) and not has_program:
-            raise TableError(f"{key} is for a program under test: there is no [program]", ("parameters", i, "key"))
+_SEED = ("run", "seed")
+_OWN_SEED = "each run has a seed of its own, see `seed` and `repeats`: remove this key"
+
+
+def _check_keys(settings: Settings) -> None:
+    """Raise TableError for a key of [[parameters]] or [set] that would have no effect."""
+    earlier = list(leaves(settings.set))
+    if _SEED in earlier:
+        raise TableError(_OWN_SEED, ("set", *_SEED))
+    for i, law in enumerate(settings.parameters):
+        at: KeyPath = ("parameters", i, "key")
+        if settings.sampling != "grid" and getattr(law, "steps", 0):
+            raise TableError('it is for sampling = "grid" alone: remove this key', ("parameters", i, "steps"))
+        for key in (law.key, *law.also):
+            try:
+                path = path_of(key)
+            except ValueError as error:
+                raise TableError(str(error), at) from error
+            if key.startswith(_FOR_PROGRAM) and settings.program is None:
+                raise TableError(f"{key} is for a program under test: there is no [program]", at)
+            if path == _SEED:
+                raise TableError(_OWN_SEED, at)
+            if lost := [text_of(other) for other in earlier if other[: len(path)] == path]:
+                raise TableError(f"{key} replaces {lost[0]}, given in [set] or by an earlier parameter", at)
+            earlier.append(path)

@@ -30,17 +30,41 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from emulator.campaign.campaign import Campaign, Row
-from emulator.campaign.loading import FLOW_HZ, CampaignError, SequenceTruth, Source, campaign_text, laid_over, table_of
+from emulator.campaign.loading import (
+    FLOW_HZ,
+    CampaignError,
+    SequenceTruth,
+    Source,
+    campaign_text,
+    laid_over,
+    leaves,
+    located,
+    parse_laws,
+    table_of,
+    text_of,
+)
 from emulator.report.pictures import deep_png
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
+from emulator.tables.typed_table import KeyPath, TableError
 from firmware_protocol.events import Events, Kept, make_events
 from transports.link.pacing import MonotonicClock
 from transports.recording.format import FORMATS
 
-_GIVEN_KEYS = ("rig", "count", "record", "program", "truth")
-_MOST_DSEC_S = 4294.0
+_COUNT = 100
+_REFUSED = {
+    "the data set itself gives it, see the options of `evstim dataset`": re.compile(
+        r"rig|count|seed|record|program|truth|set\.run(\.(seconds|pace))?"
+    ),
+    "it has no effect: a data set has no links, clocks and verdicts": re.compile(
+        r"title|success|min_success|report"
+        r"|set\.(links|faults|trigger|second_camera|verdict)\b.*"
+        r"|set\.run\.(lockstep_us|lead_us|max_late_ms|max_late_share|restart_links|fifo_priority)"
+        r"|set\.camera\.(serial|speed|layout|fifo_bytes|start_delay_ms|activity_filter)"
+        r"|set\.camera\.(clock|imu|frames|bias_slopes)\b.*"
+    ),
+}
 _REFINEMENTS = 4  # of the place at the end of a step; each leaves the error times half a step and the flow's gradient
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -51,12 +75,13 @@ class Sequences:
 
     Attributes
     ----------
+    count : number of points, each a sequence, or `repeats` of them; None: 100, and those of a grid.
     seconds : length of each, of stream time.
     seed : of everything random.
     vary : further keys of a campaign file, such as `parameters`, `sampling` and `set`; or a TOML file that has them.
     """
 
-    count: int
+    count: int | None
     seconds: float
     truth: SequenceTruth
     seed: int = 1
@@ -71,26 +96,45 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
     if parsed.trigger is not None or parsed.second_camera is not None:
         raise CampaignError(f"{rig_file}: a data set has one camera and no link: remove [trigger] and [second_camera]")
     vary, truth = sequences.vary, sequences.truth
-    table = dict(table_of(campaign_text(Path(vary)), str(vary)) if isinstance(vary, str | Path) else vary or {})
-    if wrong := [key for key in _GIVEN_KEYS if key in table]:
-        raise CampaignError(f"vary: {', '.join(wrong)}: this is given by the data set itself")
-    if truth.format == "dsec" and sequences.seconds > _MOST_DSEC_S:
-        raise CampaignError(f"--seconds: at most {_MOST_DSEC_S:g} with --format dsec: its times have 32 bits")
+    source = Source(str(file), "", str(rig_file), rig_text, "vary")
+    if isinstance(vary, str | Path):
+        source = dataclasses.replace(source, author_file=str(vary), author_text=campaign_text(Path(vary)))
+        vary = table_of(source.author_text, str(vary))
+    table = dict(vary or {})
+    try:
+        _check_varied(table)
+    except TableError as error:
+        raise located(source, error) from error
     run = {"seconds": sequences.seconds, "pace": "free", "step_us": _step_us(parsed.run.step_us, truth.rate_hz)}
     settings = laid_over({"links": [], "faults": [], "run": run}, table.get("set", {}))
     named = str(rig_file if Path(rig).is_file() else rig)
     content = {"rig": named, "truth": dataclasses.asdict(truth), "set": settings}
-    count = {} if table.get("sampling") == "grid" else {"count": sequences.count}
-    table = {"seed": sequences.seed} | table | count | content
+    count = _COUNT if sequences.count is None and table.get("sampling") != "grid" else sequences.count
+    table = {"seed": sequences.seed} | table | ({} if count is None else {"count": count}) | content
     text = "".join(f"{_toml(key)} = {_toml(value)}\n" for key, value in table.items())
-    return Source(str(file), text, str(rig_file), rig_text)
+    return dataclasses.replace(source, text=text, has_options=True)
+
+
+def _check_varied(table: Mapping[str, Any]) -> None:
+    """Raise TableError for a key of `vary` that a data set gives itself, or that has no effect on it."""
+    if not isinstance(table.get("set", {}), dict):
+        raise TableError(f"expected a table, got {table['set']!r}", ("set",))
+    keys: list[tuple[str, KeyPath]] = [(key, (key,)) for key in table]
+    keys += [(text_of(path), path) for path in leaves({"set": table.get("set", {})})]
+    for i, law in enumerate(parse_laws(table.get("parameters", []))):
+        keys += [(f"set.{key}", ("parameters", i, "key")) for key in (law.key, *law.also)]
+    for key, path in keys:
+        for reason, refused in _REFUSED.items():
+            if refused.fullmatch(key):
+                named = f"{key.removeprefix('set.')}: " if path[0] == "parameters" else ""
+                raise TableError(f"{named}{reason}; remove it", path)
 
 
 def _step_us(step_us: int, rate_hz: float) -> int:
-    """Return the longest step up to `step_us` that divides the time between two truths; `step_us` where none does."""
+    """Return the longest step up to `step_us` that divides the time between two truths, or at least is no longer."""
     period_us = round(1e6 / rate_hz)
     if abs(period_us * rate_hz - 1e6) > 1e-3:
-        return step_us
+        return min(step_us, int(1e6 / rate_hz))
     return next(step for step in range(min(step_us, period_us), 0, -1) if period_us % step == 0)
 
 
@@ -289,7 +333,7 @@ class Dataset(Sequence[TruthSequence]):
 
 def dataset(  # noqa: PLR0913 - one call that names all it needs
     rig: str | Path,
-    count: int,
+    count: int | None,
     *,
     seconds: float = 1.0,
     truth: Sequence[str] = (),
@@ -302,7 +346,7 @@ def dataset(  # noqa: PLR0913 - one call that names all it needs
     Parameters
     ----------
     rig : name of a shipped rig, or path of a rig file.
-    count : number of sequences.
+    count : number of points, each a sequence, or `repeats` of them; None for a grid, which has its own.
     seconds : length of each, of stream time.
     truth : of "light", "depth", "flow", "labels", "poses" and "clean_events"; by default depth, flow, labels and poses,
         as far as the scene has them.
@@ -364,7 +408,7 @@ def _card(campaign: Campaign, sequences: Sequence[Mapping[str, Any]], truth: Seq
 
 Simulated events with truth, made by evstim {version("evstim")}. No real camera was used.
 
-- {len(sequences)} of {campaign.runs} sequences; together {seconds:.6g} s and {events} events
+- sequences: {len(sequences)} of {campaign.runs}, together {seconds:.6g} s; events: {events}
 - camera `{rig.camera.model}`, {width} x {height} pixels; rig `{rig.name}`
 - truth: {layers}; {truth.rate_hz:g} times a second; the cause of each event
 - layout: pages *Data sets* and *Recordings and truth* of evstim's documentation

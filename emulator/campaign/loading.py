@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -32,9 +32,9 @@ from msgspec import Meta
 from scipy.stats import binomtest
 
 from emulator.campaign.sampling import LAWS, Law, Sampling
-from emulator.rig.loading import find_rig, parse_rig, read_rig
+from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.truth.file import LAYERS
-from emulator.run.truth.source import TruthSelection
+from emulator.run.truth.source import ABSENT, TruthRefused, TruthSelection, check_truth
 from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
 from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types
 from firmware_protocol.bounds import Share, check_bounds
@@ -173,6 +173,7 @@ class Program:
 
 FLOW_HZ = 10
 """Maps of optical flow a second in a sequence of DSEC, each of the displacement until the next one."""
+_MOST_DSEC_S = 4294.0
 
 
 @dataclass(frozen=True)
@@ -201,6 +202,22 @@ class SequenceTruth:
             raise ValueError(f"rate_hz must be a multiple of DSEC's {FLOW_HZ} flows a second, got {self.rate_hz:g}")
         if self.format == "dsec" and self.layers and not {"flow", "labels"} <= {*self.layers}:
             raise ValueError('layers: format "dsec" needs "flow" and "labels", which show where flow is known')
+
+    def check(self, rig: Rig) -> None:
+        """Raise TableError where a run of a rig cannot have this truth."""
+        try:
+            check_truth(rig, self.selection)
+        except TruthRefused as error:
+            raise TableError(str(error), ("truth",)) from error
+        lacking, reason = ABSENT.get(rig.scene.kind, ((), ""))
+        if missing := [layer for layer in self.layers if layer in lacking]:
+            raise TableError(f"this scene has no {', '.join(missing)} ({reason})", ("truth", "layers"))
+        if rig.run.step_us * self.rate_hz > 1e6 + 1e-3:
+            most_us = math.floor(1e6 / self.rate_hz)
+            raise TableError(f"{self.rate_hz:g} needs run.step_us of at most {most_us}", ("truth", "rate_hz"))
+        if self.format == "dsec" and rig.run.seconds > _MOST_DSEC_S:
+            message = f"at most {_MOST_DSEC_S:g} with format dsec: its times have 32 bits"
+            raise TableError(message, ("set", "run", "seconds"))
 
     @property
     def selection(self) -> TruthSelection:
@@ -311,6 +328,15 @@ def with_value(table: Any, path: KeyPath, value: Any, at: KeyPath = ()) -> Any:
     return {**table, head: with_value(table.get(head), remaining, value, (*at, head))}
 
 
+def leaves(table: Mapping[str, Any], at: KeyPath = ()) -> Iterator[KeyPath]:
+    """Yield the path of each value in tables."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from leaves(value, (*at, key))
+        else:
+            yield (*at, key)
+
+
 def laid_over(table: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Return tables with those of `over` laid over them: tables are merged, everything else is replaced."""
     merged = dict(table)
@@ -344,12 +370,17 @@ class Source:
     ----------
     file, text : of the campaign.
     rig_file, rig_text : of its rig.
+    author_file, author_text : of what its author wrote, where mistakes are shown; "": the campaign itself.
+    has_options : True of a data set, whose other keys are those of `OPTIONS`.
     """
 
     file: str
     text: str
     rig_file: str
     rig_text: str
+    author_file: str = ""
+    author_text: str = ""
+    has_options: bool = False
 
 
 def load_source(file: Path) -> Source:
@@ -393,10 +424,25 @@ def parse_settings(source: Source) -> tuple[Settings, dict[str, Any]]:
         raise located(source, error) from error
 
 
+OPTIONS: Mapping[KeyPath, str] = {
+    ("count",): "--count",
+    ("seed",): "--seed",
+    ("set", "run", "seconds"): "--seconds",
+    ("truth",): "a data set",
+    ("truth", "layers"): "--truth",
+    ("truth", "rate_hz"): "--rate",
+    ("truth", "format"): "--format",
+}
+"""Options of `evstim dataset` by the keys of the campaign that it makes."""
+
+
 def located(source: Source, error: TableError) -> CampaignError:
-    """Return the mistake with its file, line and key."""
-    line = line_of(source.text, error.path)
-    at = f"{source.file}, line {line}" if line else source.file
+    """Return the mistake with its file, line and key; in the campaign of a data set with its option."""
+    if source.has_options and error.path in OPTIONS:
+        return CampaignError(f"{OPTIONS[error.path]}: {shortened(error)}")
+    line = line_of(source.author_text if source.author_file else source.text, error.path)
+    file = source.author_file or source.file
+    at = f"{file}, line {line}" if line else file
     key = text_of(error.path)[:200]
     return CampaignError(f"{at}: {key}: {shortened(error)}" if key else f"{at}: {shortened(error)}")
 
@@ -407,7 +453,7 @@ def _settings(table: dict[str, Any]) -> Settings:
         if key not in keys:
             raise TableError(unknown(key, keys), (key,))
     values: dict[str, Any] = {
-        "parameters": _parameters(table.get("parameters", [])),
+        "parameters": parse_laws(table.get("parameters", [])),
         "success": _rules(table.get("success", [])),
     }
     if "program" in table:
@@ -416,7 +462,8 @@ def _settings(table: dict[str, Any]) -> Settings:
     return Settings(**{**{name: getattr(settings, name) for name in field_types(Settings)}, **values})
 
 
-def _parameters(tables: object) -> tuple[Law, ...]:
+def parse_laws(tables: object) -> tuple[Law, ...]:
+    """Return [[parameters]] as laws; raises TableError."""
     if not isinstance(tables, list):
         raise TableError("expected [[parameters]] tables", ("parameters",))
     laws = tuple(convert_kind(table, LAWS, ("parameters", i)) for i, table in enumerate(tables))

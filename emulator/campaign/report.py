@@ -282,7 +282,8 @@ def _verdict(campaign: Campaign, rows: Sequence[Row]) -> tuple[str, str]:
     success = proportion(sum(bool(row["success"]) for row in rows), len(rows))
     least = campaign.settings.min_success
     if len(rows) < campaign.runs:
-        return "unfinished", f"Success: {success}. {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
+        are = "run is" if campaign.runs == 1 else "runs are"
+        return "unfinished", f"Success: {success}. {campaign.runs - len(rows)} of {campaign.runs} {are} missing."
     requirement = f"At least {least:.1%} are required" if least else "No least share is required"
     return "good" if success.share >= least else "bad", f"Success: {success}. {requirement} (min_success)."
 
@@ -315,7 +316,8 @@ def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     chosen = list(campaign.settings.report.columns)
     results = dict.fromkeys(name for row in rows for name in row if name.startswith("result."))
     columns = chosen or ["margin", "events.rate_hz", *results]
-    return [name for name in columns if len(_finite(rows, name))][:_MOST_COLUMNS]
+    shown = [name for name in columns if len(_finite(rows, name))]
+    return shown if chosen else shown[:_MOST_COLUMNS]
 
 
 def _finite(rows: Sequence[Row], column: str) -> _Floats:

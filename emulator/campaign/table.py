@@ -24,6 +24,7 @@ from types import MappingProxyType
 from typing import Any
 
 from emulator.campaign.campaign import Campaign, Row
+from emulator.campaign.loading import OPTIONS, text_of
 from transports.needs import install_command
 
 _SUFFIX = ".parquet"
@@ -171,13 +172,19 @@ def _read(file: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise FolderError(f"{file.parent} is no folder of a campaign; give its --folder") from error
     except ValueError as error:
-        raise FolderError(f"{file} is damaged; give another --folder") from error
+        raise FolderError(f"{file} is damaged; give another folder") from error
 
 
 def _difference_message(campaign: Campaign, folder: Path, before: dict[str, Any], now: dict[str, Any]) -> str:
     differences = [line for part in ("campaign", "rig") for line in _differences(before.get(part), now.get(part), part)]
+    if campaign.source.has_options:
+        names = {f"campaign.{text_of(path)} ": f"{option}: " for path, option in OPTIONS.items()}
+        differences = [next((names[key] for key in names if line.startswith(key)), "") + line for line in differences]
     remainder = [f"and {len(differences) - _MOST_LISTED} more"] if len(differences) > _MOST_LISTED else []
     listed = "; ".join([*differences[:_MOST_LISTED], *remainder])
+    if campaign.source.has_options:
+        remedy = "Give the options, the rig and the file of --vary as they were, or another folder with --out"
+        return f"{folder} has the sequences of another data set: {listed}. {remedy}"
     return (
         f"{folder} has the runs of another campaign: {listed}. Undo the change in {campaign.source.file}, "
         "or give another --folder"

@@ -122,9 +122,9 @@ def _main(tokens: list[str]) -> int:
     try:
         return _exit_code(tokens, as_json, boxed)
     except CycloptsError as error:
-        return _fail(str(error), WRONG_USE, as_json, printed=boxed)
+        return _fail(Failure(str(error), WRONG_USE), as_json, printed=boxed)
     except Failure as failure:
-        return _fail(str(failure), failure.exit_code, as_json, printed=failure.exit_code == UNREAD)
+        return _fail(failure, as_json, printed=failure.exit_code == UNREAD)
     except BaseException as error:
         # numba raises a SystemError within the call of a kernel, and a callback without its result any other error
         if not isinstance(error.__cause__ or error, KeyboardInterrupt) and not interruption.is_requested:
@@ -135,7 +135,7 @@ def _main(tokens: list[str]) -> int:
 def _interrupted(as_json: bool) -> int:
     """Report the interrupt of a command, and return its exit code."""
     ignore_stop_signals()
-    return _fail("interrupted", BAD_VERDICT, as_json)
+    return _fail(Failure("interrupted", BAD_VERDICT), as_json)
 
 
 def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
@@ -157,14 +157,14 @@ def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
     return code
 
 
-def _fail(message: str, exit_code: int, as_json: bool, printed: bool = False) -> int:
+def _fail(failure: Failure, as_json: bool, printed: bool = False) -> int:
     if not printed:
         status.quiet = False
-        status.print(f"evstim: {message}", markup=False)
+        status.print(f"evstim: {failure}", markup=False)
     if as_json and sys.stdout is not None:
         try:
-            print_json({"error": message, "exit_code": exit_code})
-        except Failure as failure:  # stdout that cannot take it changes neither the message nor the exit code
-            if failure.exit_code != UNREAD:
-                status.print(f"evstim: {failure}", markup=False)
-    return exit_code
+            print_json({**failure.result, "error": str(failure), "exit_code": failure.exit_code})
+        except Failure as unwritten:  # stdout that cannot take it changes neither the message nor the exit code
+            if unwritten.exit_code != UNREAD:
+                status.print(f"evstim: {unwritten}", markup=False)
+    return failure.exit_code

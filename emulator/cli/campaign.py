@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import gc
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -38,6 +37,7 @@ from emulator.cli.output import (
     Json,
     RigName,
     console,
+    counted,
     failing,
     print_json,
     print_result,
@@ -46,6 +46,7 @@ from emulator.cli.output import (
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 from emulator.run.truth.source import TruthSelection
+from transports.output_file import TemporaryFolder
 
 _LINE_PERIOD_S = 10.0
 
@@ -91,20 +92,18 @@ class Progress:
             self._bar.update(self._bar.task_ids[0], advance=1, successes=self._success_text)
         elif time.monotonic() - self._printed_s > _LINE_PERIOD_S:
             self._printed_s = time.monotonic()
-            status.print(
-                f"{self._name}: {self._before + len(self.rows)} of {self._wanted} runs, {self._success_text}",
-                markup=False,
-            )
+            runs = f"{self._before + len(self.rows)} of {counted(self._wanted, 'run')}"
+            status.print(f"{self._name}: {runs}, {self._success_text}", markup=False)
 
     @property
     def _success_text(self) -> str:
-        return f"{self._successes} of {len(self.rows)} successes"
+        return f"{self._successes} of {len(self.rows)} successful"
 
     @contextmanager
     def shown(self) -> Iterator[None]:
         """Show a bar while the block lasts, where there is a terminal."""
         if self._before:
-            status.print(f"{self._name}: {self._before} of {self._wanted} runs are done", markup=False)
+            status.print(f"{self._name}: {self._before} of {counted(self._wanted, 'run', 'are')} done", markup=False)
         if not status.is_terminal or status.quiet:
             yield
             return
@@ -139,9 +138,9 @@ def finish(
     complete = len(rows) == campaign.runs
     if rows and (complete or report is not None) and not in_part and not progress.trouble:
         summary["report"] = _write(campaign, rows, folder, report)
-    _print(summary, outcomes, str(success), progress)
+    _print(campaign, summary, outcomes, str(success), progress)
     if progress.trouble:
-        resume = f"{len(rows)} of {campaign.runs} runs are done; the same command goes on with the others"
+        resume = f"{len(rows)} of {counted(campaign.runs, 'run', 'are')} done; the same command goes on with the others"
         raise Failure(f"{progress.trouble}. {resume}", LACKING)
     if as_json:
         print_json(summary)
@@ -157,8 +156,10 @@ def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | Non
         return str(write_report(campaign, rows, report or folder))
 
 
-def _print(summary: dict[str, object], outcomes: Counter[str], success: str, progress: Progress) -> None:
-    lines = [f"{summary['campaign']}: {summary['done']} of {summary['runs']} runs are done"]
+def _print(
+    campaign: Campaign, summary: dict[str, object], outcomes: Counter[str], success: str, progress: Progress
+) -> None:
+    lines = [f"{campaign.name}: {summary['done']} of {counted(campaign.runs, 'run', 'are')} done"]
     lines += [f"success: {success}"] if summary["done"] else []
     lines += [f"{outcome}: {count}" for outcome, count in outcomes.items() if outcome != "ok"]
     lines += ["interrupted: the same command goes on"] if progress.interrupted else []
@@ -203,7 +204,7 @@ def again(
         if before is None:
             prepared(parts_of(rig))
         interrupt_on_stop_signals()
-        with tempfile.TemporaryDirectory(prefix="evstim-") as place:
+        with TemporaryFolder("again") as place:
             row = run_row(campaign, index, Place(Path(place), record=record), lambda _: None)
     different = None
     if before is not None:
@@ -315,11 +316,14 @@ def campaign(
         The campaign, see docs/campaigns.md.
     """
     with failures(), campaign_failures():
+        _check_workers(where)
         loaded = Campaign(load_source(file))
         table.check_tables()
         folder = where.folder or file.with_suffix("")
         indices = _wanted(loaded, share)
         in_part = share.only is not None or share.part is not None
+        if in_part and where.report is not None:
+            raise Failure("--report: a part of a campaign writes no report: use `evstim campaign report`", WRONG_USE)
         todo = _begun(loaded, folder, indices)
         with table.working_in(folder, alone=not in_part):
             todo = remaining(folder, todo)
@@ -327,6 +331,14 @@ def campaign(
             progress = Progress(loaded, len(indices), len(indices) - len(todo))
             _run(loaded, folder, todo, where, progress)
         return finish(loaded, folder, progress, where.report, in_part=in_part, as_json=json)
+
+
+def _check_workers(where: Placement) -> None:
+    """Raise Failure for workers that there cannot be, before a folder is made or a kernel compiled."""
+    if where.workers is not None and not 1 <= where.workers <= 1024:
+        raise Failure(f"--workers must be 1 to 1024, got {where.workers}", WRONG_USE)
+    if where.workers is not None and where.scheduler is not None:
+        raise Failure("--workers and --scheduler: the scheduler's workers do the runs; give one of them", WRONG_USE)
 
 
 def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
@@ -341,7 +353,8 @@ def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
 
 def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     """Make or check the folder, and return the runs that remain to be done."""
-    with failing(WRONG_USE, OSError, at=f"--folder: {folder}"):
+    option = "--out" if loaded.source.has_options else "--folder"
+    with failing(WRONG_USE, OSError, at=f"{option}: {folder}"):
         remark = table.begin_folder(loaded, folder)
     if remark:
         status.print(f"note: {remark}", markup=False)
@@ -372,15 +385,10 @@ def _run(loaded: Campaign, folder: Path, todo: list[int], where: Placement, prog
 
 def _workers(loaded: Campaign, folder: Path, runs: int, where: Placement) -> Workers:
     if where.scheduler is not None:
-        if where.workers is not None:
-            raise Failure("--workers and --scheduler: the scheduler's workers do the runs; give one of them", WRONG_USE)
         from emulator.campaign.on_dask import DaskWorkers
 
         return DaskWorkers(loaded, folder, where.scheduler)
-    count = cores() if where.workers is None else where.workers
-    if not 1 <= count <= 1024:
-        raise Failure(f"--workers must be 1 to 1024, got {count}", WRONG_USE)
-    count = min(count, runs)
+    count = min(where.workers or cores(), runs)
     threads = max(1, cores() // count)
     return LocalWorkers([WarmWorker(loaded, folder, threads) for _ in range(count)])
 
@@ -392,7 +400,7 @@ class Content:
     Attributes
     ----------
     count
-        Number of sequences.
+        Number of points, each a sequence, or `repeats` of them; default: 100, and those of a grid.
     seconds
         Length of each, of stream time.
     seed
@@ -410,7 +418,7 @@ class Content:
         events and flow as the DSEC data set has them, and a truth file in each.
     """
 
-    count: int = 100
+    count: int | None = None
     seconds: float = 1.0
     seed: int = 1
     vary: Path | None = None
@@ -444,6 +452,8 @@ def dataset(
         Address of a dask.distributed scheduler whose workers make the sequences, such as tcp://10.0.0.1:8786.
     """
     with failures(), campaign_failures():
+        where = Placement(workers=workers, scheduler=scheduler)
+        _check_workers(where)
         campaign, selection = _campaign(rig, out, content)
         table.check_tables()
         if out.is_dir() and any(out.iterdir()) and not (out / "campaign.json").exists():
@@ -455,9 +465,10 @@ def dataset(
             todo = remaining(out, todo)
             campaign.check_all(todo)
             megabytes = content.seconds * selection.pictures(campaign.rig(0))[1] / 1e6
-            status.print(f"{len(todo)} sequences remain, of at most {megabytes:.3g} MB each before compression")
+            left = counted(len(todo), "sequence", "remain")
+            status.print(f"{left}, of at most {megabytes:.3g} MB each before compression")
             progress = Progress(campaign, campaign.runs, campaign.runs - len(todo))
-            _run(campaign, out, todo, Placement(workers=workers, scheduler=scheduler), progress)
+            _run(campaign, out, todo, where, progress)
         rows = table.read_rows(table.rows_folder(out), progress.rows)
         with failing(LACKING, OSError, at="--out"):
             manifest = write_manifest(campaign, out, rows)
@@ -468,18 +479,19 @@ def dataset(
             raise Failure(f"{progress.trouble}. The same command goes on with the others", LACKING)
         if progress.interrupted:
             console.print("interrupted: the same command goes on", markup=False)
-        console.print(f"{len(manifest['sequences'])} of {campaign.runs} sequences are in {out}", markup=False)
+        total = counted(campaign.runs, "sequence", "are")
+        console.print(f"{len(manifest['sequences'])} of {total} in {out}", markup=False)
         if json:
             print_json({"folder": str(out), "wall_s": progress.wall_s, "run_s": progress.run_s, **manifest})
         return BAD_VERDICT if failed or progress.remaining else GOOD
 
 
 def _campaign(rig: str, out: Path, content: Content) -> tuple[Campaign, TruthSelection]:
-    layers = tuple(layer.strip() for layer in content.truth.split(",") if layer.strip())
+    layers = tuple(layer.strip() for layer in content.truth.split(",")) if content.truth else ()
     with failing(WRONG_USE, ValueError, at="--truth, --rate"):
         truth = SequenceTruth(content.rate, layers, content.format)
-    if content.count < 1 or not 0 < content.seconds <= 86_400:
-        raise Failure("--count must be 1 or more, and --seconds up to a day", WRONG_USE)
+    if (content.count is not None and content.count < 1) or not 1e-6 <= content.seconds <= 86_400:
+        raise Failure("--count must be 1 or more, and --seconds a microsecond to a day", WRONG_USE)
     sequences = Sequences(content.count, content.seconds, truth, content.seed, content.vary)
     return Campaign(dataset_source(rig, out.absolute() / "dataset.toml", sequences)), truth.selection
 

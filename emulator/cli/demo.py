@@ -12,7 +12,6 @@ import math
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +30,7 @@ from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.gige.kind import GigeLink
+from transports.output_file import TemporaryFolder, lasting_folder
 from transports.recording.record import load_record
 
 _HEIGHT_M = 500.0
@@ -40,7 +40,7 @@ _SLOWER = 1.05  # than real time, to be mentioned: a run that keeps up may end a
 
 def fly_landing(guidance: str = "", report: Path | None = None, *, as_json: bool) -> int:
     """Fly one landing, by the law FILE.py:NAME where one is given, its descent on stderr; return the exit code."""
-    out = report or Path(tempfile.mkdtemp(prefix="evstim-landing-"))
+    out = report or lasting_folder("landing")
     status.print(f"a lander falls from {_HEIGHT_M:g} m, guided by events; about 65 s of flight; files in {out}")
     law = ["--guidance", guidance] if guidance else ["--compare"]
     command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), *law, "--out", str(out)]
@@ -127,12 +127,12 @@ def demo(
     if rig == "landing":
         with failures():
             return fly_landing(guidance, report, as_json=json)
-    with failures(), tempfile.TemporaryDirectory() as folder:
+    with failures(), TemporaryFolder("demo-streams") as folder:
         if guidance:
             raise Failure(f"{rig} has no guidance: give --guidance with `evstim demo landing`", WRONG_USE)
         sent, received = Path(folder) / "sent.npz", Path(folder) / "received.npz"
         loaded = rig_with_options(_on_a_free_port(load_rig(rig)), seconds + 60, None, None)
-        report = report or Path(tempfile.mkdtemp(prefix="evstim-demo-"))
+        report = report or lasting_folder("demo")
         status.print(f"{loaded.name}: {loaded.title}")
         result = _run(loaded, Files(record=sent, report=report), received, seconds)
         verdict = _compare(sent, received, to_the_end=isinstance(loaded.links[0], UsbipLink))

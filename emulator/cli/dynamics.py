@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import socket
 import threading
 from contextlib import closing
@@ -54,19 +55,20 @@ class Target:
     Attributes
     ----------
     to
-        HOST:PORT at which a running rig receives poses.
+        HOST:PORT at which a running rig receives poses; default: 127.0.0.1:10364.
     stamped
         Give poses the FMU's time as stream time. Default: each holds from its arrival.
     rig
         Run this rig in lockstep instead, its links included: the FMU moves its camera, and both wait for each other.
     """
 
-    to: str = "127.0.0.1:10364"
+    to: str | None = None
     stamped: Flag = False
     rig: str | None = None
 
 
 _RUNNING_RIG = Target()
+_TO = "127.0.0.1:10364"
 
 
 def dynamics(
@@ -99,23 +101,41 @@ def dynamics(
     ):
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
-        flown, run, complete = _flown(fmu, map, Pace(seconds, target.stamped, lambda _: True), target)
+        end, run, complete = _flown(fmu, map, Pace(seconds, target.stamped, lambda _: True), target)
     ignore_stop_signals()
-    result: dict[str, object] = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
-    result["q_world_from_body"] = flown.last.q_world_from_body
+    lines: list[str] = []
+    result: dict[str, object] = {}
+    if isinstance(end, FlightResult):
+        x, y, z = end.last.position_m
+        steps = f"{end.steps} step{'s' * (end.steps != 1)}"
+        lines.append(f"{fmu.name}: {steps}, {end.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m")
+        result = {"steps": end.steps, "seconds": end.t_s, "position_m": end.last.position_m}
+        result["q_world_from_body"] = end.last.q_world_from_body
     if run is not None:
         complete = complete and good(judge(run.rig.verdict, run.result))
         result["run"] = summary(run.rig, run.result)
-    x, y, z = flown.last.position_m
-    lines = [f"{fmu.name}: {flown.steps} steps, {flown.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m"]
-    print_result(json, result, lines if run is None else [*lines, *summary_lines(run.rig, run.result)])
+        lines += summary_lines(run.rig, run.result)
+    if isinstance(end, flight.FlightEnded):
+        print_result(False, result, [] if json else lines)
+        raise Failure(str(end), BAD_VERDICT, result) from end
+    print_result(json, result, lines)
     return GOOD if complete else BAD_VERDICT
 
 
-def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> tuple[FlightResult, Simulation | None, bool]:
-    """Return the flight, the rig's run in lockstep, which has ended, and whether the flight was complete."""
-    address, mapping = parsed_address("--to", target.to), flight.load_mapping(map_file)
+def _flown(
+    file: Path, map_file: Path, pace: Pace, target: Target
+) -> tuple[FlightResult | flight.FlightEnded, Simulation | None, bool]:
+    """Return the flight, or why the FMU ended it; the rig's run in lockstep, which has ended; whether all was flown.
+
+    Raises FlightEnded where no rig has begun to run.
+    """
+    address, mapping = parsed_address("--to", target.to or _TO), flight.load_mapping(map_file)
     stopped = threading.Event()
+    if target.rig is not None and (target.to is not None or target.stamped):
+        raise Failure("--to and --stamped have no effect with --rig: leave them out", WRONG_USE)
+    if not math.isclose(pace.seconds, round(pace.seconds / mapping.step_s) * mapping.step_s, rel_tol=1e-9):
+        message = f"--seconds is {pace.seconds:g}: give a multiple of step_s, which is {mapping.step_s:g} in {map_file}"
+        raise Failure(message, WRONG_USE)
     if target.rig is not None and mapping.body:
         raise Failure(f"{map_file}: body = {mapping.body}: with --rig the FMU moves the camera, body 0", WRONG_USE)
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
@@ -127,6 +147,12 @@ def _flown(file: Path, map_file: Path, pace: Pace, target: Target) -> tuple[Flig
                 flown = flight.fly(unit, mapping, inputs, pace, lambda pose: out.sendto(bytes(pose), address))
                 return flown, None, not stopped.is_set()
             pace = dataclasses.replace(pace, waiting=lambda _: not stopped.is_set())
-            with closing(_Lockstep(target.rig, mapping.step_s)) as lockstep:
-                flown = flight.fly(unit, mapping, inputs, pace, lockstep.send)
+            lockstep = _Lockstep(target.rig, mapping.step_s)
+            try:
+                with closing(lockstep):
+                    flown = flight.fly(unit, mapping, inputs, pace, lockstep.send)
+            except flight.FlightEnded as error:
+                if lockstep.simulation is None:
+                    raise
+                return error, lockstep.simulation, False
             return flown, lockstep.simulation, not stopped.is_set()

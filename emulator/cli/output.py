@@ -18,9 +18,10 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
@@ -73,11 +74,21 @@ status = _SafeConsole(stderr=True, highlight=False)
 
 
 class Failure(Exception):
-    """A command cannot do its work; carries the exit code."""
+    """A command cannot do its work; carries the exit code, and for `--json` what it did before."""
 
-    def __init__(self, message: str, exit_code: int) -> None:
+    def __init__(self, message: str, exit_code: int, result: Mapping[str, object] = MappingProxyType({})) -> None:
         super().__init__(message)
         self.exit_code = exit_code
+        self.result = result
+
+
+_SINGULAR = {"are": "is", "remain": "remains"}
+
+
+def counted(count: int, noun: str, verb: str = "") -> str:
+    """Return a number with its noun, and the verb of its plural: "1 run is", "2 runs are"."""
+    words = (noun, _SINGULAR.get(verb, verb)) if count == 1 else (f"{noun}s", verb)
+    return " ".join([str(count), *words]).rstrip()
 
 
 def parsed_address(option: str, text: str, least_port: int = 1) -> tuple[str, int]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import multiprocessing
 import signal
-import tempfile
 from pathlib import Path
 from typing import Self
 
@@ -14,6 +13,7 @@ from emulator.dynamics.fmu_process import serve
 from emulator.light import MachineLacks
 from emulator.run.link_process import starting_a_process
 from transports.needs import install_command
+from transports.output_file import TemporaryFolder
 
 _START_S = 120.0
 _STEP_S = 30.0
@@ -33,7 +33,7 @@ class Fmu:
         if not file.is_file():
             raise DynamicsError(f"{file}: no such file")
         self._file, self._names = file, list(dict.fromkeys(mapping.outputs))
-        self._folder = tempfile.TemporaryDirectory(prefix="evstim-fmu-", ignore_cleanup_errors=True)  # outlives a crash
+        self._folder = TemporaryFolder("fmu")  # outlives a crash of the FMU
         context = multiprocessing.get_context("spawn")
         self._near, child_end = context.Pipe()
         self._process = context.Process(target=serve, args=(child_end,), name=f"FMU {file.name}", daemon=True)

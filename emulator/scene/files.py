@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -25,6 +24,7 @@ from emulator.light import MachineLacks, SceneError
 from emulator.tables.toml_text import shortened
 from firmware_protocol.compiled import private_folder
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
+from transports.output_file import TemporaryFolder
 from transports.recording.record import ArrayFileError, load_array
 
 
@@ -135,7 +135,7 @@ def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:
 def _write(path: Path, array: npt.NDArray[T]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        with TemporaryFolder("array", path.parent) as folder:
             beside = Path(folder) / path.name
             np.save(beside, array)
             beside.replace(path)

@@ -17,12 +17,12 @@ stopped. Robot Framework itself is not needed to import this module.
 from __future__ import annotations
 
 import ast
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from emulator.run.outcome import RunResult
 from evstim.testing.running_rig import RigOptions, RunningRig, faults_of_a_run
+from transports.output_file import TemporaryFolder
 
 
 class RobotKeywords:
@@ -34,13 +34,13 @@ class RobotKeywords:
     def __init__(self) -> None:
         self.ROBOT_LIBRARY_LISTENER = self
         self._rig: RunningRig | None = None
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder: TemporaryFolder | None = None
 
     def start_rig(self, rig: str, **options: Any) -> str | None:
         """Start a rig on free ports and return the address of its first link; options as of the pytest mark `rig`."""
         if self._rig is not None:
             raise RuntimeError("a rig is running already: use Stop Rig first")
-        self._folder = tempfile.TemporaryDirectory(prefix="evstim-")
+        self._folder = TemporaryFolder("robot")
         started = RunningRig(rig, Path(self._folder.name), RigOptions(**_values(options)))
         started.__enter__()
         self._rig = started

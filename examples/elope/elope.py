@@ -16,8 +16,9 @@ Axes here are x east, y north, z up; R = Rz(psi) Ry(theta) Rx(phi) turns the bod
 and p q r are about the body's axes. Those of the published files are not described where we could read it.
 
 The score of a sequence is the mean over its times of |v estimated - v true| / z true. Answers are a JSON with lists vx,
-vy and vz by the sequence's number. Events of the published files have times of whole milliseconds; ours have the
-sensor's.
+vy and vz by the sequence's number. A file or an answer that cannot be used is named, and the program ends with 2.
+
+Events of the published files have times of whole milliseconds; ours have the sensor's.
 """
 
 from __future__ import annotations
@@ -27,9 +28,12 @@ import dataclasses
 import json
 import math
 import sys
+import zipfile
+import zlib
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 import evstim
@@ -56,10 +60,44 @@ class Sequence(NamedTuple):
     @classmethod
     def load(cls, file: Path) -> Sequence:
         """Read a sequence; raises ValueError for a file with another layout."""
-        with np.load(file) as arrays:
-            if missing := [name for name in cls._fields if name not in arrays]:
-                raise ValueError(f"{file}: {', '.join(missing)} missing: it is no sequence of ELOPE")
-            return cls(*(arrays[name] for name in cls._fields))
+        try:
+            with file.open("rb") as opened, np.load(opened) as arrays:
+                if missing := [name for name in cls._fields if name not in arrays]:
+                    raise ValueError(f"{', '.join(missing)} missing")
+                sequence = cls(*(arrays[name] for name in cls._fields))
+            sequence.check()
+        except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise ValueError(f"{file}: {error}: it is no sequence of ELOPE") from error
+        return sequence
+
+    def check(self) -> None:
+        """Raise ValueError for arrays of another layout, or times and ranges that are no finite numbers."""
+        count = len(np.atleast_1d(self.timestamps))
+        shapes = {"timestamps": (count,), "traj": (count, 12), "range_meter": (len(np.atleast_1d(self.range_meter)), 2)}
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.dtype.kind not in "iuf" or array.shape != shape or not count:
+                raise ValueError(f"{name} has shape {array.shape} of {array.dtype}, not {shape} of numbers")
+        for name in ("timestamps", "range_meter"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"{name} has values that are no finite numbers")
+        if self.events.ndim != 1 or self.events.dtype.names is None or not {*"xypt"} <= {*self.events.dtype.names}:
+            raise ValueError(f"events are {self.events.dtype}, not x, y, p and t")
+
+    def motion(self) -> np.ndarray:
+        """Return true heights and velocities, (120, 4); raises ValueError where they are not given."""
+        motion = self.traj[:, 2:6]
+        if not np.isfinite(motion).all() or not (motion[:, 0] > 0).all():
+            raise ValueError("its traj lacks velocities, or heights above 0: there is no score without them")
+        return motion
+
+
+class Velocities(msgspec.Struct, forbid_unknown_fields=True):
+    """Answer to one sequence, m/s at its timestamps."""
+
+    vx: list[float]
+    vy: list[float]
+    vz: list[float]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,8 +200,14 @@ def fly(descent: Descent) -> Sequence:
     return Sequence(out, timestamps, np.stack([descent.at(t) for t in timestamps]), np.array(ranges))
 
 
+class Unsolvable(ValueError):
+    """The baseline lacks something in a sequence."""
+
+
 def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
-    """Return velocities at the timestamps, (120, 3), from events, attitudes and ranges."""
+    """Return velocities at the timestamps, (120, 3), from events, attitudes and ranges; raises Unsolvable."""
+    if not np.isfinite(sequence.traj[:, 6:9]).all():
+        raise Unsolvable("its attitudes are not given, which the baseline needs")
     events = np.empty(len(sequence.events), [("t", "u8"), ("x", "u2"), ("y", "u2"), ("on", "?")])
     for name, field in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
         events[name] = sequence.events[field]
@@ -202,18 +246,27 @@ def solve(sequence: Sequence, tick_us: int = 1) -> np.ndarray:
 
 
 def score(sequence: Sequence, velocities: np.ndarray) -> float:
-    """Return the score of velocities, (120, 3); less is better. Raises ValueError for another shape or no numbers."""
-    if velocities.shape != (len(sequence.timestamps), 3) or not np.isfinite(velocities).all():
-        raise ValueError(f"velocities: {len(sequence.timestamps)} finite numbers of each are needed")
-    errors = np.linalg.norm(velocities - sequence.traj[:, 3:6], axis=1) / sequence.traj[:, 2]
-    return float(errors.mean())
+    """Return the score of velocities, (120, 3); less is better.
+
+    Raises ValueError for another shape, for values that are not finite, and where the true motion is not given.
+    """
+    count, truth = len(sequence.timestamps), sequence.motion()
+    if velocities.shape != (count, 3) or not np.isfinite(velocities).all():
+        wrong = np.argwhere(~np.isfinite(velocities)) if velocities.shape == (count, 3) else []
+        at = "".join(f"; v{'xyz'[column]}[{row}] is {velocities[row, column]}" for row, column in wrong[:1])
+        raise ValueError(f"velocities: {count} finite numbers of each are needed{at}")
+    with np.errstate(over="ignore"):
+        errors = np.linalg.norm(velocities - truth[:, 1:], axis=1) / truth[:, 0]
+    if not np.isfinite(mean := float(errors.mean())):
+        raise ValueError(f"its score is {mean}: velocities that large cannot be compared")
+    return mean
 
 
 def _sequences(folder: Path) -> dict[int, Path]:
     """Return the files of a folder by their numbers."""
     files = {int(file.stem): file for file in sorted(folder.glob("*.npz")) if file.stem.isdigit()}
     if not files:
-        raise SystemExit(f"{folder}: no file 0000.npz or the like: `elope.py make {folder}` makes some")
+        raise ValueError(f"{folder}: no file 0000.npz or the like: `elope.py make {folder}` makes some")
     return files
 
 
@@ -234,7 +287,10 @@ def answer(folder: Path, answers: Path, tick_us: int) -> None:
     """Write the baseline's velocities of all sequences of a folder."""
     found = {}
     for number, file in _sequences(folder).items():
-        velocities = solve(Sequence.load(file), tick_us)
+        try:
+            velocities = solve(Sequence.load(file), tick_us)
+        except Unsolvable as error:
+            raise ValueError(f"{file}: {error}") from error
         found[str(number)] = dict(zip(("vx", "vy", "vz"), velocities.T.tolist(), strict=True))
         print(f"{file}: solved", flush=True)
     answers.write_text(json.dumps(found))
@@ -242,23 +298,41 @@ def answer(folder: Path, answers: Path, tick_us: int) -> None:
 
 def scores_of(folder: Path, answers: Path) -> dict[int, float]:
     """Return and print the scores of answers by the sequence's number."""
-    files = _sequences(folder)
+    files, scores = _sequences(folder), {}
     if not answers.is_file():
-        raise SystemExit(f"{answers}: no such file: `elope.py solve {folder} {answers}` makes one of the baseline")
-    velocities, scores = json.loads(answers.read_text()), {}
+        raise ValueError(f"{answers}: no such file: `elope.py solve {folder} {answers}` makes one of the baseline")
+    try:
+        velocities = msgspec.convert(json.loads(answers.read_bytes()), dict[str, Velocities])
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{answers}: {error}: expected lists vx, vy and vz by the sequence's number") from error
+    if missing := [str(number) for number in files if str(number) not in velocities]:
+        raise ValueError(f"{answers}: no answer to sequence {', '.join(missing[:5])}")
+    if extra := [name for name in velocities if name not in map(str, files)]:
+        raise ValueError(f"{answers}: there is no sequence {', '.join(extra[:5])} in {folder}")
     for number, file in files.items():
+        sequence, answer = Sequence.load(file), velocities[str(number)]
+        if len({len(sequence.timestamps), len(answer.vx), len(answer.vy), len(answer.vz)}) > 1:
+            raise ValueError(
+                f"{answers}: sequence {number}: {len(sequence.timestamps)} finite numbers of each are needed"
+            )
         try:
-            columns = [velocities[str(number)][name] for name in ("vx", "vy", "vz")]
-            scores[number] = score(Sequence.load(file), np.array(columns, np.float64).T)
-        except (KeyError, ValueError) as error:
-            raise SystemExit(f"{answers}: sequence {number}: {error}") from error
+            scores[number] = score(sequence, np.array([answer.vx, answer.vy, answer.vz]).T)
+        except ValueError as error:
+            raise ValueError(f"{answers}: sequence {number}: {error}") from error
+    for number in scores:
         print(f"sequence {number}: {scores[number]:.4f}")
-    print(f"mean of {len(scores)} sequences: {np.mean(list(scores.values())):.4f}")
+    print(f"mean of {len(scores)} sequence{'s' * (len(scores) != 1)}: {np.mean(list(scores.values())):.4f}")
     return scores
 
 
 def table(folders: list[Path]) -> None:
     """Print the baseline's mean scores by terrain, in per cent, with the times as they are and in milliseconds."""
+    for file in (file for folder in folders for file in _sequences(folder).values()):
+        sequence = Sequence.load(file)
+        try:
+            sequence.motion()
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from error
     print(f"| descents | times | {' | '.join(TERRAINS)} | all |\n|---|---|{'---|' * (len(TERRAINS) + 1)}")
     for folder in folders:
         sequences = {number: Sequence.load(file) for number, file in _sequences(folder).items()}
@@ -287,14 +361,19 @@ def main(*words: str) -> None:
             command.add_argument("--tick-us", type=int, default=1, help="of the times of the events")
     commands.add_parser("table").add_argument("folders", type=Path, nargs="+")
     arguments = parser.parse_args(words)
-    if arguments.command == "make":
-        make(arguments.folder, arguments.count, arguments.without)
-    elif arguments.command == "solve":
-        answer(arguments.folder, arguments.answers, arguments.tick_us)
-    elif arguments.command == "score":
-        scores_of(arguments.folder, arguments.answers)
-    else:
-        table(arguments.folders)
+    if min(getattr(arguments, "count", 1), getattr(arguments, "tick_us", 1)) < 1:
+        parser.error("--count and --tick-us must be 1 or more")
+    try:
+        if arguments.command == "make":
+            make(arguments.folder, arguments.count, arguments.without)
+        elif arguments.command == "solve":
+            answer(arguments.folder, arguments.answers, arguments.tick_us)
+        elif arguments.command == "score":
+            scores_of(arguments.folder, arguments.answers)
+        else:
+            table(arguments.folders)
+    except (ValueError, OSError) as error:
+        parser.exit(2, f"elope.py: {error}\n")
 
 
 if __name__ == "__main__":

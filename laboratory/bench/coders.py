@@ -28,7 +28,6 @@ import shutil
 import statistics
 import struct
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,6 +54,7 @@ from laboratory.bench.streams import (
     stars,
     target,
 )
+from transports.output_file import TemporaryFolder
 
 _EVENTS = 1_000_000
 _BATCH = 20_000
@@ -299,7 +299,7 @@ class CDecoding:
         if COMPILER is None:
             raise BenchFailed("there is no C compiler (cc)")
         events = stars(0.6)
-        with tempfile.TemporaryDirectory() as folder:
+        with TemporaryFolder("bench") as folder:
             program, data = Path(folder, "c_decoder"), Path(folder, "data")
             files: list[str | Path] = [_PROGRAM, *sources(), "-o", program]
             subprocess.run([COMPILER, "-std=gnu99", "-O2", f"-I{FOLDER}", *files], check=True)

@@ -18,7 +18,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -31,6 +30,7 @@ from typing import Any, Self
 from laboratory.bench.streams import BenchFailed
 from laboratory.realtime.variants import Variant
 from transports.link.pacing import MonotonicClock
+from transports.output_file import TemporaryFolder
 from transports.usb.cameras import CameraReception, driver_of, receive
 from transports.usb.host import CameraHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
@@ -252,7 +252,7 @@ class Speed:
 
 def measure_speed(variant: Variant, span: Span) -> Speed:
     """Run a variant and measure it; raises BenchFailed."""
-    with tempfile.TemporaryDirectory(prefix="evstim-bench-") as name:
+    with TemporaryFolder("bench") as name:
         folder, port = Path(name), _free_port()
         rig = _written(variant, folder / "rig", port)
         with Receiver(port, span.start_s) as receiver, _program(rig, folder, span.stream_s) as process:

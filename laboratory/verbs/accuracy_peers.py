@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import date
@@ -34,6 +33,7 @@ from laboratory.accuracy.peers.sequences import (
 from laboratory.accuracy.peers.sequences import export as export_sequences
 from laboratory.realtime.report import copied_charts, machine, put_section
 from laboratory.verbs import check_drawing
+from transports.output_file import TemporaryFolder
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ def _exported(folder: Path, which: Sequences) -> SequenceFolder:
 
 def _measured(name: str, adapter: Adapter, folder: SequenceFolder, limit_s: float) -> Report:
     """Run a simulator over all sequences; return its report."""
-    with tempfile.TemporaryDirectory(prefix="evstim-events-") as events, _bar() as progress:
+    with TemporaryFolder("events") as events, _bar() as progress:
         task = progress.add_task(name, total=len(folder.sequences))
         done = lambda _: progress.advance(task)  # noqa: E731
         outcome = run_adapter(adapter, folder.path, list(folder.sequences), Path(events), limit_s, done)

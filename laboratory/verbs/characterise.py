@@ -85,9 +85,12 @@ def _show(comparison: Compared, camera: str, recording: Path, files: Sequence[Pa
         return GOOD
     for line in comparison.reading:
         console.print(line)
+    widths = {name: max(14, len(name)) for name in comparison.streams}
+    header = "  ".join(f"{name:>{width}}" for name, width in widths.items())
+    console.print(f"{'statistic':42}{header}", markup=False)
     for row in comparison.rows():
-        shown = "  ".join(f"{value:>14.4g}" for value in row.values() if isinstance(value, float))
-        console.print(f"{row['statistic']!s:42}{shown}")
+        shown = "  ".join(f"{row[name]:>{width}.4g}" for name, width in widths.items())
+        console.print(f"{row['statistic']!s:42}{shown}", markup=False)
     for path in files:
         console.print(str(path))
     return GOOD

@@ -1,6 +1,7 @@
 """Descents in ELOPE's layout: the poses by their derivatives, the score by hand, a short descent solved."""
 
 import json
+import math
 import runpy
 from pathlib import Path
 
@@ -63,16 +64,94 @@ def test_the_score_is_the_error_over_the_height(elope):
             elope.score(sequence, wrong)
 
 
-def test_wrong_files_are_refused_with_the_reason(elope, tmp_path):
-    with pytest.raises(SystemExit, match="no file 0000"):
-        elope.main("score", str(tmp_path), "v.json")
+@pytest.fixture
+def refused(elope, tmp_path, capsys):
+    """Run a command on tmp_path and v.json, which ends with 2; return its message."""
+
+    def run(command):
+        with pytest.raises(SystemExit) as ended:
+            elope.main(command, str(tmp_path), *([] if command == "table" else [str(tmp_path / "v.json")]))
+        printed = capsys.readouterr()
+        assert (ended.value.code, printed.out) == (2, "")
+        return printed.err
+
+    return run
+
+
+def test_wrong_files_are_refused_with_the_reason(elope, tmp_path, refused):
+    assert "no file 0000" in refused("score")
     np.savez(tmp_path / "0003.npz", events=np.zeros(0, elope.EVENT))
-    with pytest.raises(ValueError, match="timestamps, traj, range_meter missing"):
-        elope.main("solve", str(tmp_path), str(tmp_path / "v.json"))
+    assert "timestamps, traj, range_meter missing" in refused("solve")
+    good = a_sequence(elope)._asdict()
+    for name, wrong in (
+        ("traj", good["traj"][:, :6]),
+        ("traj", good["traj"].astype(str)),
+        ("timestamps", np.float64(3.0)),
+        ("timestamps", good["timestamps"] * np.nan),
+        ("range_meter", np.array([[0.1, np.inf]])),
+        ("events", np.zeros((3, 4))),
+        ("events", np.array([{}], object)),
+    ):
+        np.savez(tmp_path / "0003.npz", **{**good, name: wrong})
+        for command in ("solve", "table"):
+            message = refused(command)
+            assert "0003.npz" in message
+            assert name in message or "pickle" in message
+    for content in (b"", b"PK\x03\x04 cut", (tmp_path / "0003.npz").read_bytes()[:900]):
+        (tmp_path / "0003.npz").write_bytes(content)
+        assert "0003.npz" in refused("solve")
+
+
+ZEROS = [0.0] * 120
+
+
+@pytest.mark.parametrize(
+    ("answers", "message"),
+    [
+        ({"3": {"vx": ZEROS[1:], "vy": ZEROS[1:], "vz": ZEROS[1:]}}, "sequence 3: 120 finite numbers of each"),
+        ({"3": {"vx": ZEROS, "vy": ZEROS, "vz": ZEROS[1:]}}, "sequence 3: 120 finite numbers of each"),
+        ({"3": {"vx": ZEROS, "vy": [*ZEROS[1:], math.nan], "vz": ZEROS}}, "each are needed; vy[119] is nan"),
+        ({"3": {"vx": [math.inf, *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "each are needed; vx[0] is inf"),
+        ({"3": {"vx": [1e308] * 120, "vy": [1e308] * 120, "vz": ZEROS}}, "its score is inf"),
+        ({"3": {"vx": [10**400, *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "vx[0]"),
+        ({"3": {"vx": [None, *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "got `null` - at `$[...].vx[0]`"),
+        ({"3": {"vx": ["0", *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "got `str` - at `$[...].vx[0]`"),
+        ({"3": {"vx": ZEROS, "vy": ZEROS}}, "missing required field `vz`"),
+        ({"3": {"vx": ZEROS, "vy": ZEROS, "vz": ZEROS, "v": 1}}, "unknown field `v`"),
+        ({"3": [ZEROS, ZEROS, ZEROS]}, "expected lists vx, vy and vz by the sequence's number"),
+        ([{"vx": ZEROS, "vy": ZEROS, "vz": ZEROS}], "expected lists vx, vy and vz by the sequence's number"),
+        ({}, "no answer to sequence 3"),
+        ({key: {"vx": ZEROS, "vy": ZEROS, "vz": ZEROS} for key in "34"}, "there is no sequence 4"),
+        ("{", "Expecting property name"),
+        ("\xff", "decode"),
+        ("[" * 100_000, "recursion"),
+    ],
+)
+def test_wrong_answers_are_named(elope, tmp_path, refused, answers, message):
     np.savez(tmp_path / "0003.npz", **a_sequence(elope)._asdict())
-    (tmp_path / "v.json").write_text(json.dumps({"3": {"vx": [0.0] * 119, "vy": [0.0] * 119, "vz": [0.0] * 119}}))
-    with pytest.raises(SystemExit, match="sequence 3: velocities: 120 finite numbers"):
-        elope.main("score", str(tmp_path), str(tmp_path / "v.json"))
+    text = answers if isinstance(answers, str) else json.dumps(answers)
+    (tmp_path / "v.json").write_bytes(text.encode("latin-1"))
+    said = refused("score")
+    assert f"{tmp_path / 'v.json'}: " in said
+    assert message in said
+
+
+@pytest.mark.parametrize(("column", "value"), [(2, np.nan), (2, 0.0), (2, -1.0), (4, np.nan), (5, np.inf)])
+def test_a_sequence_without_its_true_motion_has_no_score(elope, tmp_path, refused, column, value):
+    sequence = a_sequence(elope)
+    sequence.traj[7, column] = value
+    np.savez(tmp_path / "0003.npz", **sequence._asdict())
+    (tmp_path / "v.json").write_text(json.dumps({"3": dict.fromkeys(("vx", "vy", "vz"), ZEROS)}))
+    assert "sequence 3: its traj lacks velocities, or heights above 0" in refused("score")
+    assert "0003.npz: its traj lacks" in refused("table")
+
+
+def test_a_baseline_without_attitudes_is_refused(elope, tmp_path, refused):
+    sequence = a_sequence(elope)
+    sequence.traj[:, 6:] = np.nan
+    np.savez(tmp_path / "0003.npz", **sequence._asdict())
+    assert "0003.npz: its attitudes" in refused("solve")
+    assert not (tmp_path / "v.json").exists()
 
 
 @pytest.mark.long
@@ -102,6 +181,6 @@ def test_the_last_seconds_of_a_descent_made_and_solved(elope, tmp_path, capsys):
     elope.main("solve", str(tmp_path), str(tmp_path / "v.json"))
     capsys.readouterr()
     elope.main("score", str(tmp_path), str(tmp_path / "v.json"))
-    assert f"mean of 1 sequences: {elope.score(loaded, elope.solve(loaded)):.4f}" in capsys.readouterr().out
+    assert f"mean of 1 sequence: {elope.score(loaded, elope.solve(loaded)):.4f}" in capsys.readouterr().out
     elope.main("table", str(tmp_path))
     assert capsys.readouterr().out.splitlines()[-1].startswith(f"| {tmp_path.name} | 1 ms | - | ")

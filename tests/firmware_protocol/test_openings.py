@@ -4,8 +4,8 @@ import itertools
 
 import pytest
 from davis_host import RUN, SENSORS, STOP, Host
-from genx320_host import OPEN as GENX320_OPEN
 from gen31_host import INIT as GEN31_INIT
+from genx320_host import OPEN as GENX320_OPEN
 from gige_host import Host as GigeHost
 
 from firmware_protocol.davis346 import BIASES, Davis240c, Davis346
@@ -15,7 +15,7 @@ from firmware_protocol.dvxplorer.micro import DvxplorerMicro
 from firmware_protocol.gen31.device import Gen31
 from firmware_protocol.genx320.device import Genx320
 from firmware_protocol.imx636.evk4 import Evk4
-from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_STOP
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.packets.ccsds import Acknowledge
 from firmware_protocol.packets.profile import ReceivedCommand

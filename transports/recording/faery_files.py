@@ -17,7 +17,6 @@ import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from faery.extension import aedat, csv, dat, es
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events, make_events
 from firmware_protocol.recordings.aedat4 import Aedat4Head, aedat4_picture
+from transports.output_file import TemporaryFolder
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Size
 
 _COMMA = 44
@@ -209,7 +209,7 @@ class _Frames:
     """Converter to frames of faery: writes a file with one frame, and lets faery read it."""
 
     def __init__(self, facts: Facts) -> None:
-        self._folder = TemporaryDirectory(prefix="evstim-frames-")
+        self._folder = TemporaryFolder("frames")
         self._path = Path(self._folder.name) / "frame.aedat4"
         with aedat.Encoder(self._path, [_description(facts, {"frames"}, "NONE")], None):
             pass

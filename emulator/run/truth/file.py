@@ -42,7 +42,6 @@ import dataclasses
 import math
 import os
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -93,7 +92,8 @@ def create(path: Path, about: About) -> h5py.File:
     file.attrs.update(format=FORMAT, version=VERSION, **about.facts)
     file.attrs.update(complete=False, missing_pictures=0, missing_events=0)
     width, height = about.size
-    file["labels/name"] = np.array(["sky", *about.names], h5py.string_dtype())
+    # file["labels/name"] = would make a group that stores the time.
+    file.create_dataset("labels/name", data=np.array(["sky", *about.names], h5py.string_dtype()))
     bodies, picture = len(about.names), (height, width)
     if "poses" in about.layers:
         _poses(file, bodies)
@@ -189,7 +189,7 @@ class TruthRecorder:
         self._writer.close(_CLOSE_S, [b"".join(encoded({"attributes": attributes}))])
 
 
-_FLUSH_S = 0.5
+_FLUSH_US = 500_000.0  # of stream time: by the wall clock, runs would lay out the same rows differently
 
 
 def write_file(order: Mapping[str, Any]) -> NoReturn:
@@ -221,7 +221,7 @@ def _write_rows(file: h5py.File, counted: list[tuple[Any, Any]]) -> Mapping[str,
 
     Return the attributes of the last message, {} where the run was killed before it.
     """
-    flushed_s = time.monotonic()
+    flushed_us = 0.0
     sets: dict[str, h5py.Dataset] = {}  # open to the end: h5py ignores a full disk at their close, then flush crashes
     while (rows := decoded(sys.stdin.buffer.read)) is not None:
         if "attributes" in rows:
@@ -233,9 +233,10 @@ def _write_rows(file: h5py.File, counted: list[tuple[Any, Any]]) -> Mapping[str,
             data[before:] = values
             if name == "events/t":
                 counted.append(np.unique(values // 1000, return_counts=True))
-        if time.monotonic() - flushed_s > _FLUSH_S:
+        t_us = rows.get("poses/t", rows.get("pictures/t", (flushed_us,)))[-1]
+        if t_us - flushed_us >= _FLUSH_US:
             file.flush()
-            flushed_s = time.monotonic()
+            flushed_us = t_us
     return {}
 
 

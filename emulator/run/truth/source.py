@@ -15,7 +15,7 @@ import hashlib
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -249,10 +249,14 @@ def check_truth(rig: Rig, selection: TruthSelection = ALL, path: Path | None = N
 
 
 _OF_EVERY_SCENE = ("light", "clean_events")
-_ABSENT = {
-    "checkerboard": "depth and poses: a pattern on the chip has no distance and no place",
-    "video": "depth, flow, labels and poses: a video does not contain them",
+_OF_SURFACES = ("depth", "flow", "labels", "poses")
+ABSENT: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "checkerboard": (("depth", "poses"), "a pattern on the chip has no distance and no place"),
+    "video": (_OF_SURFACES, "a video does not contain them"),
+    "ros2": (_OF_SURFACES, "images do not contain them"),
+    "external": (_OF_SURFACES, "a renderer sends light alone"),
 }
+"""Layers that scenes of a kind do not have, and the reason."""
 
 
 class RunTruth(ABC):
@@ -365,10 +369,12 @@ def _about(rig: Rig, geometry: SceneGeometry | None, selected: tuple[str, ...]) 
     """Return the description of the run in the file."""
     camera, paced = rig.camera, rig.run.pace == "realtime"
     width, height = camera.size
+    lacking, reason = ABSENT.get(rig.scene.kind, ((), ""))
+    absent = f"{', '.join(lacking)}: {reason}" if lacking else ""
     facts: dict[str, Any] = {
         "evstim": version("evstim"), "rig": rig.name, "title": rig.title, "seed": rig.run.seed, "camera": camera.model,
         "width": width, "height": height, "unix_us": int(time.time() * 1e6) if paced else 0,
-        "light_unit": "relative to the sensor's reference", "absent": _ABSENT.get(rig.scene.kind, ""),
+        "light_unit": "relative to the sensor's reference", "absent": absent,
         **_lens_facts(rig),
     }  # fmt: skip
     if geometry is None:

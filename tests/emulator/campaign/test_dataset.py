@@ -22,9 +22,11 @@ from emulator.campaign.campaign import Campaign
 from emulator.campaign.dataset import Sequences, _toml, dataset_source, displacement
 from emulator.campaign.loading import SequenceTruth
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
+from emulator.campaign.table import begin_folder
 from emulator.cli.app import _main
 from emulator.rig.loading import shipped_rigs
 from emulator.run.truth.source import TruthFile
+from tests.hdf5_times import timed_objects
 from transports.recording.files import read_events
 
 COMMAND = [sys.executable, "-c", "from emulator.cli import main; main()"]
@@ -290,11 +292,69 @@ def test_an_interrupted_data_set_goes_on_and_is_the_same(form, rig, tmp_path):
 
 
 @pytest.mark.system
+@pytest.mark.parametrize("form", ["h5", "npz", "dsec"])
+def test_the_same_sequence_has_the_same_bytes(rig, tmp_path, form):
+    contents = []
+    for name in ("first", "again"):
+        place = tmp_path / name
+        place.mkdir()
+        sequences = Sequences(1, 0.12, SequenceTruth(format=form))
+        row = run_row(Campaign(dataset_source(rig, place / "d.toml", sequences)), 0, Place(place), lambda session: None)
+        assert row["outcome"] == "ok", row["error"]
+        files = [path for path in sorted(place.rglob("*")) if path.is_file()]
+        assert not [path for path in files if path.suffix == ".h5" and timed_objects(path)]
+        contents.append({path.relative_to(place): path.read_bytes() for path in files})
+    assert contents[0] == contents[1]
+    assert len(contents[0]) == (6 if form == "dsec" else 1)
+
+
+@pytest.mark.system
 def test_another_data_set_does_not_go_into_the_folder(rig, folder):
     before = digests(folder)
     ended = made(rig, folder, "--rate", "10", code=2)
-    assert "campaign.truth.rate_hz was 20.0, is 10.0" in " ".join(ended.stderr.split())
+    said = " ".join(ended.stderr.split())
+    assert "another data set: --rate: campaign.truth.rate_hz was 20.0, is 10.0. Give the options" in said
+    assert "another folder with --out" in said
     assert digests(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "differs"),
+    [
+        (["--truth", "flow"], '--truth: campaign.truth.layers was [], is ["flow"]'),
+        (["--format", "npz"], '--format: campaign.truth.format was "h5", is "npz"'),
+        (["--seconds", "0.3"], "--seconds: campaign.set.run.seconds was 0.2, is 0.3"),
+        (["--seed", "7"], "--seed: campaign.seed was 1, is 7"),
+        (["--count", "4"], "--count: campaign.count was 3, is 4"),
+    ],
+)
+def test_a_changed_option_is_named_and_no_file_that_nobody_wrote(rig, tmp_path, capsys, options, differs):
+    folder = tmp_path / "data"
+    begin_folder(Campaign(dataset_source(rig, folder / "dataset.toml", Sequences(3, 0.2, SequenceTruth()))), folder)
+    as_before = ["--count", "3", "--seconds", "0.2"]
+    assert _main(["dataset", str(rig), "--out", str(folder), "--json", *as_before, *options]) == 2
+    error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert f"has the sequences of another data set: {differs}. Give the options" in error
+    assert "dataset.toml" not in error
+    assert "--folder" not in error
+
+
+def test_the_folder_of_a_data_set_that_cannot_be_is_its_option(rig, tmp_path, capsys):
+    (tmp_path / "file").write_text("x")
+    assert _main(["dataset", str(rig), "--out", str(tmp_path / "file" / "data"), "--json"]) == 2
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["error"].startswith("--out: ")
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("count", [1, 2])
+def test_numbers_of_sequences_are_words(rig, tmp_path, capsys, count):
+    options = ["--count", str(count), "--seconds", "0.02", "--truth", "flow", "--workers", "1"]
+    assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), *options]) == 0
+    printed = capsys.readouterr()
+    assert ("1 sequence remains," if count == 1 else "2 sequences remain,") in " ".join(printed.err.split())
+    words = "1 of 1 sequence is in" if count == 1 else "2 of 2 sequences are in"
+    assert words in " ".join(printed.out.split())
+    assert f"- sequences: {count} of {count}, together" in (tmp_path / "data" / "README.md").read_text()
 
 
 @pytest.mark.parametrize(
@@ -302,19 +362,53 @@ def test_another_data_set_does_not_go_into_the_folder(rig, folder):
     [
         (("--truth", "pose"), "poses"),
         (("--truth", "depth,heat"), "heat"),
+        (("--truth", ","), "'' is not known here"),
+        (("--truth", "depth,,flow"), "'' is not known here"),
+        (("--workers", "2", "--scheduler", "tcp://127.0.0.1:9"), "give one of them"),
         (("--rate", "0"), "rate_hz"),
         (("--format", "dsec", "--rate", "25"), "multiple of DSEC's 10 flows a second, got 25"),
         (("--format", "dsec", "--truth", "flow,depth"), 'needs "flow" and "labels"'),
-        (("--format", "dsec", "--seconds", "5000"), "at most 4294 with --format dsec"),
+        (("--format", "dsec", "--seconds", "5000"), "at most 4294 with format dsec"),
         (("--count", "0"), "--count"),
         (("--seconds", "nan"), "--seconds"),
         (("--vary", "no.toml"), "no.toml"),
+        (("--seconds", "1e-10"), "--seconds"),
         (("--workers", "0"), "--workers"),
     ],
 )
 def test_mistakes_are_refused_with_their_reason(rig, tmp_path, capsys, options, message):
     assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), "--json", *options]) == 2
     assert message in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert not (tmp_path / "data").exists()
+
+
+SCENES = {
+    "checkerboard": ("", "--truth: this scene has no {} (a pattern on the chip has no distance and no place)", "depth"),
+    "video": ('path = "v.npy"', "--truth: this scene has no {} (a video does not contain them)", "flow, poses"),
+    "ros2": ('topic = "/i"', "--truth: this scene has no {} (images do not contain them)", "labels"),
+    "external": ("", "--truth: this scene has no {} (a renderer sends light alone)", "depth"),
+    "recording": ('path = "r.npz"', "a data set: a recording plays events that exist already", "light"),
+}
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_a_layer_that_the_scene_does_not_have_is_refused_before_anything_begins(kind, tmp_path, capsys):
+    keys, message, layers = SCENES[kind]
+    path = tmp_path / "rig.toml"
+    path.write_text(f'[scene]\nkind = "{kind}"\n{keys}\n')
+    for options in (["--truth", layers], ["--truth", f"light,{layers}", "--format", "npz"]):
+        command = ["dataset", str(path), "--out", str(tmp_path / "data"), "--json", *options]
+        assert _main(command) == 2
+        assert message.format(layers) in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+        assert not (tmp_path / "data").exists()
+    with pytest.raises(evstim.CampaignError):
+        evstim.dataset(path, 1, truth=layers.split(", "))
+
+
+def test_of_a_scene_without_surfaces_there_is_the_rest(tmp_path):
+    (tmp_path / "rig.toml").write_text('[scene]\nkind = "checkerboard"\n[camera.sensor]\nwidth = 16\nheight = 16\n')
+    (sequence,) = evstim.dataset(tmp_path / "rig.toml", 1, seconds=0.02, truth=["flow", "labels"])
+    assert {"pictures/flow", "pictures/labels"} <= {*sequence.arrays}
 
 
 def test_a_file_that_cannot_be_written_ends_the_data_set_without_a_row(rig, tmp_path, monkeypatch):
@@ -333,18 +427,6 @@ def test_files_of_others_stay_as_they_are(rig, tmp_path, capsys):
     assert _main(["dataset", str(rig), "--out", str(tmp_path), "--json"]) == 2
     assert "has other files" in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
     assert [path.name for path in tmp_path.iterdir()] == ["README.md"]
-
-
-@pytest.mark.system
-def test_a_layer_that_the_scene_does_not_have_ends_it_at_once(tmp_path):
-    folder = tmp_path / "data"
-    options = ["--count", "4", "--seconds", "0.02", "--truth", "flow,depth"]
-    ended = subprocess.run(
-        [*COMMAND, "dataset", "checkerboard", "--out", folder, *options], capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == 3
-    assert "this scene has no depth" in " ".join(ended.stderr.split())
-    assert not list(folder.glob("sequences/*"))
 
 
 def test_of_each_shipped_rig_there_is_a_data_set_or_a_reason(tmp_path):
@@ -381,7 +463,68 @@ def test_what_the_page_varies_can_vary():
         assert len({getattr(rig.camera.sensor, value) for rig in rigs}) == 16
 
 
-@pytest.mark.parametrize("key", ["rig", "count", "record", "program", "truth"])
+@pytest.mark.parametrize("key", ["rig", "count", "seed", "record", "program", "truth"])
 def test_what_varies_cannot_replace_the_data_set(rig, key):
-    with pytest.raises(evstim.CampaignError, match=key):
+    with pytest.raises(evstim.CampaignError, match=f"vary: {key}: .*the data set itself gives it"):
         evstim.dataset(rig, 2, vary={key: 1})
+
+
+GIVEN, IDLE = "the data set itself gives it", "a data set has no links, clocks and verdicts; remove it"
+OWN_SEED = "each run has a seed of its own"
+VARIED = [
+    ("[set]\nlinks = [{ kind = 'file', path = 'leak.raw' }]", "line 2: set.links: it has no effect", IDLE),
+    ("[[set.links]]\nkind = 'file'\npath = 'leak.raw'", "v.toml: set.links", IDLE),
+    ("[[parameters]]\nkey = 'links'\nkind = 'list'\nvalues = [[{kind = 'loopback'}]]", "line 2: parameters", IDLE),
+    ("[[parameters]]\nkey = 'faults[0].rate'\nkind = 'list'\nvalues = [1e-3]", "line 2: parameters", IDLE),
+    ("[[parameters]]\nkey='scene.bright'\nalso=['camera.clock.ppm']\nkind='list'\nvalues=[1]", "parameters", IDLE),
+    ("[set.camera.clock]\noffset_ppm = 20.0", "line 2: set.camera.clock.offset_ppm", IDLE),
+    ("[set.camera]\nserial = '1'", "line 2: set.camera.serial", IDLE),
+    ("[set.trigger]\nperiod_ms = 1.0", "set.trigger.period_ms", IDLE),
+    ("[set.verdict]\nmin_rate_hz = 5.0", "set.verdict.min_rate_hz", IDLE),
+    ("set.run.max_late_ms = 3.0", "line 1: set.run.max_late_ms", IDLE),
+    ("title = 'mine'", "line 1: title", IDLE),
+    ("min_success = 0.5", "line 1: min_success", IDLE),
+    ("success = ['verdict']", "success", IDLE),
+    ("[report]\nworst = 'margin'", "report", IDLE),
+    ("seed = 5", "line 1: seed", GIVEN),
+    ("set.run.seconds = 2.0", "set.run.seconds", GIVEN),
+    ("set.run.pace = 'realtime'", "set.run.pace", GIVEN),
+    ("[[parameters]]\nkey = 'run.seconds'\nkind = 'uniform'\nlow = 1\nhigh = 2", "line 2: parameters", GIVEN),
+    ("[[parameters]]\nkey = 'run'\nkind = 'list'\nvalues = [{ seconds = 9.0 }]", "line 2: parameters", GIVEN),
+    ("set.run.seed = 3", "line 1: set.run.seed", OWN_SEED),
+    ("[[parameters]]\nkey = 'run.seed'\nkind = 'list'\nvalues = [1, 2]", "line 2: parameters", OWN_SEED),
+    ("set = 3", "line 1: set: expected a table", "got 3"),
+    ("sampling = 'grid'", "--count: count is for samples", "a grid has as many points"),
+    ("set.run.step_us = 60000", "--rate: 20 needs run.step_us of at most 50000", ""),
+    (
+        "[[parameters]]\nkey = 'scene.sun.direction[0]'\nkind = 'uniform'\nlow = 2\nhigh = 1",
+        "line 4: parameters",
+        "low",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "place", "reason"), VARIED)
+def test_what_has_no_effect_on_a_data_set_is_refused_where_it_stands(rig, tmp_path, capsys, text, place, reason):
+    (tmp_path / "v.toml").write_text(text + "\n")
+    options = ["--vary", str(tmp_path / "v.toml"), "--count", "2", "--json"]
+    assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), *options]) == 2
+    error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert place in error
+    assert reason in error
+    assert "dataset.toml" not in error
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["v.toml"]
+
+
+def test_a_grid_has_its_own_number_of_sequences(rig):
+    law = {"key": "camera.sensor.threshold_on", "kind": "list", "values": [0.1, 0.2, 0.3]}
+    vary = {"sampling": "grid", "repeats": 2, "parameters": [law]}
+    assert len(evstim.dataset(rig, None, vary=vary)) == 6
+    assert len(evstim.dataset(rig, None)) == 100
+    with pytest.raises(evstim.CampaignError, match="--count"):
+        evstim.dataset(rig, 5, vary=vary)
+
+
+def test_truth_of_a_high_rate_has_a_step_that_is_short_enough(rig):
+    (sequence,) = evstim.dataset(rig, 1, seconds=0.01, truth=["flow"], rate_hz=3000.0)
+    assert len(sequence.arrays["pictures/t"]) == 31

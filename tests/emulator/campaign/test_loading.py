@@ -32,6 +32,23 @@ PROGRAM = '[program]\nargv = ["true"]\n'
         ("", '[[parameters]]\nkey = "scene.brigth"\nkind = "list"\nvalues = [1]', "did you mean 'bright'"),
         ("", '[[parameters]]\nkey = "program.gain"\nkind = "list"\nvalues = [1]', "there is no .program."),
         ("", '[[parameters]]\nkey = "run.step_us"\nkind = "uniform"\nlow = 1\nhigh = 9', "a whole number of us"),
+        ("", '[[parameters]]\nkey = "run.seed"\nkind = "list"\nvalues = [1]', "each run has a seed of its own"),
+        (
+            "",
+            '[[parameters]]\nkey = "scene"\nkind = "list"\nvalues = [{}]',
+            "line 22: .*scene replaces scene.speed_px_s",
+        ),
+        (
+            "",
+            '[[parameters]]\nkey = "run.pace"\nkind = "list"\nvalues = ["free"]',
+            "run.pace replaces run.pace, given in",
+        ),
+        ("", '[[parameters]]\nkey = "scene.bright"\nkind = "uniform"\nlow = 1\nhigh = 2\nsteps = 3', "line 26: .*grid"),
+        ("", '[[parameters]]\nkey = "run.seconds"\nkind = "list"\nvalues = [1, 0]', "run.seconds replaces"),
+        ("", '[report.labels]\n"events.raise" = "events"', "did you mean 'events.raised'"),
+        ("", '[report]\ncolumns = ["result.error"]', "'result.error' needs a .program."),
+        ("", '[truth]\nlayers = ["depth"]', "line 22: truth.layers: this scene has no depth"),
+        ("", "[truth]\nrate_hz = 5000.0", "line 22: truth.rate_hz: 5000 needs run.step_us of at most 200"),
         ("", "[program]\nargv = []", "argv must name a program"),
         ("", '[program]\nargv = ["a"]\nstart = "after"\nends_run = true', "cannot end it"),
         ("", '[program]\nargv = ["no-such-program"]', "no-such-program"),
@@ -58,6 +75,13 @@ def test_a_mistake_in_set_is_told_there(campaign_file):
         Campaign(load_source(file))
 
 
+def test_a_seed_in_set_has_no_effect_and_is_refused(campaign_file):
+    file = campaign_file()
+    file.write_text(file.read_text().replace("seconds = 0.02", "seed = 3, seconds = 0.02"))
+    with pytest.raises(CampaignError, match=r"line 7: set\.run\.seed: each run has a seed of its own"):
+        Campaign(load_source(file))
+
+
 def test_a_run_that_would_never_end_is_refused(campaign_file):
     file = campaign_file()
     file.write_text(file.read_text().replace("seconds = 0.02, ", ""))
@@ -65,6 +89,13 @@ def test_a_run_that_would_never_end_is_refused(campaign_file):
         Campaign(load_source(file))
     file.write_text(file.read_text() + PROGRAM + "ends_run = true\n")
     Campaign(load_source(file))
+
+
+def test_a_later_run_that_would_never_end_is_refused(campaign_file):
+    file = campaign_file(more='[[parameters]]\nkey = "run.seconds"\nkind = "list"\nvalues = [1e-10, 0.1]\n')
+    file.write_text(file.read_text().replace("seconds = 0.02, ", ""))
+    with pytest.raises(CampaignError, match="would never end"):
+        Campaign(load_source(file)).check_all(range(4))
 
 
 def test_files_that_cannot_be_read(tmp_path, campaign_file):

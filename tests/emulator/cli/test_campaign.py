@@ -79,7 +79,9 @@ def test_a_campaign_its_parts_and_its_completion(file, campaign):
 def test_too_few_successes_end_with_1(file, campaign, tmp_path):
     path = file(count=1, least=1.0)
     path.write_text(path.read_text().replace("read_out > 10", "read_out > 1000000"))
-    assert "success: 0 of 1" in campaign(path, "--folder", tmp_path / "here", code=1).out
+    out = campaign(path, "--folder", tmp_path / "here", code=1).out
+    assert "success: 0 of 1" in out
+    assert "speeds: 1 of 1 run is done" in out
 
 
 @pytest.mark.long
@@ -124,6 +126,8 @@ def test_a_run_again_is_equal_bit_for_bit(file, campaign, tmp_path):
         (["--workers", "0"], "--workers must be 1 to 1024"),
         (["--workers", "1", "--scheduler", "tcp://127.0.0.1:9"], "give one of them"),
         (["--folder", "/dev/null/x"], "--folder: "),
+        (["--only", "1", "--report", "r"], "--report: a part of a campaign writes no report"),
+        (["--part", "1/3", "--report", "r"], "--report: a part of a campaign writes no report"),
     ],
 )
 def test_wrong_use(file, campaign, arguments, message):

@@ -107,6 +107,44 @@ def test_in_lockstep_the_same_flight_gives_the_same_events(falling, evstim, tmp_
     assert (tmp_path / "first.raw").read_bytes()[-10_000:] == (tmp_path / "again.raw").read_bytes()[-10_000:]
 
 
+@pytest.mark.parametrize(("trouble", "why"), [(1, "crashed"), (2, "height_m = nan"), (3, "failed in its step")])
+@pytest.mark.parametrize("as_json", [True, False])
+def test_in_lockstep_the_ledger_is_printed_when_the_fmu_fails(falling, evstim, tmp_path, trouble, why, as_json):
+    (tmp_path / "in.csv").write_text(f"time_s,trouble\n0,0\n0.1,{trouble}\n")
+    (tmp_path / "map.toml").write_text(MAP)
+    options = ["--map", tmp_path / "map.toml", "--seconds", "0.5", "--rig", EXAMPLE / "lander.toml"]
+    run = evstim("dynamics", falling(3), *options, *(["--json"] if as_json else []))
+    assert run.code == 1
+    assert why in " ".join(run.err.split())
+    if as_json:
+        printed = json.loads(run.out.splitlines()[-1])
+        assert why in printed["error"]
+        assert printed["exit_code"] == 1
+        assert printed["run"]["sim_seconds"] == pytest.approx(0.1 if trouble != 2 else 0.15, abs=0.051)
+        assert printed["run"]["events"]["raised"] > 0
+    else:
+        assert "ledger: balanced" in run.out
+        assert "events: " in run.out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--seconds", "0.12"], "--seconds is 0.12: give a multiple of step_s, which is 0.05"),
+        (["--seconds", "0.01"], "give a multiple of step_s"),
+        (
+            ["--seconds", "0.5", "--rig", "eros", "--to", "127.0.0.1:10364"],
+            "--to and --stamped have no effect with --rig",
+        ),
+        (["--seconds", "0.5", "--rig", "eros", "--stamped"], "have no effect with --rig"),
+    ],
+)
+def test_what_would_be_changed_or_have_no_effect_is_refused(evstim, tmp_path, options, message):
+    (tmp_path / "map.toml").write_text(MAP)
+    run = evstim("dynamics", tmp_path / "none.fmu", "--map", tmp_path / "map.toml", *options)
+    assert (run.code, message in _told(run)) == (2, True), run.err
+
+
 def test_in_lockstep_the_fmu_moves_the_camera_alone(falling, evstim, tmp_path):
     (tmp_path / "map.toml").write_text(
         MAP.replace('[file]\npath = "in.csv"\n', "").replace("step_s", "body = 1\nstep_s")

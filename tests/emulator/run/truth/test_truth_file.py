@@ -1,6 +1,8 @@
 """A truth file of a small run: what it holds is what was true, and it stays readable whatever dies."""
 
 import dataclasses
+import io
+import itertools
 import json
 import os
 import resource
@@ -10,6 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -25,6 +28,8 @@ from emulator.run.truth.file import About, TruthRecorder, truth_in
 from emulator.run.truth.source import TruthRefused, ideal_of
 from emulator.sensor.sensor import Sensor
 from tests.emulator.campaign.processes import gone
+from tests.hdf5_times import timed_objects
+from transports.guarded_reader import encoded
 
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 
@@ -380,6 +385,23 @@ def test_a_run_that_may_wait_does_and_loses_nothing(tmp_path, monkeypatch):
     assert recorder.trouble == ""
     with h5py.File(tmp_path / "t.h5") as file:
         assert file["pictures/t"][:].tolist() == list(range(100))
+
+
+def test_equal_rows_are_equal_bytes_whenever_they_come(tmp_path, monkeypatch):
+    """Neither a time in the file nor a flush by the wall clock, which would lay out the chunks in another order."""
+    random = np.random.default_rng(1)
+    messages = [
+        {"pictures/t": np.full(1, k * 1e5), "events/t": np.cumsum(random.integers(0, 9, 3000)).astype(np.uint64)}
+        for k in range(20)
+    ]
+    data = b"".join(part for rows in [*messages, {"attributes": {"complete": True}}] for part in encoded(rows))
+    for name, step_s in (("a.h5", 0.0), ("b.h5", 10.0)):
+        clock = itertools.count(0.0, step_s)
+        monkeypatch.setattr(time, "monotonic", lambda clock=clock: next(clock))
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data)))
+        recorder_module._write(recorder_module.create(tmp_path / name, About((64, 48), ["ball"])), tmp_path / name)
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+    assert not timed_objects(tmp_path / "a.h5")
 
 
 def test_other_files_are_no_truth(tmp_path):
