@@ -72,6 +72,7 @@ class Facts:
     unix_us : unix time of t = 0, us; 0: not known.
     streams : its contents besides events: "edges", "imu", "frames".
     imu_unit : type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
+    remarks : assumptions about what the file does not state.
     """
 
     size: tuple[int, int] | None = None
@@ -79,6 +80,7 @@ class Facts:
     unix_us: int = 0
     streams: frozenset[str] = frozenset({"edges"})
     imu_unit: int = 2
+    remarks: tuple[str, ...] = ()
 
 
 _NAMES = {"events": "events", "edges": "triggers", "imu": "IMU samples", "frames": "frames"}

@@ -1,7 +1,7 @@
-"""AEDAT 4.0, DAT, Event Stream and CSV files, written and read by faery.
+"""AEDAT 4.0, DAT, Event Stream and CSV files, written by faery; AEDAT 4.0 is read by it too.
 
 DAT, Event Stream and CSV: times stay unchanged (no t0 is subtracted), while faery would begin each file at its first
-event. Event Stream counts rows from the bottom, and faery's writer does not convert them. Readers are for a child
+event. Event Stream counts rows from the bottom, and faery's writer does not convert them. The reader is for a child
 process: faery panics at unexpected data, see `files`.
 
 AEDAT 4.0 holds events, triggers, IMU samples and frames. Frames are written with 8 bits, as readers expect them, and
@@ -13,7 +13,6 @@ never closed is read up to its last whole packet.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,7 +22,7 @@ from typing import Any
 import numpy as np
 from faery.extension import aedat, csv, dat, es
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events, make_events
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events
 from firmware_protocol.recordings.aedat4 import Aedat4Head, aedat4_picture
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Size
 
@@ -80,72 +79,6 @@ class CsvWriter(_Events):
         super().__init__(
             csv.Encoder(path, separator=_COMMA, header=True, dimensions=facts.size, enforce_monotonic=True)
         )
-
-
-class _Decoded:
-    """Reader of events with a decoder of faery."""
-
-    def __init__(self, decoder: Any, size: Size | None, camera: str) -> None:
-        self._decoder = decoder
-        self.facts = Facts(size, camera, streams=frozenset())
-
-    def parts(self) -> Iterator[Part]:
-        """Yield the events, packet by packet."""
-        with self._decoder as packets:
-            for packet in packets:
-                events = self._events(packet)
-                if len(events):
-                    yield Part(events)
-
-    def _events(self, packet: Any) -> Events:
-        return _as_events(packet)
-
-
-class DatReader(_Decoded):
-    """Reader of DAT with change-detection events."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        decoder = dat.Decoder(path, size or _SIZE, "dat2")
-        if decoder.event_type != "cd":
-            raise RecordingError(f"its events are of type {decoder.event_type!r}; change-detection events are read")
-        super().__init__(decoder, decoder.dimensions, decoder.version)
-
-    def _events(self, packet: Any) -> Events:
-        return make_events(packet["t"], packet["x"], packet["y"], packet["payload"] > 0)
-
-
-class EsReader(_Decoded):
-    """Reader of Event Stream files of DVS events."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        decoder = es.Decoder(path, 0)
-        if decoder.event_type != "dvs":
-            raise RecordingError(f"its events are of type {decoder.event_type!r}; DVS events are read")
-        super().__init__(decoder, decoder.dimensions, "es")
-
-    def _events(self, packet: Any) -> Events:
-        return _turned(_as_events(packet), (self.facts.size or _SIZE)[1] - 1)
-
-
-class CsvReader(_Decoded):
-    """Reader of lines t,x,y,on; the first line may give the size as our writer does: t,x@346,y@260,on."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        with path.open("rb") as file:
-            head = file.readline(200)
-        size_in_file = re.search(rb"x@(\d{1,5}),y@(\d{1,5})", head)
-        has_header = not head[:1].isdigit()
-        size = (int(size_in_file[1]), int(size_in_file[2])) if size_in_file else size
-        decoder = csv.Decoder(
-            path=path, dimensions=size or _SIZE, has_header=has_header, separator=_COMMA, t_index=0, x_index=1,
-            y_index=2, on_index=3, t_scale=0.0, t0=0, on_value=b"1", off_value=b"0", skip_errors=False,
-        )  # fmt: skip
-        super().__init__(decoder, size, "csv")
-
-
-def _as_events(packet: Any) -> Events:
-    events: Events = packet.view(EVENT) if packet.dtype.itemsize == EVENT.itemsize else packet.astype(EVENT)
-    return events
 
 
 def _turned(events: Events, top: int) -> Events:

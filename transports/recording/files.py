@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, Events, join_events
+from firmware_protocol.recordings.event_table import TableForm
 from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
 from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
 from transports.recording.part import (
@@ -326,16 +327,19 @@ class OpenRecording:
     ----------
     size : (width, height) of the sensor, for files without it.
     strict : False: events that go back in time or lie outside the sensor are no error.
+    table : columns and unit of the times of a table of text.
 
     Attributes
     ----------
     format, facts : its format, and the facts available before its first event.
     """
 
-    def __init__(self, path: Path, size: Size | None = None, *, strict: bool = True) -> None:
+    def __init__(
+        self, path: Path, size: Size | None = None, *, strict: bool = True, table: TableForm | None = None
+    ) -> None:
         self._strict = strict
         self.format: Format = format_to_read(path)
-        arguments = (f"{__name__}:read_messages", path, self.format.name, size)
+        arguments = (f"{__name__}:read_messages", path, self.format.name, size, vars(table or TableForm()))
         self._reader = GuardedReader(*arguments, limits=Limits.in_pieces(path))
         self._messages = self._received()
         try:
@@ -376,10 +380,10 @@ class OpenRecording:
         self.close()
 
 
-def read_messages(path: Path, form: str, size: list[int] | None) -> Iterator[dict[str, Any]]:
+def read_messages(path: Path, form: str, size: list[int] | None, table: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the messages of a recording's facts and parts (see `part`), in the child; raises RecordingError."""
     try:
-        reader = FORMATS[form].open_reader(path, None if size is None else (size[0], size[1]))
+        reader = FORMATS[form].open_reader(path, None if size is None else (size[0], size[1]), TableForm(**table))
         yield _message(encoded_facts(reader.facts))
         for part in reader.parts():
             for start in range(0, max(1, len(part.events)), _MOST_EVENTS):

@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from firmware_protocol.recordings.event_table import TableForm, is_table
 from transports.needs import install_command
 from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Size, Writer
 from transports.registry import PluginError, Registry, UnknownName, imported
@@ -43,6 +44,7 @@ class Format:
     piece_us : time that is written at once, if events are few.
     live : True if a file that was not closed can be read up to its last whole piece.
     is_evt : True if it has words of EVT: rising and falling edges, and no record for a pulse that a camera reports.
+    is_table : True if it is text in columns; its reader has a TableForm as a third parameter.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Format:
     piece_us: int = 10_000  # the packet length of cameras
     live: bool = True
     is_evt: bool = False
+    is_table: bool = False
 
     def open_writer(self, path: Path, facts: Facts) -> Writer:
         """Return a writer of `path`, which is overwritten; raises OSError or RecordingError."""
@@ -73,9 +76,14 @@ class Format:
         writer: Writer = self.imported(self.writer)(path, facts)
         return writer
 
-    def open_reader(self, path: Path, size: Size | None = None) -> Reader:
-        """Return a reader of `path`; `size` is for files without the sensor's size. Raises as its parts do."""
-        reader: Reader = self.imported(self.reader)(path, size)
+    def open_reader(self, path: Path, size: Size | None = None, table: TableForm | None = None) -> Reader:
+        """Return a reader of `path`; raises as its parts do.
+
+        `size` is for files without the sensor's size, `table` for tables of text.
+        """
+        if table not in (None, TableForm()) and not self.is_table:
+            raise RecordingError(f"{self.title} is no table of text: leave --columns and --time-unit out")
+        reader: Reader = self.imported(self.reader)(path, size, *([table] if self.is_table else ()))
         return reader
 
     def imported(self, path: str) -> Any:
@@ -132,17 +140,17 @@ _FORMATS = (
         readers="Metavision, OpenEB", until_us=1 << 34,
     ),
     Format(
-        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader",
+        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.event_files:DatReader",
         readers="Metavision, OpenEB, faery, expelliarmus", needs="faery", size_px=(1 << 14, 1 << 14),
         until_us=1 << 32,
     ),
     Format(
-        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.faery_files:EsReader",
+        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.event_files:EsReader",
         signature=b"Event Stream", readers="faery, event_stream, Sepia", needs="faery", until_us=1 << 37,
     ),
     Format(
-        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.faery_files:CsvReader",
-        readers="faery, pandas, any table", needs="faery",
+        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.event_files:CsvReader",
+        readers="faery, pandas, any table", needs="faery", is_table=True,
     ),
     Format(
         "dsec", "HDF5 as DSEC has it", (".h5", ".hdf5"), f"{_HERE}.dsec:DsecWriter", f"{_HERE}.dsec:DsecReader",
@@ -248,9 +256,7 @@ def _of_text(head: bytes, path: Path) -> Format:
         raise RecordingError(f"it is AEDAT {version}; 2.0, 3.1 and 4.0 are read")
     if head.startswith(b"%"):
         return _of_percent(head, path)
-    first = head.splitlines()[0]
-    is_line = first[:2] in (b"t,", b"x,") or (first.count(b",") >= 3 and first[:1].isdigit())
-    if is_line or path.suffix == ".csv":
+    if path.suffix == ".csv" or is_table(head):
         return FORMATS["csv"]
     plugins = [form for form in FORMATS.usable().values() if form.name not in FORMATS.built_in_names]
     for form in plugins:

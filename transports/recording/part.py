@@ -124,7 +124,7 @@ def encoded_reached(t_us: int) -> list[bytes]:
 
 def values_of(facts: Facts) -> dict[str, Any]:
     """Return facts as values of JSON."""
-    return {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
+    return vars(facts) | {"streams": sorted(facts.streams)}
 
 
 def encoded_facts(facts: Facts, **further: Any) -> list[bytes]:
@@ -140,7 +140,9 @@ def encoded_end(**values: Any) -> list[bytes]:
 def facts_of(values: dict[str, Any]) -> Facts:
     """Return the facts of `values_of`, or of an H message."""
     size = values["size"] and (int(values["size"][0]), int(values["size"][1]))
-    return Facts(size, values["camera"], values["unix_us"], frozenset(values["streams"]))
+    fields = {field.name: values[field.name] for field in dataclasses.fields(Facts)}
+    sets = {"streams": frozenset(values["streams"]), "remarks": tuple(values["remarks"])}
+    return Facts(**fields | {"size": size} | sets)
 
 
 def _message(letter: bytes, data: bytes) -> list[bytes]:
