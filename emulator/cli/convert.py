@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from emulator.cli.checks import check_recording, parsed_size, reading, writing
+from emulator.cli.checks import AS_IT_IS, Table, check_recording, parsed_size, reading, recording_of, writing
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, SensorSize, print_result, status
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import Format
@@ -22,7 +22,9 @@ _PROGRESS_S = 2.0
 _LATE = "as they come in the file after data of a later time"
 
 
-def convert(source: Path, target: Path, /, *, to: str = "", size: SensorSize = None, json: Json = False) -> int:
+def convert(
+    source: Path, target: Path, /, *, to: str = "", size: SensorSize = None, table: Table = AS_IT_IS, json: Json = False
+) -> int:
     """Convert a recording of events to another format, piece by piece: memory does not grow with the file.
 
     Parameters
@@ -35,8 +37,7 @@ def convert(source: Path, target: Path, /, *, to: str = "", size: SensorSize = N
         Name of the format, where the suffix does not determine it: aedat31, evt2, ros1-dvs, ...
     """
     _check_apart(source, target)
-    sensor = parsed_size(size)
-    with reading(source), OpenRecording(source, sensor) as recording:
+    with recording_of(source, size, table) as recording:
         form = check_recording("OUT", target, to)
         return _print(source, target, form, _convert(recording, recording.facts, target, form), json)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.cli.checks import parsed_size, reading
+from emulator.cli.checks import AS_IT_IS, Table, recording_of
 from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, print_result
 from emulator.run.truth.file import truth_in
 from transports.recording.files import OpenRecording
@@ -53,7 +53,7 @@ class StreamSurvey:
 
     Attributes
     ----------
-    first_us, last_us : times of the first and of the latest record; None before the first.
+    first_us, last_us : times of the earliest and of the latest record; None before the first.
     steps_back : records that are earlier than the one before.
     """
 
@@ -69,6 +69,7 @@ class StreamSurvey:
             return
         if self.first_us is None or self.last_us is None:
             self.first_us = self.last_us = self._before_us = int(t_us[0])
+        self.first_us = min(self.first_us, int(t_us.min()))
         self.count += len(t_us)
         self.steps_back += int(np.count_nonzero(np.diff(t_us, prepend=self._before_us) < 0))
         self._before_us = int(t_us[-1])
@@ -76,13 +77,13 @@ class StreamSurvey:
 
     @property
     def seconds(self) -> float:
-        """Time from the first record to the latest."""
+        """Time from the earliest record to the latest."""
         return 0.0 if self.first_us is None or self.last_us is None else (self.last_us - self.first_us) * 1e-6
 
     @property
     def mean_hz(self) -> float | None:
-        """Records a second; None where no time passes."""
-        return self.count / self.seconds if self.seconds > 0 else None
+        """Records a second; None where no time passes, or where times go back: they are not all of one clock."""
+        return self.count / self.seconds if self.seconds > 0 and not self.steps_back else None
 
 
 @dataclass
@@ -123,7 +124,7 @@ class Survey:
         self._bin = [int(bins[starts[-1]]), int(counts[-1])]
 
 
-def info(file: Path, /, *, size: SensorSize = None, json: Json = False) -> int:
+def info(file: Path, /, *, size: SensorSize = None, table: Table = AS_IT_IS, json: Json = False) -> int:
     """Show the format, the camera and every stream of a recording or a truth file, and which programs open it.
 
     Parameters
@@ -135,7 +136,7 @@ def info(file: Path, /, *, size: SensorSize = None, json: Json = False) -> int:
         print_result(json, {"file": file, **truth}, _truth_lines(truth))
         return GOOD if truth["complete"] else BAD_VERDICT
     survey, trouble = Survey(), ""
-    with reading(file), OpenRecording(file, parsed_size(size), strict=False) as recording:
+    with recording_of(file, size, table, strict=False) as recording:
         try:
             for part in recording.parts():
                 survey.add(part)
@@ -156,7 +157,8 @@ def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str)
         "file": file, "format": recording.format.name, "size": facts.size, "camera": facts.camera,
         "unix_us": facts.unix_us or None, **counts, "on": survey.on,
         "first_us": events.first_us, "last_us": events.last_us or 0, "seconds": events.seconds,
-        "mean_hz": events.mean_hz, "busiest_hz": survey.busiest * 1e6 / _BIN_US, "steps_back": events.steps_back,
+        "mean_hz": events.mean_hz, "busiest_hz": None if events.steps_back else survey.busiest * 1e6 / _BIN_US,
+        "steps_back": events.steps_back, "assumed": facts.remarks,
         "extent": survey.extent, "streams": streams, "trouble": trouble,
     }  # fmt: skip
 
@@ -166,7 +168,8 @@ def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
     events = survey.streams["events"]
     size = "unknown" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
     share = f", {survey.on / events.count:.1%} ON" if events.count else ""
-    busiest = f", {survey.busiest * 1e6 / _BIN_US:.0f} in the busiest 0.1 s" if events.count else ""
+    is_rate = events.count and not events.steps_back
+    busiest = f", {survey.busiest * 1e6 / _BIN_US:.0f} in the busiest 0.1 s" if is_rate else ""
     lines = [
         f"format    {form.title} (opens in {form.readers})",
         f"camera    {facts.camera}, {size} pixels; events reach to {survey.extent[0]} x {survey.extent[1]}",

@@ -9,9 +9,9 @@ faery writes `% T0`, the time in us that is 0 in the records.
 
 Event Stream 2: "Event Stream", u8 x 3 version, u8 type 1, u16 width, u16 height; then octets:
 
-    0xFF  127 us pass   0xFE  nothing   else  time since the event before (7 bits), polarity (1 bit), u16 column, u16 row
+    0xFF  127 us pass   0xFE  nothing   else  us since the event before (7 bits), polarity (1 bit); u16 column, u16 row
 
-Rows of Event Stream count from the bottom. Sources: docs.prophesee.ai, "DAT file format"; github.com/neuromorphicsystems,
+Rows of Event Stream count from the bottom. Sources: docs.prophesee.ai, "DAT file format"; neuromorphicsystems on GitHub,
 event_stream.
 """
 

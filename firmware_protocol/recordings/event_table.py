@@ -24,6 +24,8 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Events, empty_events, make_events
 
+TimeUnit = Literal["", "s", "ms", "us", "ns"]
+
 
 @dataclass(frozen=True)
 class TableForm:
@@ -38,7 +40,7 @@ class TableForm:
     """
 
     columns: str = ""
-    time_unit: Literal["", "s", "ms", "us", "ns"] = ""
+    time_unit: TimeUnit = ""
 
 
 _NAMES = {
@@ -147,6 +149,8 @@ class EventTable:
         """Return the unit of the times."""
         self._is_unit_assumed = False
         if given:
+            if given not in _FACTORS:
+                raise ValueError(f"the unit of time must be one of {', '.join(_FACTORS)}, got {given!r}")
             return given
         place = self._columns.index("t")
         is_named = _NAME.fullmatch(names[place].lower()) if len(names) == len(self._columns) else None
@@ -280,7 +284,7 @@ def _is_right(name: str, text: str) -> bool:
 
 
 def is_table(head: bytes) -> bool:
-    """Return whether the first bytes of a file are those of a table of events, or of numbers in four columns or more."""
+    """Return whether the first bytes of a file are those of a table of events, or of four columns of numbers or more."""
     try:
         EventTable(head)
     except ValueError:

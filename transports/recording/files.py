@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+import warnings
 from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, Events, join_events
-from firmware_protocol.recordings.event_table import TableForm
+from firmware_protocol.recordings.event_table import TableForm, TimeUnit
 from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
 from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
 from transports.recording.part import (
@@ -400,7 +401,9 @@ def _message(pieces: list[bytes]) -> dict[str, Any]:
     return {"messages": np.frombuffer(b"".join(pieces), np.uint8)}
 
 
-def read_events(path: str | Path, *, size: Size | None = None, strict: bool = True) -> Events:
+def read_events(
+    path: str | Path, *, size: Size | None = None, strict: bool = True, columns: str = "", time_unit: TimeUnit = ""
+) -> Events:
     """Return all events of a recording, (n,) EVENT, t in us since its start.
 
     They are sorted unless `strict` is False. Of a `.npz` record they are those since the last restart of the camera's
@@ -413,11 +416,16 @@ def read_events(path: str | Path, *, size: Size | None = None, strict: bool = Tr
     path : file, or folder of a ROS 2 bag, in any format of docs/recordings.md. Its first bytes decide which one.
     size : (width, height) of the sensor, for a format that does not contain it.
     strict : False: return the events of a damaged file that go back in time or lie outside the sensor, too.
+    columns : of a table of text, the names of its columns in their order, such as "x,y,p,t".
+    time_unit : of a table of text: "s", "ms", "us" or "ns". What is assumed without these two is a warning.
     """
-    return join_events(list(iter_events(path, size=size, strict=strict))).copy()
+    events = iter_events(path, size=size, strict=strict, columns=columns, time_unit=time_unit)
+    return join_events(list(events)).copy()
 
 
-def iter_events(path: str | Path, *, size: Size | None = None, strict: bool = True) -> Iterator[Events]:
+def iter_events(
+    path: str | Path, *, size: Size | None = None, strict: bool = True, columns: str = "", time_unit: TimeUnit = ""
+) -> Iterator[Events]:
     """Yield the events of a recording in pieces, (n > 0,) EVENT, read-only: memory does not grow with the file.
 
     Arguments and errors are those of `read_events`. A damaged file raises RecordingError after the events before the
@@ -425,7 +433,9 @@ def iter_events(path: str | Path, *, size: Size | None = None, strict: bool = Tr
     """
     file = Path(path)
     try:
-        with OpenRecording(file, size, strict=strict) as recording:
+        with OpenRecording(file, size, strict=strict, table=TableForm(columns, time_unit)) as recording:
+            for remark in recording.facts.remarks:
+                warnings.warn(f"{file}: {remark}", stacklevel=2)
             yield from (part.events for part in recording.parts() if len(part.events))
     except RecordingError as error:
         raise type(error)(f"{file}: {error}") from error
