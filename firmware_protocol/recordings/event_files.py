@@ -11,8 +11,8 @@ Event Stream 2: "Event Stream", u8 x 3 version, u8 type 1, u16 width, u16 height
 
     0xFF  127 us pass   0xFE  nothing   else  us since the event before (7 bits), polarity (1 bit); u16 column, u16 row
 
-Rows of Event Stream count from the bottom. Sources: docs.prophesee.ai, "DAT file format"; neuromorphicsystems on GitHub,
-event_stream.
+Rows of Event Stream count from the bottom. Sources: docs.prophesee.ai, "DAT file format"; event_stream of
+neuromorphicsystems on GitHub.
 """
 
 from __future__ import annotations

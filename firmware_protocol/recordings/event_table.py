@@ -284,7 +284,7 @@ def _is_right(name: str, text: str) -> bool:
 
 
 def is_table(head: bytes) -> bool:
-    """Return whether the first bytes of a file are those of a table of events, or of four columns of numbers or more."""
+    """Return whether the first bytes of a file are those of a table of events, or begin with four numbers or more."""
     try:
         EventTable(head)
     except ValueError:

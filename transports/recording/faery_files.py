@@ -1,8 +1,7 @@
-"""AEDAT 4.0, DAT, Event Stream and CSV files, written by faery; AEDAT 4.0 is read by it too.
+"""AEDAT 4.0, DAT, Event Stream and CSV files, written by faery.
 
 DAT, Event Stream and CSV: times stay unchanged (no t0 is subtracted), while faery would begin each file at its first
-event. Event Stream counts rows from the bottom, and faery's writer does not convert them. The reader is for a child
-process: faery panics at unexpected data, see `files`.
+event. Event Stream counts rows from the bottom, and faery's writer does not convert them.
 
 AEDAT 4.0 holds events, triggers, IMU samples and frames. Frames are written with 8 bits, as readers expect them, and
 grey. faery 0.7.1 writes only frames that it has read itself, so each frame is first written to a small file, see
@@ -14,7 +13,6 @@ never closed is read up to its last whole packet.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,9 +20,9 @@ from typing import Any
 import numpy as np
 from faery.extension import aedat, csv, dat, es
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events
-from firmware_protocol.recordings.aedat4 import Aedat4Head, aedat4_picture
-from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Size
+from firmware_protocol.events import Edges, Events
+from firmware_protocol.recordings.aedat4 import SOURCES, Aedat4Head, aedat4_picture
+from transports.recording.part import Facts, Frame, Part
 
 _COMMA = 44
 _SIZE = (1280, 720)  # for a file without it: faery's own default
@@ -88,7 +86,6 @@ def _turned(events: Events, top: int) -> Events:
 
 
 _TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
-_SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
 _NUMBERS = {"events": 0, "frames": 1, "imu": 2, "edges": 3}  # as cameras number them
 _STREAMS = (
     ("events", "events", "EVTS", "Array of events (polarity ON/OFF)."),
@@ -191,69 +188,6 @@ def _text(value: str) -> Any:
 def _triggers(edges: Edges) -> Any:
     triggers = np.zeros(len(edges), _TRIGGER)
     triggers["t"] = edges["t"]
-    for kind, source in _SOURCES.items():
+    for kind, source in SOURCES.items():
         triggers["source"][edges["kind"] == kind] = source
     return triggers
-
-
-class Aedat4Reader:
-    """Reader of the first event stream and its companions; for a child process, see `files`."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        self._decoder = aedat.Decoder(path)
-        tracks = {track.id: track for track in self._decoder.tracks()}
-        events = next((track for track in tracks.values() if track.data_type == "events"), None)
-        if events is None:
-            raise RecordingError("it holds no stream of events")
-        self._events = events.id
-        kinds = {"imus": "imu", "triggers": "edges", "frame": "frames"}
-        streams = frozenset(kinds[track.data_type] for track in tracks.values() if track.data_type in kinds)
-        info = _info(self._decoder.description(), events.id)
-        self.facts = Facts(events.dimensions or size, str(info.get("source", "aedat4")), _start(info), streams)
-        self.other_streams = len(tracks) - 1 - len(streams)
-
-    def parts(self) -> Iterator[Part]:
-        """Yield packets; raises at the first damaged one, after all packets before it."""
-        start_us = np.uint64(self.facts.unix_us)
-        with self._decoder as packets:
-            for track, packet in packets:
-                if track.data_type == "frame":
-                    yield Part(frames=(_frame(packet, int(start_us)),))
-                    continue
-                packet = packet.copy()
-                packet["t"] -= start_us
-                if track.id == self._events:
-                    yield Part(packet.view(EVENT))
-                elif track.data_type == "triggers":
-                    yield Part(edges=_edges(packet))
-                elif track.data_type == "imus":
-                    yield Part(imu=packet.view(IMU))
-
-
-def _info(description: Any, stream: int) -> Mapping[str, Any]:
-    for top in description:
-        for node in top.nodes:
-            if node.name == str(stream):
-                return {key: attribute.value for inner in node.nodes for key, attribute in inner.attributes.items()}
-    return {}
-
-
-def _start(info: Mapping[str, Any]) -> int:
-    offset = info.get("tsOffset", 0)
-    return offset if isinstance(offset, int) and 0 <= offset < 1 << 62 else 0
-
-
-def _frame(frame: Any, start_us: int) -> Frame:
-    times = frame.t - start_us, frame.exposure_start_t - start_us, frame.exposure_end_t - start_us
-    return Frame(*times, frame.pixels, (frame.offset_x, frame.offset_y))
-
-
-def _edges(triggers: Any) -> Edges:
-    """Return the external triggers; resets, generators and marks of frames are omitted."""
-    kinds = {source: kind for kind, source in _SOURCES.items()}
-    external = triggers[np.isin(triggers["source"], list(kinds))]
-    edges = np.zeros(len(external), EDGE)
-    edges["t"] = external["t"]
-    for source, kind in kinds.items():
-        edges["kind"][external["source"] == source] = kind
-    return edges

@@ -110,7 +110,7 @@ _evt_file = partial(
 )
 _FORMATS = (
     Format(
-        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.faery_files:Aedat4Writer", f"{_HERE}.faery_files:Aedat4Reader",
+        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.faery_files:Aedat4Writer", f"{_HERE}.event_files:Aedat4Reader",
         signature=b"#!AER-DAT4.0", holds=_ALL, readers="DV, dv-processing, aedat, faery, jAER", needs="faery",
         size_px=(1 << 15, 1 << 15),
     ),
