@@ -122,7 +122,7 @@ def aedat4_picture(
 
 _EVENT = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("on", "?"), ("zero", "V3")])
 _TRIGGER = np.dtype([("t", "<i8"), ("source", "u1")])
-_SAMPLE = np.dtype([("t", "<i8"), *((name, IMU[name]) for name in IMU.names[1:])])
+_SAMPLE = np.dtype([("t", "<i8"), *((name, "<f4") for name in (IMU.names or ())[1:])])
 _TIMES = ("t", "begin", "end", "exposure_begin", "exposure_end")
 _PICTURE = np.dtype(
     [*((name, "<i8") for name in _TIMES), ("format", "u1"), *((name, "<i2") for name in ("width", "height", "x", "y"))]
@@ -220,7 +220,7 @@ class Aedat4Decoder:
 
     def _frame(self, data: _Octets, table: _Offsets) -> tuple[Frame, ...]:
         record = _records(data, table, _PICTURE)
-        times = [int(record[name][0]) - self.start_us for name in ("t", "exposure_begin", "exposure_end")]
+        t, begin, end = (int(record[name][0]) - self.start_us for name in ("t", "exposure_begin", "exposure_end"))
         width, height, x, y = (int(record[name][0]) for name in ("width", "height", "x", "y"))
         channels = _CHANNELS.get(int(record["format"][0]), 0)
         start, count = _vector(data, table, _PIXELS_SLOT)
@@ -231,7 +231,7 @@ class Aedat4Decoder:
         pixels = pixels.reshape(shape)
         if channels > 1:
             pixels = pixels[..., [2, 1, 0, 3][:channels]]
-        return (Frame(*times, pixels, (x, y)),)
+        return (Frame(t, begin, end, pixels, (x, y)),)
 
 
 def _vector(data: _Octets, table: _Offsets, slot: int) -> tuple[int, int]:

@@ -103,7 +103,7 @@ class EventTable:
         names: list[str] = []
         while lines:
             text = lines[0].strip()
-            bare = text.lstrip("# ")
+            bare = re.sub(r"\s+(?=[\[(])", "", text.lstrip("# "))  # "time [ns]" is a name
             self._separator = next((mark for mark in ";," if mark in bare), None)
             fields = [field.strip(" \r\t\"'") for field in bare.split(self._separator)]
             is_header = len(fields) > 1 and not any(map(_is_number, fields))
@@ -138,8 +138,8 @@ class EventTable:
             return columns
         if len(sample[0]) != 4:
             raise ValueError(f"it has no header and {len(sample[0])} columns: {_ADVICE}")
-        for k, name in enumerate("xyp", 1):
-            wrong = [row[k] for row in sample if len(row) == 4 and _is_number(row[k]) and not _is_right(name, row[k])]
+        for k, name in enumerate("txyp"):
+            wrong = [row[k] for row in sample if len(row) == 4 and not _is_right(name, row[k])]
             if 2 * len(wrong) > len(sample):
                 raise ValueError(f"it has no header, and column {k + 1} has {wrong[0]}, which is no {name}: {_ADVICE}")
         self.remarks += ("it has no header: its columns are taken as t,x,y,p (--columns)",)
@@ -158,9 +158,10 @@ class EventTable:
             return is_named[2]
         self._is_unit_assumed = True
         times = [float(row[place]) for row in sample if len(row) > place and _is_number(row[place])]
-        if any(_NANOSECONDS <= t < np.inf for t in times):
+        if sum(t >= _NANOSECONDS for t in times) * 2 > len(times):
             raise ValueError("its times are too large for microseconds: give their unit, as in --time-unit ns")
-        unit = "s" if any(t % 1 for t in times if abs(t) < np.inf) else "us"
+        fractions = sum(t % 1 > 0 for t in times if abs(t) < np.inf)
+        unit = "s" if fractions and 2 * fractions >= len(times) else "us"
         if not any("@" in name for name in names):
             self.remarks += (f"it has no unit of time: its times are taken as {unit} (--time-unit)",)
         return unit
@@ -171,11 +172,11 @@ class EventTable:
 
     def decode(self, data: bytes) -> Events:
         """Return (n,) EVENT of the lines that any next bytes complete, from `start` on; none after `damage`."""
+        if self.damage:
+            return empty_events()
         data = self._rest + data
         end = data.rfind(b"\n") + 1
         self._rest = data[end:]
-        if self.damage:
-            return empty_events()
         lines = data[:end].decode("latin-1").split("\n")
         rows = list(filter(str.strip, lines))
         if b"#" in data:
@@ -187,6 +188,7 @@ class EventTable:
             self.damage = f"line {number}: {line[:60].strip()!r}: {self._fault(line)}"
         elif len(self._rest) > _MOST_LINE:
             self.damage = f"line {self._line + len(lines)}: it has more than {_MOST_LINE} octets"
+            self._rest = b""
         self._line += len(lines) - 1
         return events
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,6 +12,7 @@ from firmware_protocol.recordings.aedat4 import KINDS, MAGIC, Aedat4Decoder, Aed
 from firmware_protocol.recordings.event_table import EventTable, TableForm
 from transports.needs import install_command
 from transports.recording.part import Facts, LibraryMissing, Part, RecordingError, Size
+from transports.registry import imported
 
 _HEAD_BYTES = 1 << 16
 _PIECE_BYTES = 1 << 19
@@ -18,10 +20,12 @@ _PIECE_BYTES = 1 << 19
 
 class _Decoder(Protocol):
     start: int
-    size: Size | None
-    remarks: tuple[str, ...]
     damage: str
 
+    @property
+    def size(self) -> Size | None: ...
+    @property
+    def remarks(self) -> tuple[str, ...]: ...
     def decode(self, data: bytes, /) -> Events: ...
     def end(self) -> Events: ...
 
@@ -143,20 +147,18 @@ class Aedat4Reader:
             raise RecordingError(f"it is damaged: {error}") from error
 
 
-def _decompressor_of(compression: int) -> Callable[[], Any] | None:
+_DECOMPRESSORS = {1: ("lz4.frame:LZ4FrameDecompressor",), 2: ("lz4.frame:LZ4FrameDecompressor",)} | dict.fromkeys(
+    (3, 4), ("compression.zstd:ZstdDecompressor", "backports.zstd:ZstdDecompressor")
+)
+
+
+def _decompressor_of(compression: int) -> Any:
     """Return the class that decompresses a packet, None for none; raises RecordingError and LibraryMissing."""
-    if compression not in range(5):
+    if compression == 0:
+        return None
+    if compression not in _DECOMPRESSORS:
         raise RecordingError(f"its packets have compression {compression}, which is not known")
-    try:
-        if compression in (1, 2):
-            from lz4.frame import LZ4FrameDecompressor as Decompressor
-        elif compression:
-            try:
-                from compression.zstd import ZstdDecompressor as Decompressor
-            except ImportError:
-                from backports.zstd import ZstdDecompressor as Decompressor
-        else:
-            return None
-    except ImportError as error:
-        raise LibraryMissing(f"its packets are compressed: {install_command('files')}") from error
-    return Decompressor
+    for path in _DECOMPRESSORS[compression]:
+        with suppress(ImportError):
+            return imported(path)
+    raise LibraryMissing(f"its packets are compressed: {install_command('files')}")
