@@ -10,7 +10,9 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
+from cyclopts import Parameter
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure, failing, status
@@ -18,9 +20,15 @@ from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import Rig, RigError
 from emulator.run.kernels import Part, Preparation, prepare, uncompiled
 from emulator.run.link_process import LinkFailed
+from firmware_protocol.recordings.event_table import TableForm
+from transports.recording.files import OpenRecording
 from transports.recording.format import Format, format_to_write, reason
 from transports.recording.part import LibraryMissing, RecordingError
 from transports.registry import PluginError
+
+Table = Annotated[TableForm, Parameter(name="*")]
+"""The options `--columns` and `--time-unit` of a verb that reads a recording."""
+AS_IT_IS = TableForm()
 
 
 @contextmanager
@@ -99,6 +107,18 @@ def reading(path: Path) -> Iterator[None]:
     at = str(path)
     with failing(WRONG_USE, RecordingError, OSError, at=at), failing(LACKING, LibraryMissing, at=at):
         yield
+
+
+@contextmanager
+def recording_of(
+    path: Path, size: str | None, table: TableForm, topic: str | None = None, *, strict: bool = True
+) -> Iterator[OpenRecording]:
+    """Open a recording and print the assumptions about it; its errors become Failure, as in `reading`."""
+    sensor = parsed_size(size)
+    with reading(path), OpenRecording(path, sensor, strict=strict, table=table, topic=topic) as recording:
+        for remark in recording.facts.remarks:
+            status.print(f"{path}: {remark}", markup=False)
+        yield recording
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from emulator.cli.checks import check_recording, parsed_size, reading, writing
+from emulator.cli.checks import AS_IT_IS, Table, check_recording, parsed_size, reading, recording_of, writing
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, SensorSize, Topic, print_result, status
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import Format
@@ -20,7 +20,15 @@ _LATE = "as they come in the file after data of a later time"
 
 
 def convert(
-    source: Path, target: Path, /, *, to: str = "", size: SensorSize = None, topic: Topic = None, json: Json = False
+    source: Path,
+    target: Path,
+    /,
+    *,
+    to: str = "",
+    size: SensorSize = None,
+    topic: Topic = None,
+    table: Table = AS_IT_IS,
+    json: Json = False,
 ) -> int:
     """Convert a recording of events to another format, piece by piece: memory does not grow with the file.
 
@@ -34,8 +42,7 @@ def convert(
         Name of the format, where the suffix does not determine it: aedat31, evt2, ros1-dvs, ...
     """
     _check_apart(source, target)
-    sensor = parsed_size(size)
-    with reading(source), OpenRecording(source, sensor, topic=topic) as recording:
+    with recording_of(source, size, table, topic) as recording:
         form = check_recording("OUT", target, to)
         return _convert(source, recording, recording.facts, target, form, json)
 

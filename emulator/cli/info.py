@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.cli.checks import parsed_size, reading
+from emulator.cli.checks import AS_IT_IS, Table, recording_of
 from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, Topic, print_result
 from emulator.run.truth.file import truth_in
 from transports.recording.files import OpenRecording
@@ -70,6 +70,7 @@ class StreamSurvey:
             return
         if self.first_us is None or self.last_us is None:
             self.first_us = self.last_us = self._before_us = int(t_us[0])
+        self.first_us = min(self.first_us, int(t_us.min()))
         self.count += len(t_us)
         self.steps_back += int(np.count_nonzero(np.diff(t_us, prepend=self._before_us) < 0))
         self._before_us = int(t_us[-1])
@@ -82,7 +83,7 @@ class StreamSurvey:
 
     @property
     def mean_hz(self) -> float | None:
-        """Records a second; None where no time passes, or goes back."""
+        """Records a second; None where no time passes, or where times go back: they are not all of one clock."""
         return self.count / self.seconds if self.seconds > 0 and not self.steps_back else None
 
 
@@ -124,7 +125,9 @@ class Survey:
         self._bin = [int(bins[starts[-1]]), int(counts[-1])]
 
 
-def info(file: Path, /, *, size: SensorSize = None, topic: Topic = None, json: Json = False) -> int:
+def info(
+    file: Path, /, *, size: SensorSize = None, topic: Topic = None, table: Table = AS_IT_IS, json: Json = False
+) -> int:
     """Show the format, the camera and every stream of a recording or a truth file, and which programs open it.
 
     Parameters
@@ -136,7 +139,7 @@ def info(file: Path, /, *, size: SensorSize = None, topic: Topic = None, json: J
         print_result(json, {"file": file, **truth}, _truth_lines(truth))
         return GOOD if truth["complete"] else BAD_VERDICT
     survey, trouble = Survey(), ""
-    with reading(file), OpenRecording(file, parsed_size(size), strict=False, topic=topic or "") as recording:
+    with recording_of(file, size, table, topic or "", strict=False) as recording:
         try:
             for part in recording.parts():
                 survey.add(part)
@@ -158,8 +161,8 @@ def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str)
         "unix_us": facts.unix_us if facts.unix_us >= _EARLIEST_US else None, "offset_us": facts.unix_us,
         "header": facts.header, "topics": facts.topics, **counts, "on": survey.on,
         "first_us": events.first_us, "last_us": events.last_us or 0, "seconds": events.seconds,
-        "mean_hz": events.mean_hz, "steps_back": events.steps_back,
-        "busiest_hz": None if events.steps_back else survey.busiest * 1e6 / _BIN_US,
+        "mean_hz": events.mean_hz, "busiest_hz": None if events.steps_back else survey.busiest * 1e6 / _BIN_US,
+        "steps_back": events.steps_back, "assumed": facts.remarks,
         "extent": survey.extent, "streams": streams, "trouble": trouble,
     }  # fmt: skip
 

@@ -23,7 +23,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.cli.checks import failures, parsed_size, prepared, reading
+from emulator.cli.checks import AS_IT_IS, Table, failures, prepared, recording_of
 from emulator.cli.output import ESCAPES, GOOD, LACKING, WRONG_USE, Failure, Flag, Json, failing, print_result
 from emulator.cli.signals import handle_suspension, ignore_stop_signals
 from emulator.light import Light
@@ -74,6 +74,8 @@ class PictureOptions:
         Stream time that passes in a second of a movie, seconds.
     fps
         Pictures in a second of a movie.
+    table
+        Columns and times of a table of text.
     """
 
     at_s: float = 0.5
@@ -84,6 +86,7 @@ class PictureOptions:
     topic: str | None = None
     speed: float = 1.0
     fps: int = 25
+    table: Table = AS_IT_IS
 
     def check(self) -> None:
         """Raise Failure for a number that is outside its range, or none."""
@@ -324,11 +327,13 @@ def _source(source: str, show: PictureOptions) -> Iterator[tuple[str, _Looks]]:
     show.check()
     path = Path(source)
     if not is_recording(path):
+        if show.table != AS_IT_IS:
+            raise Failure("--columns and --time-unit are for tables of text, not for a rig", WRONG_USE)
         rig = load_rig(source)
         prepared(parts_of(rig))
         yield rig.name, partial(looks, rig)
         return
-    with reading(path), OpenRecording(path, parsed_size(show.size), topic=show.topic) as recording:
+    with recording_of(path, show.size, show.table, show.topic) as recording:
         if recording.facts.size is None:
             raise RecordingError("it does not contain the size of its sensor: give --size, such as 346x260")
         yield path.name, partial(_recorded_looks, recording, recording.facts.size)

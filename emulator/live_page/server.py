@@ -1,8 +1,8 @@
 """The page's web server: a few files, and a WebSocket for each viewer.
 
-A viewer is a browser. A status that it does not read in time is replaced by a newer one, a picture joined with it. It reports the last message
-that it has shown; at most three are on their way to it. So a slow viewer or network gets fewer pictures, and one that
-stops reading has at most three of them in the machine's buffers until it is dropped.
+A viewer is a browser. A status that it does not read in time is replaced by a newer one, a picture joined with it. It
+reports the last message that it has shown; at most three are on their way to it. So a slow viewer or network gets fewer
+pictures, and one that stops reading has at most three of them in the machine's buffers until it is dropped.
 
 The number of the page's TCP connections is bounded before any byte of them is read.
 """

@@ -1,4 +1,4 @@
-"""AEDAT 4.0: the structure of a file, to recover one that was cut, and the payload of a frame.
+"""AEDAT 4.0: the structure of a file, the decoder of its packets, and the payload of a frame.
 
     14 bytes  #!AER-DAT4.0 CR LF
     u32       size of the header, a FlatBuffer "IOHE": compression, i64 offset of the table (-1: none), XML
@@ -17,14 +17,23 @@ The payload of a frame is a FlatBuffer "FRME" with its size before it. All littl
     pixels   u32 number   bytes, row after row
 
 Numbers are at multiples of their size, counted from the first size on. Sources: as above; read by faery 0.7.1.
+
+Payloads of other streams have one vector in their table. "EVTS": structures of 16 bytes, see `_EVENT`; "TRIG" and
+"IMUS": offsets of tables, whose fields are in the order of `_TRIGGER` and `IMU`.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
+from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import numpy.typing as npt
+
+from firmware_protocol.events import EDGE, EdgeKind, Edges, Events, make_events
+from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 _MOST_HEADER = 1 << 24
@@ -35,7 +44,8 @@ _STREAMS = 256
 class Aedat4Head:
     """The header of a file, from its first bytes; raises ValueError if they are no header, or not all of it.
 
-    `packets_at`: offset of the packets; `table_at`: offset of the table, -1 for a file that was not finished.
+    `packets_at`: offset of the packets; `table_at`: offset of the table, -1 for a file that was not finished;
+    `compression` of the packets: 0 none, 1 and 2 LZ4, 3 and 4 Zstandard; `xml`: description of the streams.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -50,6 +60,12 @@ class Aedat4Head:
             self._data = data[: self.packets_at]
             self._place = _field_at(self._data, start, _TABLE_SLOT)
             self.table_at: int = struct.unpack_from("<q", data, self._place)[0] if self._place else -1
+            place = _field_at(self._data, start, 0)
+            self.compression: int = struct.unpack_from("<i", self._data, place)[0] if place else 0
+            place = _field_at(self._data, start, 2)
+            text = place + struct.unpack_from("<I", self._data, place)[0]
+            (length,) = struct.unpack_from("<I", self._data, text)
+            self.xml = self._data[text + 4 : text + 4 + length] if place else b""
         except struct.error as error:
             raise ValueError("its header is damaged") from error
 
@@ -102,3 +118,153 @@ def aedat4_picture(
     head = struct.pack("<I4s", at + gap, b"FRME")
     body = head + vtable + bytes(gap) + table + struct.pack("<I", pixels.size) + pixels.tobytes()
     return struct.pack("<I", len(body)) + body
+
+
+_EVENT = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("on", "?"), ("zero", "V3")])
+_TRIGGER = np.dtype([("t", "<i8"), ("source", "u1")])
+_SAMPLE = np.dtype([("t", "<i8"), *((name, "<f4") for name in (IMU.names or ())[1:])])
+_TIMES = ("t", "begin", "end", "exposure_begin", "exposure_end")
+_PICTURE = np.dtype(
+    [*((name, "<i8") for name in _TIMES), ("format", "u1"), *((name, "<i2") for name in ("width", "height", "x", "y"))]
+)
+_CHANNELS = {0: 1, 16: 3, 24: 4}  # grey, BGR, BGRA
+_PIXELS_SLOT = 10
+SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
+"""Sources of external triggers; others are resets, generators and marks of frames."""
+KINDS = {"EVTS": "events", "FRME": "frames", "IMUS": "imu", "TRIG": "edges"}
+"""Streams by the identifiers of their types."""
+
+_Octets = npt.NDArray[np.uint8]
+_Offsets = npt.NDArray[np.int64]
+
+
+class Aedat4Decoder:
+    """Decoder of the payloads of packets; raises ValueError for a description that is none, or without events.
+
+    Times are later than `start_us`, the Unix time of t = 0. The first stream of events is read.
+
+    Attributes
+    ----------
+    events : number of the stream of events.
+    info : of that stream: its camera (`source`), `sizeX`, `sizeY` and others.
+    kinds : type of each stream by its number, "EVTS", "FRME", "IMUS", "TRIG" or another one.
+    damage : reason why a packet was not read to its end; "" where there is none.
+    """
+
+    def __init__(self, head: Aedat4Head) -> None:
+        try:
+            root = ET.fromstring(head.xml.rstrip(b"\0"))
+        except (ET.ParseError, ValueError, LookupError) as error:
+            raise ValueError(f"its description is no XML: {error}") from error
+        nodes = {int(node.get("name", "")): node for node in root.iterfind("./node[@name='outInfo']/node")}
+        self.kinds = {k: node.findtext("./attr[@key='typeIdentifier']", "") for k, node in nodes.items()}
+        events = [k for k, kind in self.kinds.items() if kind == "EVTS"]
+        if not events:
+            raise ValueError("it holds no stream of events")
+        self.events = events[0]
+        attributes = nodes[self.events].iterfind("./node[@name='info']/attr")
+        self.info: Mapping[str, str] = {node.get("key", ""): node.text or "" for node in attributes}
+        offset = self.info.get("tsOffset", "")
+        self.start_us = int(offset) if offset.isdecimal() and len(offset) < 19 else 0
+        self.damage = ""
+
+    def decode(self, stream: int, payload: bytes) -> Part:
+        """Return the content of a packet before its damage, empty for other streams; raises ValueError."""
+        kind = self.kinds.get(stream)
+        if kind is None:
+            raise ValueError(f"a packet is of stream {stream}, which its header does not name")
+        if kind not in KINDS or (kind == "EVTS" and stream != self.events):
+            return Part()
+        if payload[8:12] != kind.encode():
+            raise ValueError(f"a packet of stream {stream} is no {kind}")
+        data = np.frombuffer(payload, np.uint8)
+        table = 4 + _numbers(data, np.array([4]), "<u4").astype(np.int64)
+        if kind == "FRME":
+            return Part(frames=self._frame(data, table))
+        start, count = _vector(data, table, 0)
+        if kind == "EVTS":
+            return Part(self._events(np.frombuffer(payload, _EVENT, count, start) if count else np.zeros(0, _EVENT)))
+        places = start + 4 * np.arange(count)
+        tables = places + _numbers(data, places, "<u4")
+        if kind == "TRIG":
+            return Part(edges=self._edges(_records(data, tables, _TRIGGER)))
+        return Part(imu=self._samples(_records(data, tables, _SAMPLE)))
+
+    def _sound(self, records: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64]]:
+        """Return the records before the first that is earlier than t = 0, and their times, us."""
+        t = records["t"] - self.start_us
+        if len(t) and t.min() < 0:
+            k = int((t < 0).argmax())
+            self.damage = f"it is damaged: a record has the time {t[k]} us"
+            return records[:k], t[:k]
+        return records, t
+
+    def _events(self, records: npt.NDArray[Any]) -> Events:
+        records, t = self._sound(records)
+        return make_events(t, records["x"], records["y"], records["on"].view(np.uint8) > 0)
+
+    def _edges(self, records: npt.NDArray[Any]) -> Edges:
+        records, t = self._sound(records)
+        edges = np.zeros(len(t), EDGE)
+        edges["t"] = t
+        for kind, source in SOURCES.items():
+            edges["kind"][records["source"] == source] = kind
+        return edges[edges["kind"] > 0]
+
+    def _samples(self, records: npt.NDArray[Any]) -> ImuRecords:
+        records, t = self._sound(records)
+        samples = np.zeros(len(t), IMU)
+        for name in IMU.names or ():
+            samples[name] = t if name == "t" else records[name]
+        return samples
+
+    def _frame(self, data: _Octets, table: _Offsets) -> tuple[Frame, ...]:
+        record = _records(data, table, _PICTURE)
+        t, begin, end = (int(record[name][0]) - self.start_us for name in ("t", "exposure_begin", "exposure_end"))
+        width, height, x, y = (int(record[name][0]) for name in ("width", "height", "x", "y"))
+        channels = _CHANNELS.get(int(record["format"][0]), 0)
+        start, count = _vector(data, table, _PIXELS_SLOT)
+        if not channels or min(width, height) < 0 or count not in (0, width * height * channels):
+            raise ValueError(f"a frame has {width} x {height} pixels of format {record['format'][0]}")
+        pixels = data[start : start + count] if count else np.zeros(width * height * channels, np.uint8)
+        shape = (height, width) if channels == 1 else (height, width, channels)
+        pixels = pixels.reshape(shape)
+        if channels > 1:
+            pixels = pixels[..., [2, 1, 0, 3][:channels]]
+        return (Frame(t, begin, end, pixels, (x, y)),)
+
+
+def _vector(data: _Octets, table: _Offsets, slot: int) -> tuple[int, int]:
+    """Return the place of the first element of the vector in a field of a table, (1,), and their number."""
+    place = _places(data, table, slot)
+    if not place[0]:
+        return 0, 0
+    start = place + _numbers(data, place, "<u4")
+    return int(start[0]) + 4, int(_numbers(data, start, "<u4")[0])
+
+
+def _records(data: _Octets, tables: _Offsets, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Return the records of tables at (n,) offsets, field k of `dtype` from their slot k; 0 where it is missing."""
+    records = np.zeros(len(tables), dtype)
+    for slot, name in enumerate(dtype.names or ()):
+        places = _places(data, tables, slot)
+        records[name][places > 0] = _numbers(data, places[places > 0], dtype[name])
+    return records
+
+
+def _places(data: _Octets, tables: _Offsets, slot: int) -> _Offsets:
+    """Return the places of a field of tables at (n,) offsets; 0 where it is missing."""
+    layouts = tables - _numbers(data, tables, "<i4")
+    is_there = _numbers(data, layouts, "<u2") >= 6 + 2 * slot
+    offsets = np.zeros(len(tables), np.int64)
+    offsets[is_there] = _numbers(data, layouts[is_there] + 4 + 2 * slot, "<u2")
+    return np.where(offsets > 0, tables + offsets, 0)
+
+
+def _numbers(data: _Octets, places: _Offsets, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return the numbers at (n,) offsets; raises ValueError for an offset outside."""
+    size = np.dtype(dtype).itemsize
+    if len(places) and (places.min() < 0 or places.max() > len(data) - size):
+        raise ValueError("a packet has a place outside of it")
+    numbers: npt.NDArray[Any] = data[places[:, None] + np.arange(size)].view(dtype)[:, 0]
+    return numbers

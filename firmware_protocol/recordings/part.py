@@ -74,6 +74,7 @@ class Facts:
     imu_unit : type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
     header : further lines of text of its file, by their names.
     topics : number of messages of each topic with events, where the format has topics; `camera` is that of the events.
+    remarks : assumptions about what the file does not state.
     """
 
     size: tuple[int, int] | None = None
@@ -83,6 +84,7 @@ class Facts:
     imu_unit: int = 2
     header: Mapping[str, str] = field(default_factory=dict)
     topics: Mapping[str, int] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
 
 _NAMES = {"events": "events", "edges": "triggers", "imu": "IMU samples", "frames": "frames"}

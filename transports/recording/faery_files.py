@@ -1,8 +1,7 @@
-"""AEDAT 4.0, DAT, Event Stream and CSV files, written and read by faery.
+"""AEDAT 4.0, DAT, Event Stream and CSV files, written by faery.
 
 DAT, Event Stream and CSV: times stay unchanged (no t0 is subtracted), while faery would begin each file at its first
-event. Event Stream counts rows from the bottom, and faery's writer does not convert them. Readers are for a child
-process: faery panics at unexpected data, see `files`.
+event. Event Stream counts rows from the bottom, and faery's writer does not convert them.
 
 AEDAT 4.0 holds events, triggers, IMU samples and frames. Frames are written with 8 bits, as readers expect them, and
 grey. faery 0.7.1 writes only frames that it has read itself, so each frame is first written to a small file, see
@@ -13,19 +12,17 @@ never closed is read up to its last whole packet.
 
 from __future__ import annotations
 
-import re
 import struct
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from faery.extension import aedat, csv, dat, es
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events, make_events
-from firmware_protocol.recordings.aedat4 import Aedat4Head, aedat4_picture
+from firmware_protocol.events import Edges, Events
+from firmware_protocol.recordings.aedat4 import SOURCES, Aedat4Head, aedat4_picture
 from transports.output_file import TemporaryFolder
-from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Size
+from transports.recording.part import Facts, Frame, Part
 
 _COMMA = 44
 _SIZE = (1280, 720)  # for a file without it: faery's own default
@@ -82,74 +79,6 @@ class CsvWriter(_Events):
         )
 
 
-class _Decoded:
-    """Reader of events with a decoder of faery."""
-
-    def __init__(self, decoder: Any, size: Size | None, camera: str) -> None:
-        self._decoder = decoder
-        self.facts = Facts(size, camera, streams=frozenset())
-
-    def parts(self) -> Iterator[Part]:
-        """Yield the events, packet by packet."""
-        with self._decoder as packets:
-            for packet in packets:
-                events = self._events(packet)
-                if len(events):
-                    yield Part(events)
-
-    def _events(self, packet: Any) -> Events:
-        return _as_events(packet)
-
-
-class DatReader(_Decoded):
-    """Reader of DAT with change-detection events."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        decoder = dat.Decoder(path, size or _SIZE, "dat2")
-        if decoder.event_type != "cd":
-            raise RecordingError(f"its events are of type {decoder.event_type!r}; change-detection events are read")
-        with path.open("rb") as file:  # without a size in the file faery has one of its own
-            has_size = re.search(rb"(?mi)^% *(width|geometry)\b", file.read(4096))
-        super().__init__(decoder, decoder.dimensions if has_size else size, decoder.version)
-
-    def _events(self, packet: Any) -> Events:
-        return make_events(packet["t"], packet["x"], packet["y"], packet["payload"] > 0)
-
-
-class EsReader(_Decoded):
-    """Reader of Event Stream files of DVS events."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        decoder = es.Decoder(path, 0)
-        if decoder.event_type != "dvs":
-            raise RecordingError(f"its events are of type {decoder.event_type!r}; DVS events are read")
-        super().__init__(decoder, decoder.dimensions, "es")
-
-    def _events(self, packet: Any) -> Events:
-        return _turned(_as_events(packet), (self.facts.size or _SIZE)[1] - 1)
-
-
-class CsvReader(_Decoded):
-    """Reader of lines t,x,y,on; the first line may give the size as our writer does: t,x@346,y@260,on."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        with path.open("rb") as file:
-            head = file.readline(200)
-        size_in_file = re.search(rb"x@(\d{1,5}),y@(\d{1,5})", head)
-        has_header = not head[:1].isdigit()
-        size = (int(size_in_file[1]), int(size_in_file[2])) if size_in_file else size
-        decoder = csv.Decoder(
-            path=path, dimensions=size or _SIZE, has_header=has_header, separator=_COMMA, t_index=0, x_index=1,
-            y_index=2, on_index=3, t_scale=0.0, t0=0, on_value=b"1", off_value=b"0", skip_errors=False,
-        )  # fmt: skip
-        super().__init__(decoder, size, "csv")
-
-
-def _as_events(packet: Any) -> Events:
-    events: Events = packet.view(EVENT) if packet.dtype.itemsize == EVENT.itemsize else packet.astype(EVENT)
-    return events
-
-
 def _turned(events: Events, top: int) -> Events:
     turned = events.copy()
     turned["y"] = top - events["y"]
@@ -157,7 +86,6 @@ def _turned(events: Events, top: int) -> Events:
 
 
 _TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
-_SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
 _NUMBERS = {"events": 0, "frames": 1, "imu": 2, "edges": 3}  # as cameras number them
 _STREAMS = (
     ("events", "events", "EVTS", "Array of events (polarity ON/OFF)."),
@@ -260,69 +188,6 @@ def _text(value: str) -> Any:
 def _triggers(edges: Edges) -> Any:
     triggers = np.zeros(len(edges), _TRIGGER)
     triggers["t"] = edges["t"]
-    for kind, source in _SOURCES.items():
+    for kind, source in SOURCES.items():
         triggers["source"][edges["kind"] == kind] = source
     return triggers
-
-
-class Aedat4Reader:
-    """Reader of the first event stream and its companions; for a child process, see `files`."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        self._decoder = aedat.Decoder(path)
-        tracks = {track.id: track for track in self._decoder.tracks()}
-        events = next((track for track in tracks.values() if track.data_type == "events"), None)
-        if events is None:
-            raise RecordingError("it holds no stream of events")
-        self._events = events.id
-        kinds = {"imus": "imu", "triggers": "edges", "frame": "frames"}
-        streams = frozenset(kinds[track.data_type] for track in tracks.values() if track.data_type in kinds)
-        info = _info(self._decoder.description(), events.id)
-        self.facts = Facts(events.dimensions or size, str(info.get("source", "aedat4")), _start(info), streams)
-        self.other_streams = len(tracks) - 1 - len(streams)
-
-    def parts(self) -> Iterator[Part]:
-        """Yield packets; raises at the first damaged one, after all packets before it."""
-        start_us = np.uint64(self.facts.unix_us)
-        with self._decoder as packets:
-            for track, packet in packets:
-                if track.data_type == "frame":
-                    yield Part(frames=(_frame(packet, int(start_us)),))
-                    continue
-                packet = packet.copy()
-                packet["t"] -= start_us
-                if track.id == self._events:
-                    yield Part(packet.view(EVENT))
-                elif track.data_type == "triggers":
-                    yield Part(edges=_edges(packet))
-                elif track.data_type == "imus":
-                    yield Part(imu=packet.view(IMU))
-
-
-def _info(description: Any, stream: int) -> Mapping[str, Any]:
-    for top in description:
-        for node in top.nodes:
-            if node.name == str(stream):
-                return {key: attribute.value for inner in node.nodes for key, attribute in inner.attributes.items()}
-    return {}
-
-
-def _start(info: Mapping[str, Any]) -> int:
-    offset = info.get("tsOffset", 0)
-    return offset if isinstance(offset, int) and 0 <= offset < 1 << 62 else 0
-
-
-def _frame(frame: Any, start_us: int) -> Frame:
-    times = frame.t - start_us, frame.exposure_start_t - start_us, frame.exposure_end_t - start_us
-    return Frame(*times, frame.pixels, (frame.offset_x, frame.offset_y))
-
-
-def _edges(triggers: Any) -> Edges:
-    """Return the external triggers; resets, generators and marks of frames are omitted."""
-    kinds = {source: kind for kind, source in _SOURCES.items()}
-    external = triggers[np.isin(triggers["source"], list(kinds))]
-    edges = np.zeros(len(external), EDGE)
-    edges["t"] = external["t"]
-    for source, kind in kinds.items():
-        edges["kind"][external["source"] == source] = kind
-    return edges

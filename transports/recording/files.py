@@ -22,6 +22,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import shutil
+import warnings
 from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, Events, join_events
+from firmware_protocol.recordings.event_table import TableForm, TimeUnit
 from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
 from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
 from transports.recording.part import (
@@ -330,6 +332,7 @@ class OpenRecording:
     ----------
     size : (width, height) of the sensor, for files without it.
     strict : False: events that go back in time or lie outside the sensor are no error.
+    table : columns and unit of the times of a table of text.
     topic : topic of the events; None: the only one of the file, RecordingError if it has several. Empty: the first one.
 
     Attributes
@@ -337,10 +340,19 @@ class OpenRecording:
     format, facts : its format, and the facts available before its first event.
     """
 
-    def __init__(self, path: Path, size: Size | None = None, *, strict: bool = True, topic: str | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        size: Size | None = None,
+        *,
+        strict: bool = True,
+        table: TableForm | None = None,
+        topic: str | None = None,
+    ) -> None:
         self._strict = strict
         self.format: Format = format_to_read(path)
-        arguments = (f"{__name__}:read_messages", path, self.format.name, size, topic or "")
+        columns = vars(table or TableForm())
+        arguments = (f"{__name__}:read_messages", path, self.format.name, size, columns, topic or "")
         self._reader = GuardedReader(*arguments, limits=Limits.in_pieces(path))
         self._messages = self._received()
         try:
@@ -384,12 +396,15 @@ class OpenRecording:
         self.close()
 
 
-def read_messages(path: Path, form: str, size: list[int] | None, topic: str = "") -> Iterator[dict[str, Any]]:
+def read_messages(
+    path: Path, form: str, size: list[int] | None, table: dict[str, Any], topic: str = ""
+) -> Iterator[dict[str, Any]]:
     """Yield the messages of a recording's facts and parts (see `part`), in the child; raises RecordingError."""
     files = path.iterdir() if path.is_dir() else [path]
     left_bytes = _MOST_GROWTH * sum(file.stat().st_size for file in files) + _ALWAYS_BYTES
     try:
-        reader = FORMATS[form].open_reader(path, None if size is None else (size[0], size[1]), topic)
+        in_file = None if size is None else (size[0], size[1])
+        reader = FORMATS[form].open_reader(path, in_file, TableForm(**table), topic)
         yield _message(encoded_facts(reader.facts))
         for part in reader.parts():
             left_bytes -= part.events.nbytes + part.edges.nbytes + part.imu.nbytes
@@ -411,7 +426,15 @@ def _message(pieces: list[bytes]) -> dict[str, Any]:
     return {"messages": np.frombuffer(b"".join(pieces), np.uint8)}
 
 
-def read_events(path: str | Path, *, size: Size | None = None, strict: bool = True, topic: str | None = None) -> Events:
+def read_events(
+    path: str | Path,
+    *,
+    size: Size | None = None,
+    strict: bool = True,
+    columns: str = "",
+    time_unit: TimeUnit = "",
+    topic: str | None = None,
+) -> Events:
     """Return all events of a recording, (n,) EVENT, t in us since its start.
 
     They are sorted unless `strict` is False. Of a `.npz` record they are those since the last restart of the camera's
@@ -424,13 +447,22 @@ def read_events(path: str | Path, *, size: Size | None = None, strict: bool = Tr
     path : file, or folder of a ROS 2 bag, in any format of docs/recordings.md. Its first bytes decide which one.
     size : (width, height) of the sensor, for a format that does not contain it.
     strict : False: return the events of a damaged file that go back in time or lie outside the sensor, too.
+    columns : of a table of text, the names of its columns in their order, such as "x,y,p,t".
+    time_unit : of a table of text: "s", "ms", "us" or "ns". What is assumed without these two is a warning.
     topic : topic of a ROS bag with the events of several cameras, which is refused without it.
     """
-    return join_events(list(iter_events(path, size=size, strict=strict, topic=topic))).copy()
+    events = iter_events(path, size=size, strict=strict, columns=columns, time_unit=time_unit, topic=topic)
+    return join_events(list(events)).copy()
 
 
 def iter_events(
-    path: str | Path, *, size: Size | None = None, strict: bool = True, topic: str | None = None
+    path: str | Path,
+    *,
+    size: Size | None = None,
+    strict: bool = True,
+    columns: str = "",
+    time_unit: TimeUnit = "",
+    topic: str | None = None,
 ) -> Iterator[Events]:
     """Yield the events of a recording in pieces, (n > 0,) EVENT, read-only: memory does not grow with the file.
 
@@ -439,7 +471,9 @@ def iter_events(
     """
     file = Path(path)
     try:
-        with OpenRecording(file, size, strict=strict, topic=topic) as recording:
+        with OpenRecording(file, size, strict=strict, table=TableForm(columns, time_unit), topic=topic) as recording:
+            for remark in recording.facts.remarks:
+                warnings.warn(f"{file}: {remark}", stacklevel=2)
             yield from (part.events for part in recording.parts() if len(part.events))
     except RecordingError as error:
         raise type(error)(f"{file}: {error}") from error

@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from firmware_protocol.recordings.event_table import TableForm, is_table
 from transports.needs import install_command
 from transports.recording.part import MOST_PIXELS, Facts, LibraryMissing, Reader, RecordingError, Size, Writer
 from transports.registry import PluginError, Registry, UnknownName, imported
@@ -44,6 +45,7 @@ class Format:
     piece_us : time that is written at once, if events are few.
     live : True if a file that was not closed can be read up to its last whole piece.
     is_evt : True if it has words of EVT: rising and falling edges, and no record for a pulse that a camera reports.
+    is_table : True if it is text in columns; its reader has a TableForm as a third parameter.
     has_topics : True if it may hold the events of several cameras; its reader has the topic as a third parameter.
     """
 
@@ -63,6 +65,7 @@ class Format:
     piece_us: int = 10_000  # the packet length of cameras
     live: bool = True
     is_evt: bool = False
+    is_table: bool = False
     has_topics: bool = False
 
     def open_writer(self, path: Path, facts: Facts) -> Writer:
@@ -76,14 +79,21 @@ class Format:
         writer: Writer = self.imported(self.writer)(path, facts)
         return writer
 
-    def open_reader(self, path: Path, size: Size | None = None, topic: str = "") -> Reader:
+    def open_reader(
+        self, path: Path, size: Size | None = None, table: TableForm | None = None, topic: str = ""
+    ) -> Reader:
         """Return a reader of `path`; raises as its parts do, and RecordingError for a sensor that cannot be.
 
-        `size` is for files without the sensor's size, `topic` for files with several; empty: the first one.
+        `size` is for files without the size of the sensor, `table` for tables of text, `topic` for bags; empty:
+        the first one.
         """
         if topic and not self.has_topics:
             raise RecordingError(f"{self.title} has no topics: leave --topic out")
-        reader: Reader = self.imported(self.reader)(path, size, *([topic] if self.has_topics else ()))
+        if table not in (None, TableForm()) and not self.is_table:
+            raise RecordingError(f"{self.title} is no table of text: leave --columns and --time-unit out")
+        reader: Reader = self.imported(self.reader)(
+            path, size, *([table] if self.is_table else ()), *([topic] if self.has_topics else ())
+        )
         width, height = reader.facts.size or (1, 1)
         if min(width, height) < 1 or width * height > MOST_PIXELS:
             raise RecordingError(f"its sensor has {width} x {height} pixels: from 1 to {MOST_PIXELS} are read")
@@ -115,7 +125,7 @@ _evt_file = partial(
 )
 _FORMATS = (
     Format(
-        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.faery_files:Aedat4Writer", f"{_HERE}.faery_files:Aedat4Reader",
+        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.faery_files:Aedat4Writer", f"{_HERE}.event_files:Aedat4Reader",
         signature=b"#!AER-DAT4.0", holds=_ALL, readers="DV, dv-processing, aedat, faery, jAER", needs="faery",
         size_px=(1 << 15, 1 << 15),
     ),
@@ -145,17 +155,17 @@ _FORMATS = (
         readers="Metavision, OpenEB", until_us=1 << 34,
     ),
     Format(
-        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader",
+        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.event_files:DatReader",
         readers="Metavision, OpenEB, faery, expelliarmus", needs="faery", size_px=(1 << 14, 1 << 14),
         until_us=1 << 32,
     ),
     Format(
-        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.faery_files:EsReader",
+        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.event_files:EsReader",
         signature=b"Event Stream", readers="faery, event_stream, Sepia", needs="faery", until_us=1 << 37,
     ),
     Format(
-        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.faery_files:CsvReader",
-        readers="faery, pandas, any table", needs="faery",
+        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.event_files:CsvReader",
+        readers="faery, pandas, any table", needs="faery", is_table=True,
     ),
     Format(
         "dsec", "HDF5 as DSEC has it", (".h5", ".hdf5"), f"{_HERE}.dsec:DsecWriter", f"{_HERE}.dsec:DsecReader",
@@ -265,9 +275,7 @@ def _of_text(head: bytes, path: Path) -> Format:
         raise RecordingError(f"it is AEDAT {version}; 2.0, 3.1 and 4.0 are read")
     if head.startswith(b"%"):
         return _of_percent(head, path)
-    first = head.splitlines()[0]
-    is_line = first[:2] in (b"t,", b"x,") or (first.count(b",") >= 3 and first[:1].isdigit())
-    if is_line or path.suffix == ".csv":
+    if path.suffix == ".csv" or is_table(head):
         return FORMATS["csv"]
     if head.startswith((b"SQLite format 3\0", b"\x89MCAP0\r\n")):
         advice = f"name its folder; {_REINDEX} FOLDER` writes a metadata.yaml that is missing there"

@@ -144,7 +144,8 @@ def facts_of(values: dict[str, Any]) -> Facts:
     """Return the facts of `values_of`, or of an H message."""
     size = values["size"] and (int(values["size"][0]), int(values["size"][1]))
     fields = {field.name: values[field.name] for field in dataclasses.fields(Facts)}
-    return Facts(**fields | {"size": size, "streams": frozenset(values["streams"])})
+    sets = {"streams": frozenset(values["streams"]), "remarks": tuple(values["remarks"])}
+    return Facts(**fields | {"size": size} | sets)
 
 
 def _message(letter: bytes, data: bytes) -> list[bytes]:

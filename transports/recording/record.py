@@ -28,10 +28,12 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
 
@@ -39,7 +41,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from firmware_protocol.events import EDGE, EVENT, Events
+from firmware_protocol.events import EDGE, EVENT, Events, make_events
 from transports.output_file import OutputFile
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, RecordingSummary, Size
 
@@ -329,8 +331,12 @@ class NpzWriter:
             raise RecordingError(self._recorder.trouble)
 
 
+_SEQUENCE = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
+"""Arrays of the events of a sequence of `evstim dataset`, below "events/"."""
+
+
 class NpzReader:
-    """Reader of a record, each stream from the last restart of the camera's clock on."""
+    """Reader of a record, each stream from the last restart of the camera's clock on, or of a data set's sequence."""
 
     def __init__(self, path: Path, size: Size | None) -> None:
         self._path = path
@@ -343,8 +349,17 @@ class NpzReader:
         if stored.shape == (2,):
             size = int(stored[0]), int(stored[1])
         with zipfile.ZipFile(path) as archive:
-            streams = {name for name in ("edges", "imu", "frames") if f"{name}.npy" in archive.namelist()}
-        self.facts = Facts(size, "npz", streams=frozenset(streams))
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+            if pictures := sorted(name for name in names if re.fullmatch("pictures/(light|depth|flow|labels)", name)):
+                with archive.open(f"{pictures[0]}.npy") as file:
+                    _, height, width = (*_header(file)[0], 0, 0, 0)[:3]
+                size = (width, height) if width and height else size
+        missing = [f"events/{name}" for name in _SEQUENCE if f"events/{name}" not in names]
+        self._is_sequence = "events" not in names
+        if self._is_sequence and missing:
+            parts = f"a record has events; a sequence of `evstim dataset` lacks {', '.join(missing)}"
+            raise RecordingError(f"it holds no events, only {', '.join(sorted(names)[:9]) or 'nothing'}: {parts}")
+        self.facts = Facts(size, "npz", streams=frozenset({"edges", "imu", "frames"} & names))
 
     def parts(self) -> Iterator[Part]:
         """Yield the data in the order of time, at most a second of them at a time."""
@@ -361,7 +376,25 @@ class NpzReader:
         if any(queue.left for queue in queues):
             raise RecordingError("it holds times beyond 2^63 us")
 
+    def _sequence(self) -> Iterator[Events]:
+        """Yield the events of a sequence."""
+        with zipfile.ZipFile(self._path) as archive, ExitStack() as stack:
+            files = {name: stack.enter_context(archive.open(f"events/{name}.npy")) for name in _SEQUENCE}
+            counts = {_count(files[name], np.dtype(dtype)) for name, dtype in _SEQUENCE.items()}
+            if len(counts) != 1:
+                raise RecordingError("its events/t, x, y and p are not of the same length")
+            for n in _piece_counts(counts.pop(), EVENT):
+                content = {name: files[name].read(n * np.dtype(dtype).itemsize) for name, dtype in _SEQUENCE.items()}
+                complete = min(len(content[name]) // np.dtype(dtype).itemsize for name, dtype in _SEQUENCE.items())
+                t, x, y, p = (np.frombuffer(content[name], _SEQUENCE[name], complete) for name in "txyp")
+                yield make_events(t, x, y, p > 0)
+                if complete < n:
+                    raise RecordingError("its events are cut short")
+
     def _pieces(self, name: str, dtype: np.dtype[np.void]) -> Iterator[npt.NDArray[Any]]:
+        if name == "events" and self._is_sequence:
+            yield from self._sequence()
+            return
         with zipfile.ZipFile(self._path) as archive:
             if f"{name}.npy" not in archive.namelist():
                 return

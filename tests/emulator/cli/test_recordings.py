@@ -110,6 +110,26 @@ def test_a_torn_file_is_converted_up_to_there_with_a_verdict(tmp_path, capsys):
     assert read_all(tmp_path / "b.aedat4")[1]["t"].tolist()[:3] == [1, 2, 5]
 
 
+def test_a_table_without_a_header_is_read_in_the_order_that_is_given(tmp_path, capsys):
+    table, picture = tmp_path / "a.txt", tmp_path / "a.png"
+    table.write_text("10,20,1,0.5\n11,21,0,0.7\n12,22,0,0.6\n")
+    assert _main(["info", str(table)]) == 2
+    assert "column 4 has 0.5, which is no p" in capsys.readouterr().err
+    code, info = told(capsys, "info", table, "--columns", "x,y,p,t")
+    events = info["streams"]["events"]
+    assert (code, events["first_us"], events["last_us"], events["steps_back"]) == (0, 500_000, 700_000, 1)
+    assert (info["mean_hz"], info["busiest_hz"]) == (None, None)
+    assert info["assumed"] == ["it has no unit of time: its times are taken as s (--time-unit)"]
+    options = ["--columns", "x,y,p,t", "--time-unit", "s"]
+    code, done = told(capsys, "convert", table, tmp_path / "b.csv", "--size", "64x48", *options)
+    assert (code, done["events"]) == (1, 2)
+    assert "event 2 goes back in time, from 700000 to 600000 us" in done["trouble"]
+    assert (tmp_path / "b.csv").read_text().split() == ["t,x@64,y@48,on", "500000,10,20,1", "700000,11,21,0"]
+    table.write_text("10,20,1,0.5\n11,21,0,0.7\n")
+    assert told(capsys, "picture", table, picture, "--size", "64x48", *options)[1]["events"] == 2
+    assert _main(["picture", "eros", str(picture), *options]) == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

@@ -194,11 +194,11 @@ def test_a_file_cut_anywhere_gives_what_came_before_or_a_reason(name, tmp_path):
         ("a.raw", b"\x89PNG\r\n\x1a\n" * 9, "none of the recordings"),
         ("a.aedat", b"#!AER-DAT3.0\r\n", "it is AEDAT 3.0"),
         ("a.aedat", b"#!AER-DAT2.0\r\n#no size\r\n12345678", "give --size"),
-        ("a.aedat4", b"#!AER-DAT4.0\r\n" + b"\xff" * 100, "ended by SIGABRT|damaged"),
+        ("a.aedat4", b"#!AER-DAT4.0\r\n" + b"\xff" * 100, "header is cut"),
         ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(100), "open file"),
         ("a.bag", b"#ROSBAG V2.0\n" + bytes(100), "field 'op'"),
         ("a.npz", b"PK\x03\x04" + bytes(100), "no sound .npz"),
-        ("a.es", b"Event Stream" + bytes(3), "bad magic number"),
+        ("a.es", b"Event Stream" + bytes(3), "header is cut"),
         ("a.csv", b"t,x,y,on\n1,2,nonsense,1\n", "nonsense"),
     ],
 )
