@@ -40,9 +40,9 @@ Part = tuple[int, int, int, int]
 _REACH_SIGMAS = 3.5
 _entry = entry_of(__name__, error_model="python")
 _strip_entry = entry_of(__name__, fastmath={"contract"})
-_loop: Callable[[Callable[..., None]], Any] = njit(
-    nogil=True, error_model="numpy", _nrt=False, fastmath={"contract"}, pipeline_class=KernelCompiler
-)  # counts no references, which would slow loops down
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+# It counts no references, which would slow loops down.
+_loop: Callable[[Callable[..., None]], Any] = njit(**_OPTIONS, pipeline_class=KernelCompiler)
 _STRIP = 48  # rows that are blurred together: they stay in the second-level cache
 
 
