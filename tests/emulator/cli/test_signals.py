@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -83,6 +84,18 @@ def test_two_signals_of_any_kind_stop_once(pair):
 def test_before_a_run_the_first_signal_interrupts_and_the_second_disturbs_no_message():
     interrupt_on_stop_signals()
     assert [interrupts(signal.raise_signal, signal.SIGTERM) for _ in range(2)] == [True, False]
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_signal_ends_a_step_though_its_handler_waits_for_a_compiled_loop(number):
+    """Another thread calls the function: Python runs no handler before the main thread is back from a loop."""
+    ended = threading.Event()
+    stop_on_signals(lambda: None, end_step=ended.set)
+    try:
+        signal.raise_signal(number)
+        assert ended.wait(60)
+    finally:
+        os.close(signal.set_wakeup_fd(-1))
 
 
 @pytest.mark.parametrize("number", NUMBERS)
