@@ -208,7 +208,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = run_summary.begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
-        stop_on_signals(partial(_stop, session, parts.repeats), session.interrupt)
+        stop_on_signals(partial(_stop, session, parts.repeats), session.interrupt, session.end_step)
         with (
             fault_injection(rig, session) as faults,
             serving.page(session) as page,

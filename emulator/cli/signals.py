@@ -1,7 +1,8 @@
 """Stop of a command at Ctrl-C (SIGINT), at a service manager's SIGTERM, and at the end of a terminal (SIGHUP).
 
     signal                          before a run       during a run                 while its summary is written
-    first                           interrupts         ends it after this step      does nothing
+    first                           interrupts         ends it after this step,     does nothing
+                                                       or within it after 0.5 s
     second, within _PATIENCE_S      does nothing       does nothing                 does nothing
     second, later; third            interrupts         ends it within this step     does nothing
 
@@ -22,6 +23,7 @@ import atexit
 import os
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -32,6 +34,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 3.0
 _INSISTING = 3  # signals
 _AGAIN_S = 0.02
+_STEP_S = 0.5  # for a step to end by itself
 _LOSING = ("importlib._bootstrap", "_frozen_importlib", "llvmlite.", "numba.core.serialize", "namedtuple_")
 """Beginnings of the names of modules within whose calls an exception is lost, or compiled code crashes by it."""
 
@@ -103,13 +106,33 @@ def interrupt_on_stop_signals() -> None:
     _handle(StopSignals(interruption))
 
 
-def stop_on_signals(stop: Callable[[], object], interrupt: Callable[[], object] | None = None) -> None:
+def stop_on_signals(
+    stop: Callable[[], object],
+    interrupt: Callable[[], object] | None = None,
+    end_step: Callable[[], object] | None = None,
+) -> None:
     """Make the first signal call `stop`, such as that of a Session, from now on, and an insistent one `interrupt`.
 
-    This stays so when the run has ended: a second signal may arrive at any moment after the first. Raises
+    This stays so when the run has ended: a second signal may arrive at any moment after the first. `end_step` is called
+    by another thread 0.5 s after a signal: handlers wait for the end of a compiled loop of the main thread. Raises
     KeyboardInterrupt where a signal came before and its exception was lost.
     """
     _handle(StopSignals(stop, interrupt=interrupt))
+    if end_step is not None:
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        if (before := signal.set_wakeup_fd(writing, warn_on_full_buffer=False)) >= 0:
+            os.close(before)  # ends its thread
+        threading.Thread(target=_watch, args=(reading, end_step), daemon=True).start()
+
+
+def _watch(reading: int, end_step: Callable[[], object]) -> None:
+    """Read the numbers of signals as they arrive."""
+    while number := os.read(reading, 1):
+        if number[0] in _SIGNALS:
+            time.sleep(_STEP_S)
+            end_step()
+    os.close(reading)
 
 
 def ignore_stop_signals() -> None:

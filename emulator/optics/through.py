@@ -31,17 +31,18 @@ from emulator.geometry.camera import Pinhole, Rays, SceneGeometry
 from emulator.light import LastArrays, Light, OtherLight, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.threads import ThreadPool, available_threads
-from firmware_protocol.compiled import entry_of
+from firmware_protocol.compiled import KernelCompiler, entry_of
 
 _Float32s = npt.NDArray[np.float32]
 Part = tuple[int, int, int, int]
 """Rows and columns of a light frame: first row, last row, first column, last column, the last ones not included."""
 
 _REACH_SIGMAS = 3.5
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "fastmath": {"contract"}}
 _entry = entry_of(__name__, error_model="python")
 _strip_entry = entry_of(__name__, fastmath={"contract"})
-_loop: Callable[[Callable[..., None]], Any] = njit(**_OPTIONS)  # counts no references, which would slow loops down
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+# It counts no references, which would slow loops down.
+_loop: Callable[[Callable[..., None]], Any] = njit(**_OPTIONS, pipeline_class=KernelCompiler)
 _STRIP = 48  # rows that are blurred together: they stay in the second-level cache
 
 

@@ -35,6 +35,7 @@ from emulator.run.changes import Change, Changes
 from emulator.run.link_process import LinkProcess
 from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Drive, Lateness, Lockstep, SimulationDrive, StepRule
+from emulator.sensor.pixels.method import STOP, StepInterrupted
 from emulator.sensor.sensor import AdjustableSource, EventSource, ThresholdSource
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
@@ -96,10 +97,6 @@ class Schedule:
     simulation: SimulationDrive | None = None
 
 
-class _StepInterrupted(KeyboardInterrupt):
-    """End of a run within a step, see `Session.interrupt`."""
-
-
 class Session:
     """One run from the first light to the last report.
 
@@ -142,6 +139,7 @@ class Session:
         self._lateness = Lateness()
         self.stopping = False
         self._may_interrupt = True
+        self._in_steps = False
         self._cut_off: Ledger | None = None
         self._scene_trouble = ""
         self.last_readings: Sequence[tuple[ReadingKind, Readings]] = ()
@@ -165,7 +163,11 @@ class Session:
         """
         self.stopping = True
         if self._may_interrupt:
-            raise _StepInterrupted
+            raise StepInterrupted
+
+    def end_step(self) -> None:
+        """End a present step, as `interrupt` does, from another thread while this one computes the pixels of it."""
+        STOP[0] = self._in_steps
 
     @property
     def light(self) -> Light:
@@ -253,7 +255,11 @@ class Session:
                 self._second.begin()
             stack.enter_context(_without_old_garbage())
             start_ns = self._clock.now_ns()
-            self._run_steps(on_status)
+            self._in_steps = True
+            try:
+                self._run_steps(on_status)
+            finally:
+                STOP[0] = self._in_steps = False
             wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
             self._finish()
             reports = self._stop_links(schedule.drain_s)
@@ -312,7 +318,7 @@ class Session:
             processor_ns = self._clock.processor_ns()
             try:
                 self._step(rule, goes_on)
-            except (SceneError, _StepInterrupted) as error:  # the events so far have their fates
+            except (SceneError, StepInterrupted) as error:  # the events so far have their fates
                 self._scene_trouble = self._trouble_of(error)
                 break
             finally:
@@ -341,7 +347,7 @@ class Session:
     def _trouble_of(self, error: BaseException) -> str:
         """Return the reason for the verdict; "" for a regular end of the scene where a run has none, or was stopped."""
         t_s = self.t_ns * 1e-9
-        if isinstance(error, _StepInterrupted):
+        if isinstance(error, StepInterrupted):
             return f"interrupted within the step after {t_s:g} s, which is discarded"
         log.info("the scene ends at %g s: %s", t_s, error)
         if not isinstance(error, SceneEnded):
@@ -406,7 +412,7 @@ class Session:
         try:
             yield
         except SystemError as error:  # numba raises it where a signal does while the result of a kernel is made
-            if isinstance(error.__cause__, _StepInterrupted):
+            if isinstance(error.__cause__, StepInterrupted):
                 raise error.__cause__ from None
             raise
         finally:

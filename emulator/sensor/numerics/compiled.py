@@ -16,7 +16,8 @@ Two options decide whether a loop is fast; without them loops here were 20 to 40
 - _nrt=False: no reference counting. Otherwise passing an array to a helper counts a reference up and down with atomic
   operations, and numba leaves them in the loop when the helper has more than one way out: 80 ns a call instead of 2.
 
-fastmath only contracts a*b + c to one rounding: NaN and infinity keep their meaning, and sums their order.
+fastmath only contracts a*b + c to one rounding, for every processor alike (`firmware_protocol.compiled`): NaN and
+infinity keep their meaning, and sums their order.
 
 Only the functions that Python calls, the entries, are cached on disk, as long as no source of the sensor changes. An
 entry must not have an optional argument. numba compares omitted numbers by identity: of several functions with such an
@@ -32,7 +33,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numba import njit
 
-from firmware_protocol.compiled import entry_of
+from firmware_protocol.compiled import KernelCompiler, entry_of
 
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -47,8 +48,9 @@ NONE: Any = np.int64(0)
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
 kernel: _Decorator[Any] = njit(**_UNCOUNTED)
-vector_kernel: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"})
-lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=True)
+_FUSED: dict[str, Any] = {**_UNCOUNTED, "fastmath": {"contract"}, "pipeline_class": KernelCompiler}
+vector_kernel: _Decorator[Any] = njit(**_FUSED)
+lane: _Decorator[Any] = njit(**_FUSED, forceinline=True)
 inlined: _Decorator[Any] = njit(**_UNCOUNTED, inline="always")
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
 

@@ -27,7 +27,7 @@ from emulator.sensor.pixels import state as layout
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
-from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
+from emulator.sensor.pixels.method import STOP, Capabilities, PixelMethod, StepInterrupted, time_of
 from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import Field
@@ -227,7 +227,7 @@ class PixelArray(PixelMethod):
 
     def compile_part(self, part: str) -> None:
         """Compile "blocks", "candidates" or "noise", large parts of the step that `step` then finds on disk."""
-        share = Share(0, 1, self._workers.idle, self._touched(None))
+        share = Share(0, 1, self._workers.idle, self._touched(None), STOP)
         compile_parts(part, self._flat_state(), self._workers.buffers[0], share, self._constants(0, 1_000_000))
 
     def _flat_state(self) -> layout.Pixels:
@@ -380,13 +380,15 @@ class PixelArray(PixelMethod):
         c = self._constants(t0_ns, t_ns, not with_slopes)
         touched = self._touched(changed)
         if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
-            share = Share(0, 1, self._workers.idle, touched)
+            share = Share(0, 1, self._workers.idle, touched, STOP)
             refinement = self._refinement or self._make_refinement()
             buffers.keys, n_keys, tally = refinement.step(frame, pixels, share, buffers.keys, c, at)
             keys = buffers.keys[:n_keys]
             keys.sort()
         else:
             keys, tally = self._workers.step(frame, pixels, touched, c)
+        if STOP[0]:
+            raise StepInterrupted
         self.lost_in_pixel += tally.lost
         self.undersampled += tally.undersampled
         self.candidates += tally.candidates

@@ -25,6 +25,14 @@ ADJUSTABLE = (
 """Fields of SensorParameters that can change between two steps, where a method is adjustable."""
 
 
+STOP = np.zeros(1, np.uint8)
+"""Flag of the process: above 0 a step of pixels returns after the candidates that it solves, and raises."""
+
+
+class StepInterrupted(KeyboardInterrupt):
+    """End of a run within a step."""
+
+
 @dataclass(frozen=True, slots=True)
 class Capabilities:
     """Stated capabilities of a pixel method.

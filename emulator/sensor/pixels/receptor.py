@@ -92,12 +92,12 @@ def bounds_of_receptor(q: Real, behind: Real, excess: Real, d: Real, a0: Real, a
 def fourth_derivative(excess: Real, u: curve.Course, allowed: Real) -> Real:
     """Return a bound of the fourth derivative of V by warped time over an interval; 0 if its exponential is faint.
 
-    With the weight b of the exponential in w it is x (6 x + 1) with x = -b (1 - b), and below b for V below the light:
-    exactly so in constant light, where V's whole distance from the light is that exponential. In light that moves the
-    steady part of the distance is as smooth as the light.
+    V falls as -ln(1 + x s) with x = P - 1 where light is lowest: that derivative is 6 y^2 + y at most, y = x (1 + x).
+    To w the weight b of its exponential adds as much as light does: no light needs shorter intervals by its own slope.
     """
-    t = curve.transient(excess, _reciprocal(excess, u), allowed)
-    above = max(-t.b, _ZERO)
+    p = _reciprocal(excess, u)
+    t = curve.transient(excess, p, allowed)
+    above = max(max(excess, excess + p.d), _ZERO)
     x = (_ONE + above) * above
     return _ZERO if t.faint else max(abs(t.b), x * (_SIX * x + _ONE))
 

@@ -23,6 +23,7 @@ from emulator.sensor.pixels.candidates import Table
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
+from emulator.sensor.pixels.method import STOP
 from emulator.sensor.pixels.state import BLOCK, FIELDS, MEMORY, Field, FlatLight, Pixels, StepConstants, slot
 from emulator.sensor.pixels.step import Buffers, Share, Subset, Tally, advance, new_scratch, new_subset
 
@@ -111,7 +112,7 @@ class Refinement:
         self._subsets = [*(new_subset(blocks) for _ in range(LEVELS)), new_subset(0)]
         self._resting = resting[:, None]
         self._buffers = [Buffers(table, subset, new_scratch()) for subset in self._subsets]
-        self._share = Share(0, 1, new_idle(blocks), _EVERYWHERE)
+        self._share = Share(0, 1, new_idle(blocks), _EVERYWHERE, STOP)
         self._constants = constants
         self._keys = np.empty(4096, np.uint64)
         self._lists: list[Keys] = []

@@ -33,6 +33,7 @@ from emulator.sensor.pixels.candidates import BATCH, Table, entry_at, gather, ga
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import completed, is_undersampled
 from emulator.sensor.pixels.idle import Idle, Touched
+from emulator.sensor.pixels.method import STOP
 from emulator.sensor.pixels.noisy import solve_noisy
 from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, PART, Field, FlatLight, Pixels, StepConstants
@@ -160,12 +161,13 @@ def new_scratch() -> Scratch:
 
 
 class Share(NamedTuple):
-    """Share of one of `of` threads: every `of`-th run of blocks; and the part of it that may be skipped."""
+    """Share of one of `of` threads: every `of`-th run of blocks; the part of it that may be skipped; and `STOP`."""
 
     number: int
     of: int
     idle: Idle
     touched: Touched
+    stop: _Bytes
 
 
 @kernel
@@ -345,7 +347,7 @@ def advance(
     """
     n_keys = lost = undersampled = NONE
     at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)
-    while at.block != _END:
+    while at.block != _END and share.stop[0] == 0:
         at = _fill(frame, pixels, buffers, share, at, c)
         if c.noisy:
             keys, n_keys, lost_now, undersampled_now = solve_noisy(pixels, buffers.table, at.n, keys, n_keys, c)
@@ -414,7 +416,7 @@ class Workers:
         shares: list[tuple[Keys, tuple[int, ...]]] = [(self._keys[0], (0,) * 6)] * n
 
         def move(number: int, _: int) -> None:
-            share = Share(number, n, self.idle, touched)
+            share = Share(number, n, self.idle, touched, STOP)
             keys, n_keys, tally = advance(frame, pixels, self.buffers[number], self._keys[number], share, c)
             self._keys[number] = keys
             keys[:n_keys].sort()

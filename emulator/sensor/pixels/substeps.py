@@ -71,7 +71,6 @@ _ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
 _SHARE = np.float32(0.004)  # of a threshold: what a cubic may miss
 _LEAST_MISS = np.float32(2e-5)  # ln units: float32 has nothing to offer below
 _LEAST_WEIGHT = np.float32(1e-20)
-_TURN, _SMALL_PART = np.float32(0.2), np.float32(0.05)
 _FLAT = np.float32(0.3)  # slope, over the change of the light, below which an undersampled step is a jump
 _E4, _E1, _E0 = np.float32(384), np.float32(1 / 0.16), np.float32(0.2)
 _NEARLY = np.float32(1.001)
@@ -236,10 +235,6 @@ def _choose_width_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
         bending = receptor.fourth_derivative(receptor.excess_of(q.u0 - rows[V + j]), q.course, _allowed(rows, j))
         share = _share_within(bending, q.course.s, _allowed(rows, j))
-        # Within a small part of a time constant a cubic misses less than this part of the change of its slope.
-        turn = _TURN * q.course.s * abs(exponential(rows[V + j] - q.u1) - exponential(rows[V + j] - q.u0))
-        cap = min(np.sqrt(_allowed(rows, j) / max(turn, _LEAST_WEIGHT)), _ONE)
-        share = max(share, cap) if c.noisy & (q.course.s < _SMALL_PART) else share
         _set_width(rows, j, width, share, stop, last)
 
 

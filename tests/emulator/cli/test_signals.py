@@ -7,6 +7,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -85,6 +86,18 @@ def test_before_a_run_the_first_signal_interrupts_and_the_second_disturbs_no_mes
     interrupt_on_stop_signals()
     assert [interrupts(signal.raise_signal, signal.SIGTERM) for _ in range(2)] == [True, False]
     ignore_stop_signals()
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_signal_ends_a_step_though_its_handler_waits_for_a_compiled_loop(number):
+    """Another thread calls the function: Python runs no handler before the main thread is back from a loop."""
+    ended = threading.Event()
+    stop_on_signals(lambda: None, end_step=ended.set)
+    try:
+        signal.raise_signal(number)
+        assert ended.wait(60)
+    finally:
+        os.close(signal.set_wakeup_fd(-1))
 
 
 @pytest.mark.parametrize("number", NUMBERS)

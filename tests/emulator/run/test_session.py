@@ -10,7 +10,7 @@ import pytest
 from emulator.cli.signals import stop_on_signals
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
-from emulator.run.session import Schedule, Session, _StepInterrupted
+from emulator.run.session import Schedule, Session, StepInterrupted
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.parameters import NoiseParameters
@@ -204,6 +204,26 @@ def test_signals_within_a_step_end_it_with_a_balanced_ledger(of):
     assert result.ledger.read_out == sum(map(len, taken)) > 0
 
 
+def test_a_step_that_is_ended_while_its_pixels_are_computed_is_discarded_and_the_next_run_is_whole():
+    clock, taken = FakeClock(), []
+
+    class Ending(Flashing):
+        def light(self, t_ns, out):
+            super().light(t_ns, out)
+            if t_ns == 7 * STEP_NS:
+                running.end_step()
+
+    running = session(Ending(clock), clock)
+    running.end_step()  # before the run: of no effect
+    result = running.run(Schedule(paced=False), on_events=taken.append)
+    assert result.steps == 6
+    assert "interrupted within the step after 0.006 s" in result.scene_trouble
+    assert result.ledger.balanced
+    assert result.ledger.read_out == sum(map(len, taken)) > 0
+    running.end_step()  # after it, too
+    assert session(Flashing(clock), clock).run(Schedule(duration_ns=20 * STEP_NS, paced=False)).steps == 20
+
+
 def test_signals_while_events_are_handed_over_lose_none():
     clock, taken = FakeClock(), []
     running = session(Flashing(clock), clock)
@@ -298,7 +318,7 @@ def test_a_scene_of_another_size_is_refused():
 def test_an_interrupt_within_a_kernel_ends_the_step():
     """Numba raises SystemError in its place; others stay."""
     session = Session.__new__(Session)
-    with pytest.raises(_StepInterrupted), session._interruptible():
-        raise SystemError("returned a result with an exception set") from _StepInterrupted()
+    with pytest.raises(StepInterrupted), session._interruptible():
+        raise SystemError("returned a result with an exception set") from StepInterrupted()
     with pytest.raises(SystemError), session._interruptible():
         raise SystemError("another one")
