@@ -31,6 +31,7 @@ from __future__ import annotations
 import bisect
 import itertools
 import math
+import os
 import re
 from abc import abstractmethod
 from collections import Counter
@@ -204,15 +205,15 @@ def _timed(listed: Path, images: list[Path]) -> tuple[npt.NDArray[np.float64], l
         stamps.append(Decimal(numbers[0]))
         if len(words) == 2:
             words.remove(numbers[0])
-            named.append((listed.parent / words[0]).resolve())
-            if not (named[-1].is_file() and named[-1].is_relative_to(listed.parent.resolve())):
+            named.append(Path(os.path.normpath(listed.parent / words[0])))
+            if not (named[-1].is_file() and named[-1].is_relative_to(os.path.normpath(listed.parent))):
                 raise ValueError(f"line {number}: there is no file {words[0][:60]!r} in its folder")
     shown = named or images
     if not stamps or len(stamps) != len(shown):
         raise ValueError(f"has {len(stamps)} times for {len(shown)} images: a line for each is needed")
     times_s, unit = _seconds(stamps)
     kept, notes = _later(times_s)
-    unnamed = len({image.resolve() for image in images} - set(shown)) if named else 0
+    unnamed = len({Path(os.path.normpath(image)) for image in images} - set(shown)) if named else 0
     notes += [f"{unnamed} images of the folder are not in {listed.name} and are left out"] if unnamed else []
     notes.insert(0, f"the times of {len(shown)} images are those of {listed.name}, read as {unit}")
     return times_s[kept] - times_s[kept[0]], [shown[k] for k in kept], notes

@@ -215,6 +215,16 @@ def test_a_list_of_times_is_used(tmp_path, name, text, order, times_s, unit, pla
         assert len(frames.notes) == 1 + (0 < text.count(".png") < 3) + ("1e-1" in text)
 
 
+def test_images_of_a_list_may_be_links_to_another_folder(tmp_path):
+    folder_of(tmp_path / "store", "f1.png")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "l.png").symlink_to(tmp_path / "store" / "f1.png")
+    (tmp_path / "a" / "timestamps.txt").write_text("2 l.png")
+    frames = read_frames(tmp_path / "a")
+    assert frames.times_s == [0.0]
+    assert len(frames.notes) == 1
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
