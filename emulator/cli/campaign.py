@@ -138,7 +138,12 @@ def finish(
     complete = len(rows) == campaign.runs
     if rows and (complete or report is not None) and not in_part and not progress.trouble:
         summary["report"] = _write(campaign, rows, folder, report)
-    _print(campaign, summary, outcomes, str(success), progress)
+    lines = [f"{campaign.name}: {len(rows)} of {counted(campaign.runs, 'run', 'are')} done"]
+    lines += [f"success: {success}"] if rows else []
+    lines += [f"{outcome}: {count}" for outcome, count in outcomes.items() if outcome != "ok"]
+    lines += ["interrupted: the same command goes on"] if progress.interrupted else []
+    lines += [f"report: {summary['report']}"] if "report" in summary else []
+    console.print("\n".join(lines), markup=False)
     if progress.trouble:
         resume = f"{len(rows)} of {counted(campaign.runs, 'run', 'are')} done; the same command goes on with the others"
         raise Failure(f"{progress.trouble}. {resume}", LACKING)
@@ -154,17 +159,6 @@ def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | Non
         if len(rows) == campaign.runs:
             table.write_table(folder / "rows.parquet", rows)
         return str(write_report(campaign, rows, report or folder))
-
-
-def _print(
-    campaign: Campaign, summary: dict[str, object], outcomes: Counter[str], success: str, progress: Progress
-) -> None:
-    lines = [f"{campaign.name}: {summary['done']} of {counted(campaign.runs, 'run', 'are')} done"]
-    lines += [f"success: {success}"] if summary["done"] else []
-    lines += [f"{outcome}: {count}" for outcome, count in outcomes.items() if outcome != "ok"]
-    lines += ["interrupted: the same command goes on"] if progress.interrupted else []
-    lines += [f"report: {summary['report']}"] if "report" in summary else []
-    console.print("\n".join(lines), markup=False)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, WRONG_USE, Failure, Flag, Json, console, print_json, status
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Flag, Json, print_result, status
 from emulator.rig.loading import RigError, load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters
 from laboratory.characterise.measurements import figures, measurements
@@ -68,31 +68,22 @@ def characterise(
     points += figures(points)
     with status.status("drawing ..."):
         files = write(points, camera, out)
-    if json:
-        print_json({"sensor": camera, "files": files})
-    else:
-        for line in reading(points, camera)[1:]:
-            console.print(line)
-        for path in files:
-            console.print(str(path))
+    print_result(json, {"sensor": camera, "files": files}, [*reading(points, camera)[1:], *map(str, files)])
     return GOOD
 
 
 def _show(comparison: Compared, camera: str, recording: Path, files: Sequence[Path], *, json: bool) -> int:
     """Print the comparison of a sensor with a recording."""
-    if json:
-        print_json({"sensor": camera, "recording": recording, "statistics": comparison.rows(), "files": files})
-        return GOOD
-    for line in comparison.reading:
-        console.print(line)
-    widths = {name: max(14, len(name)) for name in comparison.streams}
-    header = "  ".join(f"{name:>{width}}" for name, width in widths.items())
-    console.print(f"{'statistic':42}{header}", markup=False)
-    for row in comparison.rows():
+    rows, widths = comparison.rows(), {name: max(14, len(name)) for name in comparison.streams}
+    lines = [
+        *comparison.reading,
+        "  ".join([f"{'statistic':40}", *(f"{name:>{width}}" for name, width in widths.items())]),
+    ]
+    for row in rows:
         shown = "  ".join(f"{row[name]:>{width}.4g}" for name, width in widths.items())
-        console.print(f"{row['statistic']!s:42}{shown}", markup=False)
-    for path in files:
-        console.print(str(path))
+        lines.append(f"{row['statistic']!s:42}{shown}")
+    value = {"sensor": camera, "recording": recording, "statistics": rows, "files": files}
+    print_result(json, value, [*lines, *map(str, files)])
     return GOOD
 
 

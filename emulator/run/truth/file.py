@@ -92,8 +92,8 @@ def create(path: Path, about: About) -> h5py.File:
     file.attrs.update(format=FORMAT, version=VERSION, **about.facts)
     file.attrs.update(complete=False, missing_pictures=0, missing_events=0)
     width, height = about.size
-    # file["labels/name"] = would make a group that stores the time.
-    file.create_dataset("labels/name", data=np.array(["sky", *about.names], h5py.string_dtype()))
+    names = np.array(["sky", *about.names], h5py.string_dtype())
+    file.create_dataset("labels/name", data=names)  # by file["labels/name"] = the group would store the time
     bodies, picture = len(about.names), (height, width)
     if "poses" in about.layers:
         _poses(file, bodies)
@@ -283,7 +283,8 @@ def survey(path: Path) -> dict[str, Any]:
     with file:
         if file.attrs.get("format") != FORMAT:
             return {}
-        facts = {name: value.item() if hasattr(value, "item") else value for name, value in _plain(file.attrs).items()}
+        plain = {name: value for name, value in file.attrs.items() if getattr(value, "ndim", 0) == 0}
+        facts = {name: value.item() if hasattr(value, "item") else value for name, value in plain.items()}
         counts = {group: len(file[f"{group}/t"]) if group in file else 0 for group in ("events", "clean_events")}
         return {
             **facts,
@@ -295,10 +296,6 @@ def survey(path: Path) -> dict[str, Any]:
             "names": [name.decode() for name in file["labels/name"][:]],
             "origins": _counted(file["events/origin"]),
         }
-
-
-def _plain(attributes: Any) -> dict[str, Any]:
-    return {name: value for name, value in attributes.items() if getattr(value, "ndim", 0) == 0}
 
 
 def _counted(codes: Any) -> dict[str, int]:

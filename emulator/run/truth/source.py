@@ -248,7 +248,6 @@ def check_truth(rig: Rig, selection: TruthSelection = ALL, path: Path | None = N
         raise ImportError(f"it needs h5py: {install_command('files')}")
 
 
-_OF_EVERY_SCENE = ("light", "clean_events")
 _OF_SURFACES = ("depth", "flow", "labels", "poses")
 ABSENT: Mapping[str, tuple[tuple[str, ...], str]] = {
     "checkerboard": (("depth", "poses"), "a pattern on the chip has no distance and no place"),
@@ -369,19 +368,16 @@ def _about(rig: Rig, geometry: SceneGeometry | None, selected: tuple[str, ...]) 
     """Return the description of the run in the file."""
     camera, paced = rig.camera, rig.run.pace == "realtime"
     width, height = camera.size
-    lacking, reason = ABSENT.get(rig.scene.kind, ((), ""))
-    absent = f"{', '.join(lacking)}: {reason}" if lacking else ""
+    lacking, reason = ABSENT.get(rig.scene.kind, (() if geometry else _OF_SURFACES, "this scene gives none"))
+    gives, names = (geometry.gives, geometry.names) if geometry else ((), ())
     facts: dict[str, Any] = {
         "evstim": version("evstim"), "rig": rig.name, "title": rig.title, "seed": rig.run.seed, "camera": camera.model,
         "width": width, "height": height, "unix_us": int(time.time() * 1e6) if paced else 0,
-        "light_unit": "relative to the sensor's reference", "absent": absent,
-        **_lens_facts(rig),
+        "light_unit": "relative to the sensor's reference",
+        "absent": f"{', '.join(lacking)}: {reason}" if lacking else "", **_lens_facts(rig),
     }  # fmt: skip
-    if geometry is None:
-        layers = [layer for layer in selected if layer in _OF_EVERY_SCENE]
-        return About(camera.size, (), layers, facts | {"absent": facts["absent"] or "depth, flow, labels and poses"})
-    layers = [layer for layer in selected if layer in _OF_EVERY_SCENE or layer in geometry.gives]
-    return About(camera.size, geometry.names, layers, facts)
+    layers = [layer for layer in selected if layer in ("light", "clean_events") or layer in gives]
+    return About(camera.size, names, layers, facts)
 
 
 def _lens_facts(rig: Rig) -> dict[str, Any]:
