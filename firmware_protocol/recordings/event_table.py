@@ -118,16 +118,16 @@ class EventTable:
         rows = (line.split(self._separator) for line in lines[: max(1, len(lines) - 1)] if line.strip())
         return names, [[field.strip() for field in row] for row in rows]
 
-    def _columns_of(self, given: str, names: list[str], sample: list[list[str]]) -> list[str]:
+    def _columns_of(self, order: str, names: list[str], sample: list[list[str]]) -> list[str]:
         """Return t, x, y and p, each once, and the names of other columns, in their order."""
-        if given:
-            names = [name.strip() for name in given.split(",")]
+        if order:
+            names = [name.strip() for name in order.split(",")]
             if sample and len(sample[0]) != len(names):
                 raise ValueError(f"--columns has {len(names)} names, and its first line {len(sample[0])} columns")
         if names:
             places = _places(names)
             if len(places) != len(_NAMES):
-                has = "--columns" if given else "its header"
+                has = "--columns" if order else "its header"
                 raise ValueError(f"{has} names {', '.join(names)}: t, x, y and p are needed, each once; {_ADVICE}")
             sizes = {name: _NAME.fullmatch(names[place])[3] for name, place in places.items()}  # type: ignore[index]
             if sizes["x"] and sizes["y"]:
@@ -145,13 +145,13 @@ class EventTable:
         self.remarks += ("it has no header: its columns are taken as t,x,y,p (--columns)",)
         return ["t", "x", "y", "p"]
 
-    def _unit_of(self, given: str, names: list[str], sample: list[list[str]]) -> str:
+    def _unit_of(self, unit: str, names: list[str], sample: list[list[str]]) -> str:
         """Return the unit of the times."""
         self._is_unit_assumed = False
-        if given:
-            if given not in _FACTORS:
-                raise ValueError(f"the unit of time must be one of {', '.join(_FACTORS)}, got {given!r}")
-            return given
+        if unit:
+            if unit not in _FACTORS:
+                raise ValueError(f"the unit of time must be one of {', '.join(_FACTORS)}, got {unit!r}")
+            return unit
         place = self._columns.index("t")
         is_named = _NAME.fullmatch(names[place].lower()) if len(names) == len(self._columns) else None
         if is_named and is_named[2] in _FACTORS:
