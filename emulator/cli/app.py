@@ -115,7 +115,7 @@ def _main(tokens: list[str]) -> int:
     for package in ("emulator", "transports"):
         logging.getLogger(package).setLevel(os.environ.get("EVSTIM_LOG", "INFO").upper())
     as_json = "--json" in tokens
-    boxed = break_lines() and not as_json
+    boxed = break_lines() and not as_json and "--quiet" not in tokens
     if "--quiet" in tokens:
         tokens = [token for token in tokens if token != "--quiet"]
         status.quiet = True  # no progress, notices and warnings on stderr; errors and results stay
@@ -151,7 +151,8 @@ def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
         return GOOD
     if tokens[0] not in VERBS.built_in_names:
         _add_verbs_of_packages(tokens[0])
-    code = int(app(tokens, console=help_console(app), exit_on_error=False, print_error=boxed) or GOOD)
+    shown = help_console(app)
+    code = int(app(tokens, console=shown, error_console=status, exit_on_error=False, print_error=boxed) or GOOD)
     if sys.stdout is not None:
         sys.stdout.flush()
     return code

@@ -71,7 +71,9 @@ class Format:
     def open_writer(self, path: Path, facts: Facts) -> Writer:
         """Return a writer of `path`, which is overwritten; raises OSError or RecordingError."""
         if facts.size is None:
-            raise RecordingError(f"{self.title} needs the size of the sensor: give --size, such as 346x260")
+            raise RecordingError(
+                f"{self.title} needs the size of the sensor, which is not known: give --size, such as 346x260"
+            )
         if facts.size[0] > self.size_px[0] or facts.size[1] > self.size_px[1]:
             raise RecordingError(f"{self.title} numbers {self.size_px[0]} x {self.size_px[1]} pixels, not {facts.size}")
         if not path.parent.is_dir():

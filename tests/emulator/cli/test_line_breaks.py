@@ -49,11 +49,11 @@ def test_the_log_has_whole_lines_without_padding(tmp_path):
     assert any(line.endswith("delivered") and name in line for line in lines)
 
 
-@pytest.mark.system
-def test_a_terminal_gets_lines_of_its_width():
+def at_a_terminal(*arguments):
+    """Run a command at a terminal of 60 columns; return its exit code and the octets that it prints."""
     own, theirs = pty.openpty()
     environment = {**os.environ, "COLUMNS": "60", "TERM": "xterm"}
-    process = subprocess.Popen([*EVSTIM, "check", LONG], stdout=theirs, stderr=theirs, env=environment)
+    process = subprocess.Popen([*EVSTIM, *arguments], stdout=theirs, stderr=theirs, env=environment)
     os.close(theirs)
     told = b""
     try:
@@ -62,6 +62,20 @@ def test_a_terminal_gets_lines_of_its_width():
     except OSError:  # the other end is closed
         pass
     os.close(own)
-    assert process.wait(300) == 2
+    return process.wait(300), told
+
+
+@pytest.mark.system
+def test_a_terminal_gets_lines_of_its_width():
+    code, told = at_a_terminal("check", LONG)
+    assert code == 2
     assert len(told.splitlines()) > 3
     assert max(len(line) for line in told.decode().splitlines()) <= 60
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("before", [["info", "a.raw"], ["play", "a.raw", "--fps"], []])
+def test_a_wrong_argument_does_not_reach_the_terminal_as_a_command(before):
+    code, told = at_a_terminal(*before, "x\x1b]0;b\x07\x9b2J")
+    assert (code, b"x\\x1b]0;b" in told) == (2, True)
+    assert not any(command in told for command in (b"\x1b]", b"\x07", "\x9b".encode()))
