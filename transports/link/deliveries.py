@@ -177,12 +177,10 @@ class DeliveryRecorder(Protocol):
     @property
     def trouble(self) -> str:
         """Reason for an incomplete record, for people; empty if it is complete."""
-        ...
 
     @property
     def summary(self) -> RecordingSummary | None:
         """Summary of the closed file; None if there is none."""
-        ...
 
     def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
         """Add a part in device time; `unix_us`: Unix time of its zero, None in a run without pacing."""
@@ -199,11 +197,9 @@ class RecorderFactory(Protocol):
 
     def open(self, facts: Facts) -> DeliveryRecorder:
         """Return the recorder, with facts of the camera for its file; raises OSError where it cannot be opened."""
-        ...
 
     def restarted(self, number: int) -> Self:
         """Return the factory for the `number`-th restart of the link, which must not overwrite the earlier file."""
-        ...
 
 
 class Deliveries:
@@ -253,7 +249,10 @@ class Deliveries:
             return
         part = self._parts.part(events, edges, readings, epoch_us)
         if counts_of(part):
-            self._record_part(part, epoch_us)
+            restarted = self._follow(part.events, epoch_us)
+            if restarted:
+                self._unix_us = self.unix_us(epoch_us)
+            self._recorder.append(part, restarted=restarted, unix_us=self._unix_us)
 
     def reach(self, device_us: int, epoch_us: int) -> None:
         """Record that everything up to `device_us`, in the device's time, has left or was dropped."""
@@ -312,13 +311,6 @@ class Deliveries:
         self._epoch_us = epoch_us
         self.digest = digest_of(events, 0 if restarted else self.digest)
         return restarted
-
-    def _record_part(self, part: Part, epoch_us: int) -> None:
-        restarted = self._follow(part.events, epoch_us)
-        if self._recorder is not None:
-            unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
-            self._unix_us = unix_us
-            self._recorder.append(part, restarted=restarted, unix_us=unix_us)
 
 
 class DeliveryTally:

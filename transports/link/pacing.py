@@ -38,11 +38,9 @@ class Clock(Protocol):
 
     def now_ns(self) -> int:
         """Return the current time, ns."""
-        ...
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Return at `deadline_ns` or shortly after; at once if it has passed."""
-        ...
 
 
 class MonotonicClock:
