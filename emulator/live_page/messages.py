@@ -68,7 +68,10 @@ _HEADER = struct.Struct("<4sIHHQQIHHI")
 _MAGIC = b"EVP2"
 NEWEST = 127
 MOST_COUNT = 15
-_ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
+_FIELDS: dict[str, dict[str, type]] = {
+    **{order: {} for order in ("trigger", "pause", "step", "resume", "stop")}, "seen": {"number": int},
+    "pixel": {"x": int, "y": int}, "undo": {"change": int}, "again": {"seed": int}, "inject": {"fault": dict},
+}  # fmt: skip
 _CODE_SHIFT = 15  # bits of a float32 that a light code leaves out
 _INFINITE = 0xFF00  # the code of infinity
 _MOST_LIGHT = np.float32(1e38)
@@ -101,6 +104,23 @@ class Picture:
     last: npt.NDArray[np.int8]
     count: npt.NDArray[np.uint8]
 
+    def joined(self, then: Picture) -> Picture:
+        """Return the picture of this interval and of the next one, with the light of the latter."""
+        place, at = np.unique(np.concatenate((self.place, then.place)), return_inverse=True)
+        early, late = at[: len(self.place)], at[len(self.place) :]
+        share = (self.until_us - self.from_us) / max(then.until_us - self.from_us, 1)
+        last, on, off = (np.zeros(len(place)) for _ in range(3))
+        last[early] = np.sign(self.last) * np.maximum(np.abs(self.last) * share, 1)
+        last[late] = np.sign(then.last) * np.maximum(np.abs(then.last) * (1 - share) + NEWEST * share, 1)
+        for part, picture in ((early, self), (late, then)):
+            on[part] += picture.count & MOST_COUNT
+            off[part] += picture.count >> 4
+        count = np.minimum(on, MOST_COUNT).astype(np.uint8) | np.minimum(off, MOST_COUNT).astype(np.uint8) << 4
+        return dataclasses.replace(
+            then, from_us=self.from_us, events=self.events + then.events, every=max(self.every, then.every),
+            place=place, last=last.round().astype(np.int8), count=count,
+        )  # fmt: skip
+
 
 def light_codes(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     """Return linear light as codes; light that is negative or not a number is 0, infinite light is a large number."""
@@ -125,24 +145,6 @@ def encode_picture(picture: Picture) -> bytes:
     return b"".join((header, *(plane.tobytes() for plane in planes)))
 
 
-def joined(first: Picture, then: Picture) -> Picture:
-    """Return the picture of two intervals, one after the other, with the light of the second."""
-    place, at = np.unique(np.concatenate((first.place, then.place)), return_inverse=True)
-    early, late = at[: len(first.place)], at[len(first.place) :]
-    share = (first.until_us - first.from_us) / max(then.until_us - first.from_us, 1)
-    last, on, off = (np.zeros(len(place)) for _ in range(3))
-    last[early] = np.sign(first.last) * np.maximum(np.abs(first.last) * share, 1)
-    last[late] = np.sign(then.last) * np.maximum(np.abs(then.last) * (1 - share) + NEWEST * share, 1)
-    for where, picture in ((early, first), (late, then)):
-        on[where] += picture.count & MOST_COUNT
-        off[where] += picture.count >> 4
-    count = np.minimum(on, MOST_COUNT).astype(np.uint8) | np.minimum(off, MOST_COUNT).astype(np.uint8) << 4
-    return dataclasses.replace(
-        then, from_us=first.from_us, events=first.events + then.events, every=max(first.every, then.every),
-        place=place, last=last.round().astype(np.int8), count=count,
-    )  # fmt: skip
-
-
 def parse_command(text: str) -> dict[str, Any]:
     """Return a browser's message, with the fields above and no others; raises BadMessage."""
     if len(text) > MOST_COMMAND_BYTES:
@@ -165,20 +167,12 @@ def _checked(message: dict[str, Any]) -> dict[str, Any]:
         case {"do": "hello", **rest}:
             token = rest.get("token", "")
             return {"do": "hello", "token": token if isinstance(token, str) else ""}
-        case {"do": "seen", "number": int(number)} if not isinstance(number, bool):
-            return {"do": "seen", "number": number}
         case {"do": "adjust", "name": str(name), "value": int() | float() as value} if _is_number(value):
             return {"do": "adjust", "name": name, "value": float(value)}
-        case {"do": "pixel", "x": int(x), "y": int(y)} if not (isinstance(x, bool) or isinstance(y, bool)):
-            return {"do": "pixel", "x": x, "y": y}
-        case {"do": "undo", "change": int(change)} if not isinstance(change, bool):
-            return {"do": "undo", "change": change}
-        case {"do": "again", "seed": int(seed)} if not isinstance(seed, bool):
-            return {"do": "again", "seed": seed}
-        case {"do": "inject", "fault": dict(fault)}:
-            return {"do": "inject", "fault": fault}
-        case {"do": str(order)} if order in _ORDERS:
-            return {"do": order}
+        case {"do": str(order)} if order in _FIELDS:
+            fields = {name: message.get(name) for name in _FIELDS[order]}
+            if all(type(fields[name]) is kind for name, kind in _FIELDS[order].items()):
+                return {"do": order, **fields}
     raise BadMessage("known are hello, seen, adjust, pixel, inject, undo, again, stop, trigger, pause, step and resume")
 
 

@@ -53,10 +53,6 @@ class Canvas:
         """(height, width) of the page's picture, pixels."""
         return self._height, self._width
 
-    def begin(self, at_us: int) -> None:
-        """Begin the next picture's interval at `at_us`, because there was no viewer before."""
-        self._until_us = at_us
-
     def draw(self, events: Events, light: npt.NDArray[np.float32], until_us: int) -> Picture:
         """Return the picture of the time since the last one.
 
@@ -102,59 +98,48 @@ class Canvas:
         return np.asarray(up | down << 4, np.uint8)
 
 
-_VIEWERS, _COMMANDS, _CELLS = range(3)
 _RING_EVENTS = 1 << 19
 _LIGHT_PERIOD_US = 40_000  # of stream time; the page shows 25 pictures a second
 
 
+class _Cell:
+    """A number in the shared memory of a `SharedView`."""
+
+    def __init__(self, index: int) -> None:
+        self._index = index
+
+    def __get__(self, view: SharedView, _: type) -> int:
+        return int(view.cells[self._index])
+
+    def __set__(self, view: SharedView, count: int) -> None:
+        view.cells[self._index] = count
+
+
 class SharedView:
-    """Shared memory for a sensor of `size`, (width, height); pass it to a process started by the spawn method."""
+    """Shared memory for a sensor of `size`, (width, height); pass it to a process started by the spawn method.
+
+    The page's process writes the number of `viewers`, and of `commands`, so that the session polls no pipe each step.
+    """
+
+    viewers, commands = _Cell(0), _Cell(1)
 
     def __init__(self, size: tuple[int, int]) -> None:
         context = multiprocessing.get_context("spawn")
         self.size, self._ring = size, EventRing(_RING_EVENTS)
         self._by = reduction(size)
-        shape = tuple(-(-side // self._by) for side in reversed(size))
-        self._memory = context.RawArray("f", shape[0] * shape[1]), context.RawArray("q", _CELLS), shape
+        self._shape = tuple(-(-side // self._by) for side in reversed(size))
+        self._light = context.RawArray("f", self._shape[0] * self._shape[1])
+        self.cells = context.RawArray("q", 2)
         self._light_us = 0
-        self._map()
-
-    def _map(self) -> None:
-        light, cells, shape = self._memory
-        self.light: npt.NDArray[np.float32] = np.frombuffer(light, np.float32).reshape(shape)
-        self._cells = np.frombuffer(cells, np.int64)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("light", "_cells")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._map()
 
     @property
-    def viewers(self) -> int:
-        """Number of viewers; the page's process writes it."""
-        return int(self._cells[_VIEWERS])
-
-    @viewers.setter
-    def viewers(self, count: int) -> None:
-        self._cells[_VIEWERS] = count
-
-    @property
-    def commands(self) -> int:
-        """Commands sent so far; the page's process writes it, so that the session need not poll the pipe each step."""
-        return int(self._cells[_COMMANDS])
-
-    @commands.setter
-    def commands(self, count: int) -> None:
-        self._cells[_COMMANDS] = count
+    def light(self) -> npt.NDArray[np.float32]:
+        """The light, (height, width) of the page's picture."""
+        return np.frombuffer(self._light, np.float32).reshape(self._shape)
 
     def show(self, events: Events, light: npt.NDArray[np.float32], now_us: int) -> None:
-        """Show the events of a step, up to `now_us`, and the light at its end.
-
-        Of too many events the newest are shown, and none of a step while earlier ones fill the memory.
-        """
-        if not self._cells[_VIEWERS] or (len(events) > self._ring.room and self._ring.waiting):
+        """Show a step's events up to `now_us`, of too many the newest, and the light; nothing without room for them."""
+        if not self.viewers or (len(events) > self._ring.room and self._ring.waiting):
             return
         self._ring.push(events[-self._ring.capacity :])
         self._ring.publish(now_us)
@@ -259,11 +244,10 @@ class PageProcess:
                 watched = False
                 continue
             events, until_us = self._view.take()
-            if not watched:  # events from before the first viewer
-                self._canvas.begin(until_us)
-                watched = True
-                continue
-            self._viewers.put(self._canvas.draw(events, self._view.light, until_us))
+            picture = self._canvas.draw(events, self._view.light, until_us)
+            if watched:  # the first picture has events from before the first viewer
+                self._viewers.put(picture)
+            watched = True
 
     def _receive(self) -> None:
         """Forward the messages of the session."""

@@ -1,8 +1,9 @@
 """The page's web server: a few files, and a WebSocket for each viewer.
 
-A viewer is a browser. A status that it does not read in time is replaced by a newer one, a picture joined with it. It
-reports the last message that it has shown; at most three are on their way to it. So a slow viewer or network gets fewer
-pictures, and one that stops reading has at most three of them in the machine's buffers until it is dropped.
+A viewer is a browser. A status that it does not read in time is replaced by a newer one, and a picture is joined with
+the next. It reports the last message that it has shown; at most three are on their way to it. So a slow viewer or
+network gets fewer pictures, and one that stops reading has at most three of them in the machine's buffers until it is
+dropped.
 
 The number of the page's TCP connections is bounded before any byte of them is read.
 """
@@ -25,15 +26,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from emulator.live_page.messages import (
-    MOST_COMMAND_BYTES,
-    Access,
-    BadMessage,
-    Picture,
-    encode_picture,
-    joined,
-    parse_command,
-)
+from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, BadMessage, Picture, encode_picture, parse_command
 from transports.connections import Admission, Places, Seat
 from transports.network import AllowList
 
@@ -74,7 +67,7 @@ class Viewer:
         if isinstance(message, str):
             self._status = message
         else:
-            self._picture = message if self._picture is None else joined(self._picture, message)
+            self._picture = message if self._picture is None else self._picture.joined(message)
         self._look()
 
     def answer(self, message: str) -> None:
@@ -110,18 +103,14 @@ class Viewer:
         if not self.on_the_way:
             self._moved_s = self._now_s()
         self._sent += 1
-        message = self._newest()
-        self._look()
-        return message
-
-    def _newest(self) -> str | Picture | None:
-        if self._answers:
-            return self._answers.popleft()
         message: str | Picture | None
-        if self._status is not None:
+        if self._answers:
+            message = self._answers.popleft()
+        elif self._status is not None:
             message, self._status = self._status, None
         else:
             message, self._picture = self._picture, None
+        self._look()
         return message
 
     def _look(self) -> None:
@@ -339,10 +328,8 @@ class PageServer:
 async def _send(socket: WebSocket, viewer: Viewer) -> None:
     while True:
         message = await viewer.next()
-        if isinstance(message, str):
-            await asyncio.wait_for(socket.send_text(message), _SEND_S)
-        else:
-            await asyncio.wait_for(socket.send_bytes(encode_picture(message)), _SEND_S)
+        send = socket.send_text(message) if isinstance(message, str) else socket.send_bytes(encode_picture(message))
+        await asyncio.wait_for(send, _SEND_S)
 
 
 async def _text(socket: WebSocket) -> str:

@@ -152,10 +152,10 @@ class BiasFollowing:
 
     def _total(self, link: str, name: str, factor: float) -> float:
         """Return the sum, or the product within the bounds of one, of all links' factors with a new one of `link`."""
+        accepted = (factors[name] for other, factors in self._accepted.items() if other != link and name in factors)
         if name in ADDED_FACTORS:
-            return factor + sum(factors.get(name, 0.0) for other, factors in self._accepted.items() if other != link)
-        other_factors = (factors.get(name, 1.0) for other, factors in self._accepted.items() if other != link)
-        product = factor * math.prod(other_factors)
+            return factor + sum(accepted)
+        product = factor * math.prod(accepted)
         bounded = min(max(product, LEAST_FACTOR), MOST_FACTOR)
         if bounded != product:
             log.warning(

@@ -174,10 +174,7 @@ class LinkProcess:
             self.listen()
 
     def take_changes(self, before_us: int) -> list[CameraSettings | Occurrence]:
-        """Return the changes at the camera before a stream time that have come and have not been taken, in order.
-
-        They act at one time, so of several settings only the last.
-        """
+        """Return the changes before a stream time that have come since the last call; of several settings the last."""
         self.listen()
         due = [change for change in self._changes if change.t_us < before_us]
         self._changes = [change for change in self._changes if change.t_us >= before_us]

@@ -36,15 +36,7 @@ ACTING = ("DiffBn", "OnBn", "OffBn", "PrBp", "PrSFBp", "RefrBp")
 LIBCAER = [*STOP, *((5, bias.address, int(bias.default)) for bias in BIASES), *RUN, *SENSORS]
 DV_LEVELS = [(5, 0x1C, 0), (5, 0x0B, 0x04), (5, 0x1E, 8), (5, 0x12, 0x7F), (5, 0x0B, 0x06), (5, 0x12, 0x7D)]
 ND_LEVELS = [(5, 0x0B, 0), (5, 0x12, 0x6F), (5, 0x18, 8), (5, 0x1C, 8), (5, 0x1E, 8)]
-FASTEST = [
-    (5, 0x325C, 1),
-    (5, 0x3240, 9),
-    (5, 0x3241, 0),
-    (5, 0x3242, 1),
-    (5, 0x3262, 5),
-    (5, 0x3240, 0),
-    (5, 0x325C, 0),
-]
+RATES = [(5, 0x325C, 1), (5, 0x3240, 9), (5, 0x3242, 1), (5, 0x3262, 5), (5, 0x3240, 0), (5, 0x325C, 0)]
 IMX636_BIASES = [(0x1010, 0x60), (0x1018, 0x90), (0x1004, 0x40), (0x1020, 0x10), (0x1018, 0x59)]
 GENX320_BIASES = [(0x1104, 5), (0x1128, 9), (0x110C, 90), (0x1104, 30)]
 OFFSETS = [(0x13F3_0000, 40), (0x13F3_0014, -20), (0x13F3_003C, 30), (0x13F3_0000, 20)]
@@ -73,7 +65,7 @@ def on_a_line():
 CAMERAS = {
     "davis346": (lambda: on_usb(Davis346()), [*LIBCAER, *biases_of(BIASES, ACTING)]),
     "davis240c": (lambda: on_usb(Davis240c()), biases_of(DAVIS240_BIASES, ACTING)),
-    "dvxplorer by dv-processing": (lambda: on_usb(Dvxplorer()), [*FASTEST, *DV_LEVELS, (5, 0x1C, 3)]),
+    "dvxplorer by dv-processing": (lambda: on_usb(Dvxplorer()), [*RATES, *DV_LEVELS, (5, 0x1C, 3)]),
     "dvxplorer by neuromorphic_drivers": (lambda: on_usb(Dvxplorer()), [*DV_LEVELS, *ND_LEVELS]),
     "dvxplorer micro": (lambda: on_usb(DvxplorerMicro()), [(1, 14, 0), (1, 15, 0), (1, 13, 0), (1, 14, 12)]),
     "evk4": (lambda: on_usb(Evk4()), IMX636_BIASES),
@@ -122,4 +114,4 @@ def test_default_biases_are_no_change():
     watch, host = ChangeWatch(camera := Davis346()), Host(camera)
     host.write_all(LIBCAER)
     watch.look(0, 0)
-    assert not watch.is_pending
+    assert not watch.pending

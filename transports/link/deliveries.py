@@ -177,12 +177,10 @@ class DeliveryRecorder(Protocol):
     @property
     def trouble(self) -> str:
         """Reason for an incomplete record, for people; empty if it is complete."""
-        ...
 
     @property
     def summary(self) -> RecordingSummary | None:
         """Summary of the closed file; None if there is none."""
-        ...
 
     def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
         """Add a part in device time; `unix_us`: Unix time of its zero, None in a run without pacing."""
@@ -199,11 +197,9 @@ class RecorderFactory(Protocol):
 
     def open(self, facts: Facts) -> DeliveryRecorder:
         """Return the recorder, with facts of the camera for its file; raises OSError where it cannot be opened."""
-        ...
 
     def restarted(self, number: int) -> Self:
         """Return the factory for the `number`-th restart of the link, which must not overwrite the earlier file."""
-        ...
 
 
 class Deliveries:

@@ -27,17 +27,14 @@ class EdgeSource(Protocol):
 
     def take(self, until_us: int) -> Edges:
         """Return the edges up to `until_us` of stream time that have not been taken, (n,) EDGE in time order."""
-        ...
 
     @property
     def refused(self) -> int:
         """Number of edges that were lost before they could be taken."""
-        ...
 
     @property
     def next_us(self) -> int | None:
         """Stream time of the next edge; None if it is not known, because edges come from another process."""
-        ...
 
 
 @dataclass(frozen=True)

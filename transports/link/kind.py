@@ -67,7 +67,6 @@ class LinkParameters:
 class _Instrument(Protocol):
     def selection(self, size: tuple[int, int], /) -> object:
         """Return the region of a sensor of `size`; raises ValueError if it extends beyond."""
-        ...
 
     def selected_share(self, size: tuple[int, int], /) -> float: ...
 

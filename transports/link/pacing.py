@@ -38,7 +38,6 @@ class Clock(Protocol):
 
     def now_ns(self) -> int:
         """Return the current time, ns."""
-        ...
 
     def processor_ns(self) -> int:
         """Return the processor time of the calling thread, ns."""
@@ -46,7 +45,6 @@ class Clock(Protocol):
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Return at `deadline_ns` or shortly after; at once if it has passed."""
-        ...
 
 
 class MonotonicClock:

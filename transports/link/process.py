@@ -234,8 +234,8 @@ class Link:
         return self._watch.waiting
 
     def settle(self) -> None:
-        """Report the camera's stream time to the session, when all changes have been sent."""
-        self._ring.settle(self._watch.settled_us(self._feed.reached_us))
+        """Report the stream time before which no change can come to the session, when all changes have been sent."""
+        self._ring.settle(self._feed.reached_us if self._watch.acts else FOREVER_US)
 
     def inject(self, fault: Fault, by: str = "") -> None:
         """Begin a fault, on behalf of `by`."""
@@ -263,7 +263,7 @@ class Link:
 
         It stands still while a host writes settings, so that no step ends between two writes.
         """
-        if self._watch.is_pending:
+        if self._watch.pending is not None:
             return self._feed.reached_us
         if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)

@@ -31,7 +31,6 @@ from transports.link.feed import ClockReport, EdgeReport, ReadingReport
 _MOST_WAITING = 1000  # changes that a busy session has not read
 ADDED_FACTORS = ("highpass_hz",)  # sensor parameters to which biases add, because they may be 0
 
-_FOREVER_US = 1 << 62
 _PAUSE_NS = 2_000_000  # after the last write of a sequence; drivers write a register each 0.1 ms
 _LONGEST_NS = 20_000_000
 
@@ -75,14 +74,14 @@ class ChangeWatch:
     """Detector of one device's changes; `waiting` holds them, the oldest first, until the session takes them.
 
     Drivers write long sequences of registers, and pixels do not follow the settings between two writes. So settings are
-    recorded when the host has written nothing for 2 ms, or 20 ms after the first write, as a host may never pause.
+    `pending` until the host has written nothing for 2 ms, but not longer than 20 ms, as a host may never pause.
     """
 
     def __init__(self, device: EventDevice) -> None:
         self._device = device if isinstance(device, HostAdjusted) else None
         self._by = "" if self._device is None else self._device.set_by
         self._recorded = CameraSettings(0, self._by)
-        self._pending: CameraSettings | None = None
+        self.pending: CameraSettings | None = None
         self._first_ns = self._written_ns = 0
         self._not_listed = 0
         self._version: int | None = None
@@ -91,12 +90,8 @@ class ChangeWatch:
     @property
     def is_behind(self) -> bool:
         """True if the device has counted a change since the last `look`, or settings are pending."""
-        return self._device is not None and (self._device.settings_version != self._version or self.is_pending)
-
-    @property
-    def is_pending(self) -> bool:
-        """True while settings are not recorded because the host may write more of them."""
-        return self._pending is not None
+        device = self._device
+        return device is not None and (device.settings_version != self._version or self.pending is not None)
 
     @property
     def acts(self) -> bool:
@@ -112,15 +107,15 @@ class ChangeWatch:
             self._version, self._written_ns = device.settings_version, now_ns
             for command in device.take_commands():
                 self.add(Occurrence(t_us, self._by, command))
-            if self._pending is None:
+            if self.pending is None:
                 self._first_ns = now_ns
             factors = {k: factor for k, factor in device.sensor_factors.items() if factor != 1 or k in ADDED_FACTORS}
-            self._pending = CameraSettings(t_us, self._by, factors, dict(device.without_effect))
-            if dataclasses.replace(self._pending, t_us=self._recorded.t_us) == self._recorded:
-                self._pending = None
-        if self._pending is not None and now_ns >= min(self._written_ns + _PAUSE_NS, self._first_ns + _LONGEST_NS):
-            self.add(self._pending)
-            self._recorded, self._pending = self._pending, None
+            self.pending = CameraSettings(t_us, self._by, factors, dict(device.without_effect))
+            if dataclasses.replace(self.pending, t_us=self._recorded.t_us) == self._recorded:
+                self.pending = None
+        if self.pending is not None and now_ns >= min(self._written_ns + _PAUSE_NS, self._first_ns + _LONGEST_NS):
+            self.add(self.pending)
+            self._recorded, self.pending = self.pending, None
 
     def add(self, change: CameraSettings | Occurrence) -> None:
         """Record a change; if 1000 wait, occurrences are only counted, and settings replace the last ones.
@@ -138,13 +133,6 @@ class ChangeWatch:
             if isinstance(self.waiting[-1], CameraSettings):
                 self.waiting.pop()
             self.waiting.append(change)
-
-    def settled_us(self, reached_us: int) -> int:
-        """Return the stream time before which no further change of the sensor can come, for a camera at `reached_us`.
-
-        Without limit if no action of the hosts can change the sensor.
-        """
-        return reached_us if self.acts else _FOREVER_US
 
 
 @dataclass(frozen=True)

@@ -236,15 +236,13 @@ class PtySymlink:
             path.symlink_to(self._target)
         except OSError as error:
             self._claim.close()
-            is_foreign = isinstance(error, FileExistsError)
-            reason = "it exists, and no link of this kind made it" if is_foreign else error.strerror or str(error)
-            raise OSError(_refusal(path, reason)) from error
+            foreign = "it exists, and no link of this kind made it"
+            raise OSError(_refusal(path, foreign if error.errno == errno.EEXIST else str(error.strerror))) from error
 
     def close(self) -> None:
         """Remove the link, unless another one has replaced it, and release the path."""
-        with suppress(OSError):
-            if os.readlink(self._path) == self._target:
-                self._path.unlink()
+        if self._path.is_symlink() and os.readlink(self._path) == self._target:
+            self._path.unlink()
         self._claim.close()
 
 

@@ -42,7 +42,7 @@ def test_three_messages_are_on_the_way_and_the_newest_picture_waits():
 def test_a_viewer_that_missed_pictures_gets_their_events_at_their_times():
     """Events of the stretch from 10 to 40 ms, in pictures of unequal length, some of them without an event."""
     rng, viewer, canvas = np.random.default_rng(1), Viewer(1, _Clock()), Canvas((40, 30))
-    canvas.begin(10_000)
+    canvas.draw(_NO_EVENTS, np.zeros((30, 40), np.float32), 10_000)
     events = np.zeros(900, EVENT)
     events["t"] = np.sort(rng.integers(10_000, 30_000, 900))
     events["x"], events["y"], events["on"] = rng.integers(0, 40, 900), rng.integers(0, 30, 900), rng.random(900) < 0.5

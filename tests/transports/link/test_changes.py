@@ -92,7 +92,7 @@ def test_a_camera_that_nobody_writes_to_is_compared_once():
     DavisHost(DirectHost(device)).write_register(5, 12, 1)  # OffBn
     assert watch.is_behind
     watch.look(100, 0)
-    assert watch.is_pending
+    assert watch.pending
     watch.look(101, 2 * MS)
     assert not watch.is_behind
     assert device.reads == 2
