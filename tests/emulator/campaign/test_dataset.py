@@ -331,8 +331,9 @@ def test_another_data_set_does_not_go_into_the_folder(rig, folder):
 def test_a_changed_option_is_named_and_no_file_that_nobody_wrote(rig, tmp_path, capsys, options, differs):
     folder = tmp_path / "data"
     begin_folder(Campaign(dataset_source(rig, folder / "dataset.toml", Sequences(3, 0.2, SequenceTruth()))), folder)
-    as_before = ["--count", "3", "--seconds", "0.2"]
-    assert _main(["dataset", str(rig), "--out", str(folder), "--json", *as_before, *options]) == 2
+    given = {"--count": "3", "--seconds": "0.2", options[0]: options[1]}
+    words = [word for option in given.items() for word in option]
+    assert _main(["dataset", str(rig), "--out", str(folder), "--json", *words]) == 2
     error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
     assert f"has the sequences of another data set: {differs}. Give the options" in error
     assert "dataset.toml" not in error
