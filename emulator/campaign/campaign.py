@@ -100,7 +100,8 @@ def check_columns(rig: Rig, settings: Settings) -> None:
     columns = [*_ALWAYS, *(f"events.{name}" for name in _EVENTS), *(law.key for law in settings.parameters)]
     columns += ["program.exit", "program.trouble"] if settings.program is not None else []
     columns += [f"link.{link.name}.{column}" for link in rig.links for column in _LINK]
-    used = [(rule.column, rule.text, ("success",), columns) for rule in settings.success]
+    used: list[tuple[str, str, KeyPath, list[str]]] = []
+    used += [(rule.column, rule.text, ("success",), columns) for rule in settings.success]
     reported, shown = [*columns, "success", "margin"], settings.report
     for key, names in (("columns", shown.columns), ("worst", [shown.worst]), ("labels", shown.labels)):
         used += [(name, name, ("report", key), reported) for name in names]
@@ -323,7 +324,7 @@ def _check_keys(settings: Settings) -> None:
         raise TableError(_OWN_SEED, ("set", *_SEED))
     for i, law in enumerate(settings.parameters):
         at: KeyPath = ("parameters", i, "key")
-        if settings.sampling != "grid" and getattr(law, "steps", 0):
+        if settings.sampling != "grid" and getattr(law, "steps", None):
             raise TableError('it is for sampling = "grid" alone: remove this key', ("parameters", i, "steps"))
         for key in (law.key, *law.also):
             try:

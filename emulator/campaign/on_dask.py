@@ -96,7 +96,7 @@ _idle: dict[str, list[WarmWorker]] = {}
 _lock = threading.Lock()
 
 
-def _task(source: dict[str, str], folder: str, index: int, number: int, client_version: str) -> Row:
+def _task(source: dict[str, Any], folder: str, index: int, number: int, client_version: str) -> Row:
     """Do a run, in a dask worker."""
     worker_version = version("evstim")
     if worker_version != client_version:

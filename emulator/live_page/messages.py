@@ -109,13 +109,14 @@ class Picture:
         place, at = np.unique(np.concatenate((self.place, then.place)), return_inverse=True)
         early, late = at[: len(self.place)], at[len(self.place) :]
         share = (self.until_us - self.from_us) / max(then.until_us - self.from_us, 1)
-        last, on, off = (np.zeros(len(place)) for _ in range(3))
+        last = np.zeros(len(place))
+        on, off = np.zeros((2, len(place)), np.uint8)
         last[early] = np.sign(self.last) * np.maximum(np.abs(self.last) * share, 1)
         last[late] = np.sign(then.last) * np.maximum(np.abs(then.last) * (1 - share) + NEWEST * share, 1)
         for part, picture in ((early, self), (late, then)):
             on[part] += picture.count & MOST_COUNT
             off[part] += picture.count >> 4
-        count = np.minimum(on, MOST_COUNT).astype(np.uint8) | np.minimum(off, MOST_COUNT).astype(np.uint8) << 4
+        count = np.asarray(np.minimum(on, MOST_COUNT) | np.minimum(off, MOST_COUNT) << 4, np.uint8)
         return dataclasses.replace(
             then, from_us=self.from_us, events=self.events + then.events, every=max(self.every, then.every),
             place=place, last=last.round().astype(np.int8), count=count,
