@@ -180,10 +180,11 @@ class Campaign:
     def __init__(self, source: Source) -> None:
         self.source = source
         self.settings, written = parse_settings(source)
-        self._base = laid_over(tomllib.loads(source.rig_text), self.settings.set)
+        rig = tomllib.loads(source.rig_text)
+        self._base = laid_over(rig, written.get("set", {}))
         self.content: dict[str, Any] = {
             "campaign": {key: value for key, value in written.items() if key not in _NOT_OF_THE_RUNS},
-            "rig": tomllib.loads(source.rig_text),
+            "rig": rig,
         }
         self.id = _digest(self.content)
         # What is written of a run does not change it.
