@@ -70,7 +70,6 @@ class StreamSurvey:
             return
         if self.first_us is None or self.last_us is None:
             self.first_us = self.last_us = self._before_us = int(t_us[0])
-        self.first_us = min(self.first_us, int(t_us.min()))
         self.count += len(t_us)
         self.steps_back += int(np.count_nonzero(np.diff(t_us, prepend=self._before_us) < 0))
         self._before_us = int(t_us[-1])

@@ -211,7 +211,7 @@ class Aedat2Decoder:
         self._wraps_us, self._last = int(t_us[-1] - t[-1]), int(t[-1])
         if t_us.min() < 0:
             k = int(np.argmax(t_us < 0))
-            self.damage = f"record {self._count + k} has the time {t_us[k]} us"
+            self.damage = f"it is damaged: record {self._count + k} has the time {t_us[k]} us"
             t_us = t_us[:k]
         self._count += len(t)
         times: np.ndarray = t_us
@@ -343,7 +343,8 @@ class Aedat31Decoder:
             head = np.frombuffer(data, _HEAD, 1, start)[0]
             kind, number, event_bytes = (int(head[name]) for name in ("kind", "number", "event_bytes"))
             if not 0 <= kind <= 100 or number < 0 or event_bytes < 1 or number * event_bytes > _MOST_PACKET:
-                self.damage = f"packet {self._packets} is of kind {kind} with {number} events of {event_bytes} bytes"
+                claim = f"{number} events of {event_bytes} bytes"
+                self.damage = f"it is damaged: packet {self._packets} is of kind {kind} with {claim}"
                 break
             body_at = start + _HEAD.itemsize
             end = body_at + number * event_bytes
@@ -381,7 +382,7 @@ class Aedat31Decoder:
         """Return the number of records of a packet, of the times `t` (n,), before the first negative time: damage."""
         k = int(np.append(t < 0, True).argmax())
         if k < len(t):
-            self.damage = f"record {k} of packet {self._packets} has the time {t[k]} us"
+            self.damage = f"it is damaged: record {k} of packet {self._packets} has the time {t[k]} us"
         return k
 
     def _frames(self, head: np.void, body: bytes) -> Part:

@@ -32,8 +32,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EDGE, EdgeKind, Edges, Events, make_events
-from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part
+from firmware_protocol.events import EdgeKind, Edges, Events, make_edges, make_events
+from firmware_protocol.recordings.part import IMU, Frame, Part
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 _MOST_HEADER = 1 << 24
@@ -68,6 +68,10 @@ class Aedat4Head:
             self.xml = self._data[text + 4 : text + 4 + length] if place else b""
         except struct.error as error:
             raise ValueError("its header is damaged") from error
+
+    def packets_end(self, size: int) -> int:
+        """Return the offset after the last packet in a file of `size` bytes."""
+        return self.table_at if self.packets_at <= self.table_at <= size else size
 
     def unfinished(self) -> bytes:
         """Return the header without an offset of a table, as it is while a file is written."""
@@ -145,6 +149,7 @@ class Aedat4Decoder:
 
     Attributes
     ----------
+    head : the header.
     events : number of the stream of events.
     info : of that stream: its camera (`source`), `sizeX`, `sizeY` and others.
     kinds : type of each stream by its number, "EVTS", "FRME", "IMUS", "TRIG" or another one.
@@ -152,6 +157,7 @@ class Aedat4Decoder:
     """
 
     def __init__(self, head: Aedat4Head) -> None:
+        self.head = head
         try:
             root = ET.fromstring(head.xml.rstrip(b"\0"))
         except (ET.ParseError, ValueError, LookupError) as error:
@@ -188,7 +194,9 @@ class Aedat4Decoder:
         tables = places + _numbers(data, places, "<u4")
         if kind == "TRIG":
             return Part(edges=self._edges(_records(data, tables, _TRIGGER)))
-        return Part(imu=self._samples(_records(data, tables, _SAMPLE)))
+        samples, t = self._sound(_records(data, tables, _SAMPLE))
+        samples["t"] = t
+        return Part(imu=samples.astype(IMU))
 
     def _sound(self, records: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64]]:
         """Return the records before the first that is earlier than t = 0, and their times, us."""
@@ -205,18 +213,10 @@ class Aedat4Decoder:
 
     def _edges(self, records: npt.NDArray[Any]) -> Edges:
         records, t = self._sound(records)
-        edges = np.zeros(len(t), EDGE)
-        edges["t"] = t
-        for kind, source in SOURCES.items():
-            edges["kind"][records["source"] == source] = kind
+        kinds = np.zeros(256, np.uint8)
+        kinds[list(SOURCES.values())] = list(SOURCES)
+        edges = make_edges(t, kinds[records["source"]])
         return edges[edges["kind"] > 0]
-
-    def _samples(self, records: npt.NDArray[Any]) -> ImuRecords:
-        records, t = self._sound(records)
-        samples = np.zeros(len(t), IMU)
-        for name in IMU.names or ():
-            samples[name] = t if name == "t" else records[name]
-        return samples
 
     def _frame(self, data: _Octets, table: _Offsets) -> tuple[Frame, ...]:
         record = _records(data, table, _PICTURE)

@@ -24,39 +24,26 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of
-from firmware_protocol.events import Events, empty_events, make_events
+from firmware_protocol.events import Events, make_events
 
 _DAT_TYPES = (0, 12)
 _FIELDS = {1: (9, 8, 17), 2: (14, 14, 28)}  # bits of column and row, and place of the polarity
 
 
-class _RecordDecoder:
-    """Decoder of records without a place for damage: the file may be cut. `damage`: what is cut; "" before `end`."""
-
-    remarks: tuple[str, ...] = ()
-
-    def __init__(self) -> None:
-        self.damage = ""
-        self._rest = b""
-
-    def end(self) -> Events:
-        """Return (0,) EVENT, at the end of the file."""
-        if self._rest:
-            self.damage = f"it is cut: {len(self._rest)} octets of a cut record at the end"
-        return empty_events()
-
-
-class DatDecoder(_RecordDecoder):
+class DatDecoder:
     """Decoder of DAT in pieces, from the first bytes of its file; raises ValueError for other files.
 
     Attributes
     ----------
     start : offset of the first event.
     size : (width, height) of the sensor; None where the file does not give it.
+    rest : octets of a record that is not complete.
     """
 
+    damage, remarks = "", ()  # no record can be wrong
+
     def __init__(self, head: bytes) -> None:
-        super().__init__()
+        self.rest = b""
         self.start = 0
         while head[self.start : self.start + 1] == b"%":
             self.start = head.find(b"\n", self.start) + 1 or len(head)
@@ -76,9 +63,9 @@ class DatDecoder(_RecordDecoder):
 
     def decode(self, data: bytes) -> Events:
         """Return (n,) EVENT of any next bytes, with part of a record at their ends."""
-        data = self._rest + data
+        data = self.rest + data
         count = len(data) // 8
-        self._rest = data[8 * count :]
+        self.rest = data[8 * count :]
         words = np.frombuffer(data, "<u4", 2 * count).reshape(-1, 2)
         t, word = words[:, 0], words[:, 1]
         columns, rows, polarity = self._fields
@@ -90,31 +77,34 @@ _ES_HEAD = struct.Struct("<12s3BBHH")
 _Bytes = npt.NDArray[np.uint8]
 
 
-class EventStreamDecoder(_RecordDecoder):
+class EventStreamDecoder:
     """Decoder of Event Stream in pieces, from the first bytes of its file; raises ValueError for other files.
 
     Attributes
     ----------
     start : offset of the first event.
     size : (width, height) of the sensor.
+    rest : octets of a record that is not complete.
     """
 
+    damage, remarks = "", ()
+
     def __init__(self, head: bytes) -> None:
-        super().__init__()
         if len(head) < _ES_HEAD.size:
             raise ValueError("its header is cut")
         _, major, minor, patch, kind, width, height = _ES_HEAD.unpack_from(head)
         if major != 2 or kind != 1:
             raise ValueError(f"it is of version {major}.{minor}.{patch} and type {kind}; 2 with type 1, DVS, is read")
+        self.rest = b""
         self.start, self.size = _ES_HEAD.size, (width, height)
         self._t_us = np.zeros(1, np.uint64)
 
     def decode(self, data: bytes) -> Events:
         """Return (n,) EVENT of any next bytes, rows from the top; those above it are counted down from 65535."""
-        data = self._rest + data
+        data = self.rest + data
         fields = [np.zeros(len(data) // 5, dtype) for dtype in ("u8", "u2", "u2", "u1")]
         count, end = _read_event_stream(np.frombuffer(data, np.uint8), self._t_us, *fields)
-        self._rest = data[end:]
+        self.rest = data[end:]
         t, x, y, on = (values[:count] for values in fields)
         return make_events(t, x, np.uint16(max(0, self.size[1] - 1)) - y, on)
 

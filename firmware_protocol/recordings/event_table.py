@@ -73,6 +73,7 @@ class EventTable:
     size : (width, height) of the sensor, where the table gives it.
     remarks : assumptions about its content.
     damage : place and fault of the first line that is no event; "" before it.
+    rest : octets of a line that is not complete.
     """
 
     def __init__(self, head: bytes, form: TableForm | None = None) -> None:
@@ -80,7 +81,7 @@ class EventTable:
         self.size: tuple[int, int] | None = None
         self.remarks: tuple[str, ...] = ()
         self.damage = ""
-        self._rest = b""
+        self.rest = b""
         self._types = 0
         self._off: int | None = None
         names, sample = self._begin(head)
@@ -166,17 +167,16 @@ class EventTable:
             self.remarks += (f"it has no unit of time: its times are taken as {unit} (--time-unit)",)
         return unit
 
-    def end(self) -> Events:
-        """Return (n,) EVENT of a last line without an end, n 0 or 1."""
-        return self.decode(b"\n") if self._rest else empty_events()
-
     def decode(self, data: bytes) -> Events:
-        """Return (n,) EVENT of the lines that any next bytes complete, from `start` on; none after `damage`."""
+        """Return (n,) EVENT of the lines that any next bytes complete, from `start` on; none after `damage`.
+
+        Without bytes, at the end of the file, the last line needs no end.
+        """
         if self.damage:
             return empty_events()
-        data = self._rest + data
+        data = self.rest + (data or b"\n")
         end = data.rfind(b"\n") + 1
-        self._rest = data[end:]
+        self.rest = data[end:]
         lines = data[:end].decode("latin-1").split("\n")
         rows = list(filter(str.strip, lines))
         if b"#" in data:
@@ -186,9 +186,9 @@ class EventTable:
             numbered = ((k, line) for k, line in enumerate(lines, self._line + 1) if line.strip() and line[0] != "#")
             number, line = next(islice(numbered, count, None))
             self.damage = f"line {number}: {line[:60].strip()!r}: {self._fault(line)}"
-        elif len(self._rest) > _MOST_LINE:
+        elif len(self.rest) > _MOST_LINE:
             self.damage = f"line {self._line + len(lines)}: it has more than {_MOST_LINE} octets"
-            self._rest = b""
+            self.rest = b""
         self._line += len(lines) - 1
         return events
 
@@ -263,7 +263,7 @@ def _polarity(text: str) -> float:
 def _places(names: list[str]) -> dict[str, int]:
     """Return the places of t, x, y and p that are named once."""
     bare = [match[1] if (match := _NAME.fullmatch(name.lower())) else "" for name in names]
-    places = {name: [k for k, text in enumerate(bare) if text in known] for name, known in _NAMES.items()}
+    places = {name: [k for k, text in enumerate(bare) if text in words] for name, words in _NAMES.items()}
     return {name: at[0] for name, at in places.items() if len(at) == 1}
 
 

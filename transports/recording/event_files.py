@@ -1,13 +1,19 @@
-"""Readers of AEDAT 4.0, DAT, Event Stream and tables of text, with the decoders of `firmware_protocol.recordings`."""
+"""Readers of AEDAT 4.0 and of tables of text, and how a decoder of `firmware_protocol.recordings` reads a file.
+
+All readers refuse a finished AEDAT 4.0 file that was cut, because its header refers to a table that is missing.
+`recover_aedat4` makes a copy whose header states that there is none, and which ends with the last whole packet.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
-from firmware_protocol.events import Events
 from firmware_protocol.recordings.aedat4 import KINDS, MAGIC, Aedat4Decoder, Aedat4Head, packet_at
 from firmware_protocol.recordings.event_table import EventTable, TableForm
 from transports.needs import install_command
@@ -16,84 +22,64 @@ from transports.registry import imported
 
 _HEAD_BYTES = 1 << 16
 _PIECE_BYTES = 1 << 19
+T = TypeVar("T")
 
 
-class _Decoder(Protocol):
-    start: int
+class Decoder(Protocol):
+    """Decoder of a file in pieces: `damage`, a reason, ends its data; `rest` is of a record that is not complete."""
+
     damage: str
+    rest: bytes
 
-    @property
-    def size(self) -> Size | None: ...
-    @property
-    def remarks(self) -> tuple[str, ...]: ...
-    def decode(self, data: bytes, /) -> Events: ...
-    def end(self) -> Events: ...
+    def decode(self, data: bytes, /) -> Any:
+        """Return what the next bytes complete; none are at the end of the file."""
 
 
-class _EventReader:
-    """Reader of events in pieces, with a decoder of any class.
+def opened(open_decoder: Callable[[bytes], T], path: Path, head_bytes: int) -> T:
+    """Return what `open_decoder` makes of the first bytes of a file; its ValueError becomes RecordingError."""
+    with path.open("rb") as file:
+        try:
+            return open_decoder(file.read(head_bytes))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
 
-    Parameters
-    ----------
-    open_decoder : maker of the decoder from the first bytes of the file; raises ValueError for another file.
-    size : (width, height) of the sensor, for a file without it.
-    camera : name of the camera; empty: none.
-    """
+
+def decoded(decoder: Decoder, path: Path, start: int) -> Iterator[Any]:
+    """Yield the content of a file from the offset `start` on; raises RecordingError after that before damaged data."""
+    with path.open("rb") as file:
+        file.seek(start)
+        for data in chain(iter(partial(file.read, _PIECE_BYTES), b""), [b""]):
+            yield decoder.decode(data)
+            if decoder.damage:
+                raise RecordingError(decoder.damage)
+    check_end(len(decoder.rest))
+
+
+def check_end(rest_bytes: int) -> None:
+    """Raise RecordingError if bytes of a record that is not complete are left."""
+    if rest_bytes:
+        raise RecordingError(f"it is cut: {rest_bytes} octets of a cut record at the end")
+
+
+class EventReader:
+    """Reader of a file of events alone, with a decoder that `open_decoder` makes of its first bytes and `form`."""
 
     def __init__(
-        self,
-        path: Path,
-        size: Size | None,
-        open_decoder: Callable[[bytes], _Decoder],
-        camera: str,
+        self, open_decoder: Callable[..., Any], camera: str, path: Path, size: Size | None, *form: TableForm | None
     ) -> None:
         self._path = path
-        with path.open("rb") as file:
-            try:
-                self._decoder = open_decoder(file.read(_HEAD_BYTES))
-            except ValueError as error:
-                raise RecordingError(str(error)) from error
+        self._decoder = opened(lambda head: open_decoder(head, *form), path, _HEAD_BYTES)
         self.facts = Facts(self._decoder.size or size, camera, streams=frozenset(), remarks=self._decoder.remarks)
 
     def parts(self) -> Iterator[Part]:
         """Yield the events; raises RecordingError after those before a damaged line or record."""
-        decoder = self._decoder
-        with self._path.open("rb") as file:
-            file.seek(decoder.start)
-            while not decoder.damage and (data := file.read(_PIECE_BYTES)):
-                yield Part(decoder.decode(data))
-        if not decoder.damage:
-            yield Part(decoder.end())
-        if decoder.damage:
-            raise RecordingError(decoder.damage)
+        return map(Part, decoded(self._decoder, self._path, self._decoder.start))
 
 
-class DatReader(_EventReader):
-    """Reader of DAT with change-detection events."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        from firmware_protocol.recordings.event_files import DatDecoder  # loads numba, which tables do not need
-
-        super().__init__(path, size, DatDecoder, "dat")
+CsvReader = partial(EventReader, EventTable, "csv")
 
 
-class EsReader(_EventReader):
-    """Reader of Event Stream files of DVS events."""
-
-    def __init__(self, path: Path, size: Size | None) -> None:
-        from firmware_protocol.recordings.event_files import EventStreamDecoder
-
-        super().__init__(path, size, EventStreamDecoder, "es")
-
-
-class CsvReader(_EventReader):
-    """Reader of tables of text."""
-
-    def __init__(self, path: Path, size: Size | None, form: TableForm | None = None) -> None:
-        super().__init__(path, size, lambda head: EventTable(head, form), "csv")
-
-
-_MOST_HEADER = 1 << 24
+_AEDAT4_HEAD_BYTES = len(MAGIC) + 4 + (1 << 24)
 _MOST_PACKET = 1 << 28  # of decompressed bytes: 16 million events
 
 
@@ -102,13 +88,8 @@ class Aedat4Reader:
 
     def __init__(self, path: Path, size: Size | None) -> None:
         self._path = path
-        try:
-            with path.open("rb") as file:
-                self._head = Aedat4Head(file.read(len(MAGIC) + 4 + _MOST_HEADER))
-            self._decoder = Aedat4Decoder(self._head)
-        except ValueError as error:
-            raise RecordingError(str(error)) from error
-        self._open_packet = _decompressor_of(self._head.compression)
+        self._decoder = opened(lambda data: Aedat4Decoder(Aedat4Head(data)), path, _AEDAT4_HEAD_BYTES)
+        self._open_packet = _decompressor_of(self._decoder.head.compression)
         info, kinds = self._decoder.info, list(self._decoder.kinds.values())
         width, height = (int(text) if text.isdecimal() else 0 for text in map(info.get, ("sizeX", "sizeY"), ("", "")))
         size = (width, height) if width and height else size
@@ -120,18 +101,16 @@ class Aedat4Reader:
 
     def parts(self) -> Iterator[Part]:
         """Yield packets; raises RecordingError at the first damaged one, after the data before its damage."""
-        size = self._path.stat().st_size
-        is_whole = self._head.table_at <= size
-        end = self._head.table_at if self._head.packets_at <= self._head.table_at <= size else size
-        left = end - self._head.packets_at
+        size, head = self._path.stat().st_size, self._decoder.head
+        left = head.packets_end(size) - head.packets_at
         with self._path.open("rb") as file:
-            file.seek(self._head.packets_at)
-            while packet := packet_at(head := file.read(8), left):
+            file.seek(head.packets_at)
+            while packet := packet_at(start := file.read(8), left):
                 left -= packet
-                yield self._part(int.from_bytes(head[:4], "little"), file.read(packet - 8))
+                yield self._part(int.from_bytes(start[:4], "little"), file.read(packet - 8))
                 if self._decoder.damage:
                     raise RecordingError(self._decoder.damage)
-        if left or not is_whole:
+        if left or head.table_at > size:
             advice = "`evstim recover IN OUT` makes a file that others read"
             raise RecordingError(f"it is cut: {left} octets of a cut record at the end; {advice}")
 
@@ -162,3 +141,32 @@ def _decompressor_of(compression: int) -> Any:
         with suppress(ImportError):
             return imported(path)
     raise LibraryMissing(f"its packets are compressed: {install_command('files')}")
+
+
+_COPY_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Saved:
+    """Result of a recovery: number of packets, their bytes, and bytes omitted at the end."""
+
+    packets: int
+    kept_bytes: int
+    left_bytes: int
+
+
+def recover_aedat4(source: Path, target: Path) -> Saved:
+    """Copy the whole packets of an AEDAT 4.0 file; raises RecordingError if the header is damaged, or OSError."""
+    head = opened(Aedat4Head, source, _AEDAT4_HEAD_BYTES)
+    packets_bytes = head.packets_end(source.stat().st_size) - head.packets_at
+    packets = kept = 0
+    with source.open("rb") as file, target.open("wb") as copy:
+        file.seek(head.packets_at)
+        copy.write(head.unfinished())
+        while size := packet_at(start := file.read(8), packets_bytes - kept):
+            copy.write(start)
+            for place in range(8, size, _COPY_BYTES):
+                copy.write(file.read(min(_COPY_BYTES, size - place)))
+            packets += 1
+            kept += size
+    return Saved(packets, kept, packets_bytes - kept)

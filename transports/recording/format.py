@@ -157,12 +157,12 @@ _FORMATS = (
         readers="Metavision, OpenEB", until_us=1 << 34,
     ),
     Format(
-        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.event_files:DatReader",
+        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.word_files:DatReader",
         readers="Metavision, OpenEB, faery, expelliarmus", needs="faery", size_px=(1 << 14, 1 << 14),
         until_us=1 << 32,
     ),
     Format(
-        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.event_files:EsReader",
+        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.word_files:EsReader",
         signature=b"Event Stream", readers="faery, event_stream, Sepia", needs="faery", until_us=1 << 37,
     ),
     Format(

@@ -2,20 +2,16 @@
 
 The latter are EVT3, EVT2, and EVT2.1 in both orders of octets. Their words are encoded here: faery 0.7.1 writes no time
 in long silences, so readers of its EVT3 files miss wraps.
-
-All readers refuse a finished AEDAT 4.0 file that was cut, because its header refers to a table that is missing.
-`recover_aedat4` makes a copy whose header states that there is none, and which ends with the last whole packet.
 """
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO, TypeVar, cast
+from typing import cast
 
 from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder, Form, evt2_header
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
@@ -38,12 +34,11 @@ from firmware_protocol.recordings.aedat import (
     parse_aedat2_header,
     parse_aedat31_header,
 )
-from firmware_protocol.recordings.aedat4 import MAGIC, Aedat4Head, packet_at
+from firmware_protocol.recordings.event_files import DatDecoder, EventStreamDecoder
+from transports.recording.event_files import EventReader, check_end, decoded, opened
 from transports.recording.format import format_to_read
 from transports.recording.part import Facts, Part, RecordingError, Size
 
-_PIECE_BYTES = 1 << 19
-T = TypeVar("T")
 _MOST_HEADER = 1 << 22  # jAER writes all its preferences: 2100 lines
 
 
@@ -93,8 +88,7 @@ class Aedat2Reader:
 
     def __init__(self, path: Path, size: Size | None) -> None:
         self._path = path
-        with path.open("rb") as file:
-            self._head = _parsed(parse_aedat2_header, file.read(_MOST_HEADER))
+        self._head = opened(parse_aedat2_header, path, _MOST_HEADER)
         size = size or self._head.size
         if not size:
             raise RecordingError("it does not contain the size of its sensor: give --size, such as 346x260")
@@ -103,7 +97,7 @@ class Aedat2Reader:
     def parts(self) -> Iterator[Part]:
         """Yield events, and raise RecordingError at the end if any were outside the sensor."""
         decoder = Aedat2Decoder(self.facts.size or (0, 0), self._head.chip)
-        yield from _decoded(decoder, self._path, self._head.start)
+        yield from decoded(decoder, self._path, self._head.start)
         if decoder.outside:
             raise RecordingError(
                 f"{decoder.outside} events lie outside {self.facts.size} and are left out: give --size"
@@ -135,41 +129,21 @@ class Aedat31Reader:
 
     def __init__(self, path: Path, size: Size | None) -> None:
         self._path = path
-        with path.open("rb") as file:
-            self._start, source = _parsed(parse_aedat31_header, file.read(_MOST_HEADER))
+        self._start, source = opened(parse_aedat31_header, path, _MOST_HEADER)
         size_of_model = next((s for model, s in _SIZES.items() if source.upper().startswith(model)), None)
         self.facts = Facts(size or size_of_model, source or "aedat31", streams=_STREAMS)
 
     def parts(self) -> Iterator[Part]:
         """Yield the contents of whole packets."""
-        yield from _decoded(Aedat31Decoder(), self._path, self._start)
+        return decoded(Aedat31Decoder(), self._path, self._start)
 
 
 _STREAMS = frozenset({"edges", "imu", "frames"})  # possible streams: only reading the whole file shows if they exist
 _SIZES = {"DAVIS346": (346, 260), "DAVIS240": (240, 180), "DVS128": (128, 128), "DAVIS640": (640, 480)}
 
 
-def _parsed(parse: Callable[[bytes], T], head: bytes) -> T:
-    try:
-        return parse(head)
-    except ValueError as error:
-        raise RecordingError(str(error)) from error
-
-
-def _decoded(decoder: Aedat2Decoder | Aedat31Decoder, path: Path, start: int) -> Iterator[Part]:
-    """Yield the parts of a file from the offset `start` on; raises RecordingError after those before damaged data."""
-    with path.open("rb") as file:
-        file.seek(start)
-        while data := file.read(_PIECE_BYTES):
-            yield decoder.decode(data)
-            if decoder.damage:
-                raise RecordingError(f"it is damaged: {decoder.damage}")
-    _check_end(len(decoder.rest))
-
-
-def _check_end(rest_bytes: int) -> None:
-    if rest_bytes:
-        raise RecordingError(f"it is cut: {rest_bytes} octets of a cut record at the end")
+DatReader = partial(EventReader, DatDecoder, "dat")
+EsReader = partial(EventReader, EventStreamDecoder, "es")
 
 
 _EVT_PIECE_BYTES = 1 << 17  # at most twelve events in each word: 786 432 events
@@ -226,7 +200,7 @@ class EvtReader:
             file.seek(self._start)
             while data := file.read(_EVT_PIECE_BYTES):
                 yield Part(*decoder.decode(data))
-            _check_end((file.tell() - self._start) % {"evt3": 2, "evt2": 4}.get(self._form or "evt3", 8))
+            check_end((file.tell() - self._start) % {"evt3": 2, "evt2": 4}.get(self._form or "evt3", 8))
 
 
 _EVT_LINE = re.compile(rb"(?m)^% (\w{1,50}) +(\S.{,199}?)\s*$")
@@ -243,43 +217,3 @@ def _evt_size(text: bytes) -> Size | None:
         if size := re.search(pattern, text):
             return int(size["width"]), int(size["height"])
     return None
-
-
-_AEDAT4_MOST_HEADER = 1 << 24
-_COPY_BYTES = 1 << 20
-
-
-@dataclass(frozen=True)
-class Saved:
-    """Result of a recovery: number of packets, their bytes, and bytes omitted at the end."""
-
-    packets: int
-    kept_bytes: int
-    left_bytes: int
-
-
-def recover_aedat4(source: Path, target: Path) -> Saved:
-    """Copy the whole packets of an AEDAT 4.0 file; raises RecordingError if the header is damaged, or OSError."""
-    with source.open("rb") as file:
-        try:
-            head = Aedat4Head(file.read(len(MAGIC) + 4 + _AEDAT4_MOST_HEADER))
-        except ValueError as error:
-            raise RecordingError(str(error)) from error
-        size = source.stat().st_size
-        end = head.table_at if head.packets_at <= head.table_at <= size else size
-        file.seek(head.packets_at)
-        with target.open("wb") as copy:
-            copy.write(head.unfinished())
-            packets, kept = _copied(file, copy, end - head.packets_at)
-    return Saved(packets, kept, end - head.packets_at - kept)
-
-
-def _copied(file: BinaryIO, copy: BinaryIO, left_bytes: int) -> tuple[int, int]:
-    packets = kept = 0
-    while size := packet_at(head := file.read(8), left_bytes - kept):
-        copy.write(head)
-        for start in range(8, size, _COPY_BYTES):
-            copy.write(file.read(min(_COPY_BYTES, size - start)))
-        packets += 1
-        kept += size
-    return packets, kept

@@ -117,7 +117,7 @@ def test_a_chip_with_other_addresses_is_refused_by_its_name():
 
 
 @pytest.mark.parametrize(("times", "read", "damage"), [
-    ([5, 100, -7, 200], [5, 100], "record 2 has the time -7 us"),
+    ([5, 100, -7, 200], [5, 100], "it is damaged: record 2 has the time -7 us"),
     ([-5, -3, 0, 9], [2**32 - 5, 2**32 - 3, 2**32, 2**32 + 9], ""),
     ([2**31 - 1, -(2**31), 2**31 - 2], [2**31 - 1, 2**31, 2**31 - 2], ""),
     ([100, 300, 200], [100, 300, 200], ""),

@@ -117,7 +117,7 @@ def test_a_negative_time_is_damage_and_what_lies_before_is_read(kind, times, wra
     assert part.events["t"].tolist() == [1, 2] + ([3] if kind == 1 and not wraps else [])
     assert len(part.edges) + len(part.imu) + len(part.frames) == (kind != 1 and not wraps)
     k, t_us = (0, -1) if wraps else (1, -5)
-    assert decoder.damage == f"record {k} of packet 1 has the time {t_us} us"
+    assert decoder.damage == f"it is damaged: record {k} of packet 1 has the time {t_us} us"
     assert len(decoder.decode(before).events) == 0
 
 

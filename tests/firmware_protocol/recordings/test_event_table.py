@@ -13,7 +13,7 @@ def read(text, form=None, piece=1 << 19):
     data = text if isinstance(text, bytes) else text.encode()
     table = EventTable(data, form)
     parts = [table.decode(data[k : k + piece]) for k in range(table.start, len(data), piece)]
-    return table, join_events([*parts, table.end()]).tolist()
+    return table, join_events([*parts, table.decode(b"")]).tolist()
 
 
 NO_HEADER = "no header: its columns are taken as t,x,y,p"
@@ -104,7 +104,7 @@ def test_a_line_without_an_end_takes_no_more_memory():
     for _ in range(40):
         table.decode(b"1" * 4096)
     assert "line 2: it has more than 65536 octets" in table.damage
-    assert len(table._rest) <= 65536 + 4096
+    assert len(table.rest) <= 65536 + 4096
 
 
 EVENTS = st.lists(

@@ -51,7 +51,7 @@ def test_no_file_grows_beyond_its_bytes(tmp_path, monkeypatch):
     path = tmp_path / "a.raw"
     path.write_bytes(b"% geometry 346x260\n% end\n" + Evt3Encoder().encode(sample_events()))
     with pytest.raises(RecordingError, match="would grow to more data than a file of its size can hold"):
-        list(read_messages(path, "evt3", None))
+        list(read_messages(path, "evt3", None, {}))
 
 
 @pytest.mark.parametrize("name", ["a.raw", "a.csv", "a.aedat2"])
