@@ -13,7 +13,6 @@ from dataclasses import fields
 from functools import cache
 from typing import Annotated, Any
 
-import numpy as np
 from msgspec import Meta
 
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -62,7 +61,7 @@ def unshared(value: Any, of_array: Callable[[Any], Any] = lambda array: unshared
 
     By default arrays become tuples too. Numbers of NumPy become those of Python.
     """
-    if isinstance(value, np.ndarray):
+    if getattr(value, "ndim", 0):  # NumPy is not imported for it: the answering process of GigE Vision starts without
         return of_array(value)
     if hasattr(value, "tolist"):
         return unshared(value.tolist(), of_array)

@@ -31,8 +31,8 @@ def started(monkeypatch):
 
 def test_long_parts_start_first_and_a_part_after_those_that_it_needs(started):
     assert prepare(parts_of(load_rig("eros"))) == []
-    of_pixels = ["pixel blocks", "pixel candidates", "pixel noise"]
-    assert started == ["scene bodies", *of_pixels, "read-out and effects", "pixel step"]
+    of_pixels = ["pixel candidates", "pixel blocks", "pixel step"]
+    assert started == ["pixel noise", "scene bodies", *of_pixels, "read-out and effects"]
 
 
 @pytest.mark.system

@@ -6,9 +6,6 @@ time, and the first one below the hazard is an event. Points do not depend on th
 
     calm      a window in which few points are below the bound by the signal at both ends, as long as possible
     other     bounded by the hazard at both ends, until about two points are expected; a part that does not turn
-    swift     where the signal alone goes a threshold before the noise has changed, no point is tried: the event is
-              where signal and noise, which goes on as at the reset, meet it. Beyond MOST_EVENTS of them in a step the
-              others on the part that does not turn are counted in closed form, so no light makes a step long
     event     the noise's slope at the passage is drawn; value and slope are carried over the dead time exactly, with
               two normal numbers; the reference is signal plus noise at its end
 
@@ -30,7 +27,7 @@ from emulator.sensor.numerics import keyed
 from emulator.sensor.numerics.compiled import kernel, lane
 from emulator.sensor.pixels import state
 from emulator.sensor.pixels.crossings import Keys, pack
-from emulator.sensor.pixels.event_time import MOST_EVENTS, Cubic, delay_s, pass_over
+from emulator.sensor.pixels.event_time import delay_s
 from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Pixels, StepConstants, noise_stream, reset_offset_at
 
 _Float32s = npt.NDArray[np.float32]
@@ -62,7 +59,6 @@ _WIDEST = 4.0  # interval of false positions, over the time that the present spe
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
 _MOST_LOST = 1e9
-_UNCHANGED, _UNSPREAD = 0.25, 0.01  # of a swift signal: time constants since the reset; share of a threshold
 _STEEPEST = 1e6  # slope of the noise of one pole, which has none, ln units a second
 # Purposes of an event's random numbers.
 _SLOPE, _VALUE = np.uint64(0xD6E8FEB86659FD93), np.uint64(0x9E3779B97F4A7C15)
@@ -430,48 +426,6 @@ def _window(t: float, limit: float, now: _Signal, h: Hazard, curve: Curve, a: St
         to = t + (to - t) * 0.25  # the signal became faster
 
 
-@lane
-def _swift_time(t: float, limit: float, now: _Signal, curve: Curve, a: State) -> float:
-    """Return when a swift signal meets a threshold, ns since the start of the step; `limit` if it is none, or later.
-
-    The noise goes on from its reset with its slope there. By then its deviation must be a small share of the threshold.
-    """
-    noise, since_s = now.noise, (t - a.reset) * 1e-9
-    beyond = now.value + a.n_r + a.v_r * since_s - a.reference
-    speed = now.speed + a.v_r
-    threshold, behind = (a.on, a.off + beyond) if speed > 0 else (a.off, a.on - beyond)
-    ahead_s = max(threshold - beyond if speed > 0 else threshold + beyond, 0.0) / abs(speed)
-    spent = (since_s + ahead_s) * noise.rate
-    if not (spent <= _UNCHANGED and behind > 0):  # or not a number
-        return limit
-    variance = spent * spent * spent / (1.5 * noise.ratio) if noise.ratio > 0.0 else 2 * spent
-    if variance * noise.sigma * noise.sigma > _UNSPREAD * _UNSPREAD * threshold * threshold:
-        return limit
-    at, step = min(t + ahead_s * 1e9, limit), 0.0
-    level = a.reference - a.n_r + (threshold if speed > 0 else -threshold)
-    for _ in range(_FALSE_POSITIONS):
-        then = _signal(at, curve)
-        step = (level - then.value - a.v_r * (at - a.reset) * 1e-9) / (then.speed + a.v_r) * 1e9
-        at = min(max(at + step, t), limit)
-    return at if abs(step) < 1 or at == t else limit
-
-
-@kernel
-def _pass_swift(  # noqa: PLR0913, PLR0917
-    pixels: Pixels, pixel: int, t: float, limit: float, curve: Curve, a: State, on: bool, c: StepConstants
-) -> int:
-    """Move a pixel past all events of a swift signal up to `limit`; return how many they are."""
-    p = curve.piece
-    high, span_s = (limit - p.begin_ns) * curve.per_ns, p.span_ns * 1e-9
-    g = Cubic(0.0, p.c1 + curve.leak * span_s, p.c2, p.c3)
-    passed = pass_over(g, (t - p.begin_ns) * curve.per_ns, high, a.on if on else a.off, on, p.span_ns / c.h_ns, c)
-    climbed = passed.climbed if on else -passed.climbed
-    reference = np.float32(_value(limit, curve) + a.n_r - climbed)
-    pixels.fields[state.slot(pixel) + _REF] = _NAN if passed.waiting > 0 else reference
-    pixels.refractory_until_ns[pixel] = c.t0_ns + math.ceil(limit + passed.waiting * p.span_ns)
-    return int(passed.crossings)
-
-
 @kernel
 def _turns(curve: Curve) -> tuple[float, float]:
     """Return the times at which a piece's curve turns, the end where it does not."""
@@ -531,29 +485,15 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     now = _signal(t, curve)
     if now.value != now.value:  # light that has just begun has no finite logarithm
         return n_keys, fired, 0
-    h, lost = _UNKNOWN, 0
+    h = _UNKNOWN
     while t < end:
         limit = turn if t < turn else turn2 if t < turn2 else end
-        swift = _swift_time(t, limit, now, curve, a)
-        if swift < limit:
-            is_on = now.speed + a.v_r > 0
-            if fired >= MOST_EVENTS:
-                lost += _pass_swift(pixels, pixel, t, limit, curve, a, is_on, c)
-                a = state_of(pixels, pixel, c)
-                t, h = max(limit, a.reset), _UNKNOWN
-                now = _signal(t, curve)
-                if t < end and a.reference != a.reference:
-                    a = _re_armed(pixels, pixel, now, a, c)
-                continue
-            t_ns = c.t0_ns + max(math.ceil(swift), int(t) + 1)
-            event = _Event(t_ns, is_on, _signal(np.float64(t_ns - c.t0_ns), curve), _UNKNOWN, a.v_r)
-        else:
-            w = _window(t, limit, now, h, curve, a, tables)
-            event = _first_event(t, w, 1.0, curve, a, tables)
-            if event.t_ns == keyed.NEVER_NS:
-                t, now = w.end, w.after
-                h = w.at_end if t < limit else _UNKNOWN
-                continue
+        w = _window(t, limit, now, h, curve, a, tables)
+        event = _first_event(t, w, 1.0, curve, a, tables)
+        if event.t_ns == keyed.NEVER_NS:
+            t, now = w.end, w.after
+            h = w.at_end if t < limit else _UNKNOWN
+            continue
         # The event, and the dead time behind it.
         late_s = delay_s(abs(event.slope + event.signal.speed), event.on, c)
         t_ns = event.t_ns + int(late_s * 1e9)
@@ -580,5 +520,5 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         h = _UNKNOWN
         if fired >= MOST_PASSAGES:
             pixels.fields[state.slot(pixel) + _REF] = np.float32(_signal(end, curve).value)
-            return n_keys, fired, lost + 1 + int(min(fired * (end - t) / max(t, 1.0), _MOST_LOST))
-    return n_keys, fired, lost
+            return n_keys, fired, 1 + int(min(fired * (end - t) / max(t, 1.0), _MOST_LOST))
+    return n_keys, fired, 0
