@@ -104,7 +104,7 @@ class Format:
         return reader
 
     def imported(self, path: str) -> Any:
-        """Return the class at the path of `writer` or `reader`; raises LibraryMissing."""
+        """Return the class or function at the path of `writer` or `reader`; raises LibraryMissing."""
         try:
             return imported(path)
         except (ImportError, AttributeError) as error:
