@@ -61,10 +61,11 @@ _PINS = {EdgeKind.FALLING: 2, EdgeKind.RISING: 3, EdgeKind.PULSE: 4}
 _EXTERNAL = 1 << 10
 _WRAP_US = 1 << 32
 _DVS128_PX = (128, 128)
-_SIZES = {
+SIZES = {
     "davis346": (346, 260), "davis240": (240, 180), "davis640": (640, 480), "dvs128": _DVS128_PX,
     "tmpdiff128": _DVS128_PX,
 }  # fmt: skip
+"""(width, height) of sensors by a part of their names, in lower case."""
 _LIKE_DAVIS = ("davis", "sbret", "of another size")  # jAER's chips with the addresses of a DAVIS, and our own line
 _NO_SAMPLE = 0x8000_0800  # bit 31, read cycle 2
 
@@ -156,9 +157,9 @@ def parse_aedat2_header(head: bytes) -> Aedat2Head:
         )
     )  # fmt: skip
     chip = named[1].decode("ascii", "replace").lower() if named else ""
-    if chip and not any(name in chip for name in (*_SIZES, *_LIKE_DAVIS)):
+    if chip and not any(name in chip for name in (*SIZES, *_LIKE_DAVIS)):
         raise ValueError(f"it is an AEDAT 2.0 file of the chip {chip}; those of a DAVIS and of a DVS128 are read")
-    size = next((size for name, size in _SIZES.items() if name in chip), None)
+    size = next((size for name, size in SIZES.items() if name in chip), None)
     size = (int(written[1]), int(written[2])) if written else size
     return Aedat2Head(lines.end(), size, int(created[1]) * 1000 if created else 0, chip)
 

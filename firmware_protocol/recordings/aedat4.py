@@ -32,7 +32,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EdgeKind, Edges, Events, make_edges, make_events
+from firmware_protocol.events import EdgeKind, make_edges, make_events
 from firmware_protocol.recordings.part import IMU, Frame, Part
 
 MAGIC = b"#!AER-DAT4.0\r\n"
@@ -189,34 +189,25 @@ class Aedat4Decoder:
             return Part(frames=self._frame(data, table))
         start, count = _vector(data, table, 0)
         if kind == "EVTS":
-            return Part(self._events(np.frombuffer(payload, _EVENT, count, start) if count else np.zeros(0, _EVENT)))
-        places = start + 4 * np.arange(count)
-        tables = places + _numbers(data, places, "<u4")
-        if kind == "TRIG":
-            return Part(edges=self._edges(_records(data, tables, _TRIGGER)))
-        samples, t = self._sound(_records(data, tables, _SAMPLE))
-        samples["t"] = t
-        return Part(imu=samples.astype(IMU))
-
-    def _sound(self, records: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64]]:
-        """Return the records before the first that is earlier than t = 0, and their times, us."""
+            records = np.frombuffer(payload, _EVENT, count, start) if count else np.zeros(0, _EVENT)
+        else:
+            places = start + 4 * np.arange(count)
+            tables = places + _numbers(data, places, "<u4")
+            records = _records(data, tables, _TRIGGER if kind == "TRIG" else _SAMPLE)
         t = records["t"] - self.start_us
-        if len(t) and t.min() < 0:
-            k = int((t < 0).argmax())
-            self.damage = f"it is damaged: a record has the time {t[k]} us"
-            return records[:k], t[:k]
-        return records, t
-
-    def _events(self, records: npt.NDArray[Any]) -> Events:
-        records, t = self._sound(records)
-        return make_events(t, records["x"], records["y"], records["on"].view(np.uint8) > 0)
-
-    def _edges(self, records: npt.NDArray[Any]) -> Edges:
-        records, t = self._sound(records)
+        sound = int(np.append(t < 0, True).argmax())
+        if sound < len(t):
+            self.damage = f"it is damaged: a record has the time {t[sound]} us"
+        records, t = records[:sound], t[:sound]
+        if kind == "EVTS":
+            return Part(make_events(t, records["x"], records["y"], records["on"].view(np.uint8) > 0))
+        if kind == "IMUS":
+            records["t"] = t
+            return Part(imu=records.astype(IMU))
         kinds = np.zeros(256, np.uint8)
         kinds[list(SOURCES.values())] = list(SOURCES)
         edges = make_edges(t, kinds[records["source"]])
-        return edges[edges["kind"] > 0]
+        return Part(edges=edges[edges["kind"] > 0])
 
     def _frame(self, data: _Octets, table: _Offsets) -> tuple[Frame, ...]:
         record = _records(data, table, _PICTURE)

@@ -87,11 +87,10 @@ class EventTable:
         names, sample = self._begin(head)
         if not sample and not names:
             raise ValueError("it has no line of an event")
-        self._columns = self._columns_of(form.columns, names, sample)
+        self._places, self._count = self._columns_of(form.columns, names, sample)
         self._unit = self._unit_of(form.time_unit, names, sample)
-        used = [name for name in self._columns if name in _NAMES]
-        self._usecols = None if used == self._columns else [self._columns.index(name) for name in used]
-        self._used = used
+        self._used = sorted(self._places, key=self._places.__getitem__)
+        self._usecols = sorted(self._places.values()) if self._count > len(_NAMES) else None
 
     def _begin(self, head: bytes) -> tuple[list[str], list[list[str]]]:
         """Find the first event; return the names of a header, and the fields of the first lines."""
@@ -119,8 +118,8 @@ class EventTable:
         rows = (line.split(self._separator) for line in lines[: max(1, len(lines) - 1)] if line.strip())
         return names, [[field.strip() for field in row] for row in rows]
 
-    def _columns_of(self, order: str, names: list[str], sample: list[list[str]]) -> list[str]:
-        """Return t, x, y and p, each once, and the names of other columns, in their order."""
+    def _columns_of(self, order: str, names: list[str], sample: list[list[str]]) -> tuple[dict[str, int], int]:
+        """Return the places of t, x, y and p, and the number of columns."""
         if order:
             names = [name.strip() for name in order.split(",")]
             if sample and len(sample[0]) != len(names):
@@ -133,10 +132,7 @@ class EventTable:
             sizes = {name: _NAME.fullmatch(names[place])[3] for name, place in places.items()}  # type: ignore[index]
             if sizes["x"] and sizes["y"]:
                 self.size = int(sizes["x"]), int(sizes["y"])
-            columns = [f"{name} " for name in names]
-            for name, place in places.items():
-                columns[place] = name
-            return columns
+            return places, len(names)
         if len(sample[0]) != 4:
             raise ValueError(f"it has no header and {len(sample[0])} columns: {_ADVICE}")
         for k, name in enumerate("txyp"):
@@ -144,7 +140,7 @@ class EventTable:
             if 2 * len(wrong) > len(sample):
                 raise ValueError(f"it has no header, and column {k + 1} has {wrong[0]}, which is no {name}: {_ADVICE}")
         self.remarks += ("it has no header: its columns are taken as t,x,y,p (--columns)",)
-        return ["t", "x", "y", "p"]
+        return {name: k for k, name in enumerate("txyp")}, 4
 
     def _unit_of(self, unit: str, names: list[str], sample: list[list[str]]) -> str:
         """Return the unit of the times."""
@@ -153,8 +149,8 @@ class EventTable:
             if unit not in _FACTORS:
                 raise ValueError(f"the unit of time must be one of {', '.join(_FACTORS)}, got {unit!r}")
             return unit
-        place = self._columns.index("t")
-        is_named = _NAME.fullmatch(names[place].lower()) if len(names) == len(self._columns) else None
+        place = self._places["t"]
+        is_named = _NAME.fullmatch(names[place].lower()) if len(names) == self._count else None
         if is_named and is_named[2] in _FACTORS:
             return is_named[2]
         self._is_unit_assumed = True
@@ -222,7 +218,7 @@ class EventTable:
 
     def _table(self, rows: list[str]) -> npt.NDArray[Any] | None:
         """Return the columns of lines, (n,) with fields t, x, y and p; None if one of them is no number."""
-        if self._usecols is not None and any(len(row.split(self._separator)) != len(self._columns) for row in rows):
+        if self._usecols is not None and any(len(row.split(self._separator)) != self._count for row in rows):
             return None
         for k in range(self._types, len(_TYPES)):
             t, place, p = _TYPES[k]
@@ -242,12 +238,12 @@ class EventTable:
     def _fault(self, line: str) -> str:
         """Return what is wrong with a line."""
         fields = [field.strip() for field in line.split(self._separator)]
-        if len(fields) != len(self._columns):
-            return f"it has {len(fields)} columns, not {len(self._columns)}"
-        for name, field in zip(self._columns, fields, strict=True):
-            if name in _NAMES and not _is_right(name, field):
-                return f"{name} is {field[:30]!r}, not {_RIGHT[name]}"
-        values = dict(zip(self._columns, fields, strict=True))
+        if len(fields) != self._count:
+            return f"it has {len(fields)} columns, not {self._count}"
+        values = {name: fields[place] for name, place in self._places.items()}
+        for name, value in values.items():
+            if not _is_right(name, value):
+                return f"{name} is {value[:30]!r}, not {_RIGHT[name]}"
         if self._off is not None and _polarity(values["p"]) not in (1, self._off):
             return f"p is {values['p']}, and {self._off} in lines before it"
         advice = "give the unit, as in --time-unit s"

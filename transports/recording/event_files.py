@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from firmware_protocol.recordings.aedat4 import KINDS, MAGIC, Aedat4Decoder, Aedat4Head, packet_at
 from firmware_protocol.recordings.event_table import EventTable, TableForm
@@ -25,16 +25,6 @@ _PIECE_BYTES = 1 << 19
 T = TypeVar("T")
 
 
-class Decoder(Protocol):
-    """Decoder of a file in pieces: `damage`, a reason, ends its data; `rest` is of a record that is not complete."""
-
-    damage: str
-    rest: bytes
-
-    def decode(self, data: bytes, /) -> Any:
-        """Return what the next bytes complete; none are at the end of the file."""
-
-
 def opened(open_decoder: Callable[[bytes], T], path: Path, head_bytes: int) -> T:
     """Return what `open_decoder` makes of the first bytes of a file; its ValueError becomes RecordingError."""
     with path.open("rb") as file:
@@ -44,8 +34,12 @@ def opened(open_decoder: Callable[[bytes], T], path: Path, head_bytes: int) -> T
             raise RecordingError(str(error)) from error
 
 
-def decoded(decoder: Decoder, path: Path, start: int) -> Iterator[Any]:
-    """Yield the content of a file from the offset `start` on; raises RecordingError after that before damaged data."""
+def decoded(decoder: Any, path: Path, start: int) -> Iterator[Any]:
+    """Yield the content of a file from the offset `start` on; raises RecordingError after that before damaged data.
+
+    `decoder` returns by `decode` what the next bytes complete, without bytes at the end of the file. Its `damage`, a
+    reason, ends the data; its `rest` are bytes of a record that is not complete.
+    """
     with path.open("rb") as file:
         file.seek(start)
         for data in chain(iter(partial(file.read, _PIECE_BYTES), b""), [b""]):

@@ -13,76 +13,57 @@ never closed is read up to its last whole packet.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from faery.extension import aedat, csv, dat, es
 
-from firmware_protocol.events import Edges, Events
+from firmware_protocol.events import Edges, Events, make_events
 from firmware_protocol.recordings.aedat4 import SOURCES, Aedat4Head, aedat4_picture
 from transports.output_file import TemporaryFolder
-from transports.recording.part import Facts, Frame, Part
+from transports.recording.part import Facts, Frame, Part, Writer
 
 _COMMA = 44
-_SIZE = (1280, 720)  # for a file without it: faery's own default
 _DAT_EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("payload", "u1")])
 
 
-class _Events:
-    """Writer of events only, with an encoder of faery."""
+class _EventsWriter:
+    """Writer of events only, with an encoder of faery that takes what `packet_of` makes of them."""
 
-    def __init__(self, encoder: Any) -> None:
-        self._encoder = encoder
+    def __init__(self, encoder: Any, packet_of: Callable[[Events], Any] = np.asarray) -> None:
+        self._encoder, self._packet_of = encoder, packet_of
         encoder.__enter__()
 
     def write(self, part: Part) -> None:
         """Append the events."""
         if len(part.events):
-            self._encoder.write(self._packet(part.events))
-
-    def _packet(self, events: Events) -> Any:
-        return events
+            self._encoder.write(self._packet_of(part.events))
 
     def close(self) -> None:
         """Finish the file."""
         self._encoder.__exit__(None, None, None)
 
 
-class DatWriter(_Events):
-    """Writer of DAT, version 2."""
-
-    def __init__(self, path: Path, facts: Facts) -> None:
-        super().__init__(dat.Encoder(path, version="dat2", event_type="cd", zero_t0=False, dimensions=facts.size))
-
-    def _packet(self, events: Events) -> Any:
-        return events.view(_DAT_EVENT)
+def dat_writer(path: Path, facts: Facts) -> Writer:
+    """Return a writer of DAT, version 2."""
+    encoder = dat.Encoder(path, version="dat2", event_type="cd", zero_t0=False, dimensions=facts.size)
+    return _EventsWriter(encoder, lambda events: events.view(_DAT_EVENT))
 
 
-class EsWriter(_Events):
-    """Writer of Event Stream files, rows from the bottom."""
-
-    def __init__(self, path: Path, facts: Facts) -> None:
-        self._top = (facts.size or _SIZE)[1] - 1
-        super().__init__(es.Encoder(path, event_type="dvs", zero_t0=False, dimensions=facts.size))
-
-    def _packet(self, events: Events) -> Any:
-        return _turned(events, self._top)
+def es_writer(path: Path, facts: Facts) -> Writer:
+    """Return a writer of Event Stream files, rows from the bottom."""
+    top = (facts.size or (0, 0))[1] - 1
+    encoder = es.Encoder(path, event_type="dvs", zero_t0=False, dimensions=facts.size)
+    return _EventsWriter(encoder, lambda events: make_events(events["t"], events["x"], top - events["y"], events["on"]))
 
 
-class CsvWriter(_Events):
-    """Writer of lines t,x,y,on after a line with the names and the size."""
-
-    def __init__(self, path: Path, facts: Facts) -> None:
-        super().__init__(
-            csv.Encoder(path, separator=_COMMA, header=True, dimensions=facts.size, enforce_monotonic=True)
-        )
-
-
-def _turned(events: Events, top: int) -> Events:
-    turned = events.copy()
-    turned["y"] = top - events["y"]
-    return turned
+def csv_writer(path: Path, facts: Facts) -> Writer:
+    """Return a writer of lines t,x,y,on after a line with the names and the size."""
+    return _EventsWriter(
+        csv.Encoder(path, separator=_COMMA, header=True, dimensions=facts.size, enforce_monotonic=True)
+    )
 
 
 _TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])

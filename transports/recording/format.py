@@ -33,7 +33,7 @@ class Format:
     ----------
     name, title : its name in commands, and its name for people.
     suffixes : ends of the names of its files, the usual one first.
-    writer, reader : "module:Class" of its writer (path, facts) and its reader (path).
+    writer, reader : "module:name" of its writer (path, facts) and its reader (path).
     signature : first bytes of all its files; empty: its files are recognised by their suffix.
     holds : streams that are written with it: "events", "edges", "imu", "frames".
     ordered : streams that share one order of time; each of the others has its own packets or list.
@@ -104,7 +104,7 @@ class Format:
         return reader
 
     def imported(self, path: str) -> Any:
-        """Return the class at the path of `writer` or `reader`; raises LibraryMissing."""
+        """Return the class or function at the path of `writer` or `reader`; raises LibraryMissing."""
         try:
             return imported(path)
         except (ImportError, AttributeError) as error:
@@ -157,16 +157,16 @@ _FORMATS = (
         readers="Metavision, OpenEB", until_us=1 << 34,
     ),
     Format(
-        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.word_files:DatReader",
+        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:dat_writer", f"{_HERE}.word_files:DatReader",
         readers="Metavision, OpenEB, faery, expelliarmus", needs="faery", size_px=(1 << 14, 1 << 14),
         until_us=1 << 32,
     ),
     Format(
-        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.word_files:EsReader",
+        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:es_writer", f"{_HERE}.word_files:EsReader",
         signature=b"Event Stream", readers="faery, event_stream, Sepia", needs="faery", until_us=1 << 37,
     ),
     Format(
-        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.event_files:CsvReader",
+        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:csv_writer", f"{_HERE}.event_files:CsvReader",
         readers="faery, pandas, any table", needs="faery", is_table=True,
     ),
     Format(
@@ -299,8 +299,6 @@ def reason(error: BaseException) -> str:
         return "it needs more memory than an intact file of its kind does"
     if isinstance(error, OSError) and error.strerror:
         return os.strerror(error.errno) if error.errno else error.strerror  # HDF5 puts a paragraph there
-    if "failed to fill whole buffer" in str(error) or "FileDataTable" in str(error):
-        return "it is cut short; for AEDAT 4.0 `evstim recover IN OUT` makes a file that others read"
     text = " ".join(str(error).split()) or type(error).__name__
     patterns = r"([A-Z][A-Za-z ,']+) \(os error \d+\)", r"error message = '([^']+)'"  # of Rust, of HDF5
     message = next(filter(None, (re.search(pattern, text) for pattern in patterns)), None)

@@ -17,6 +17,7 @@ from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder, Form, evt2_head
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.recordings.aedat import (
+    SIZES,
     Aedat2Decoder,
     Aedat31Decoder,
     Words,
@@ -130,7 +131,7 @@ class Aedat31Reader:
     def __init__(self, path: Path, size: Size | None) -> None:
         self._path = path
         self._start, source = opened(parse_aedat31_header, path, _MOST_HEADER)
-        size_of_model = next((s for model, s in _SIZES.items() if source.upper().startswith(model)), None)
+        size_of_model = next((s for model, s in SIZES.items() if source.lower().startswith(model)), None)
         self.facts = Facts(size or size_of_model, source or "aedat31", streams=_STREAMS)
 
     def parts(self) -> Iterator[Part]:
@@ -139,7 +140,6 @@ class Aedat31Reader:
 
 
 _STREAMS = frozenset({"edges", "imu", "frames"})  # possible streams: only reading the whole file shows if they exist
-_SIZES = {"DAVIS346": (346, 260), "DAVIS240": (240, 180), "DVS128": (128, 128), "DAVIS640": (640, 480)}
 
 
 DatReader = partial(EventReader, DatDecoder, "dat")
