@@ -320,14 +320,14 @@ _OWN_SEED = "each run has a seed of its own, see `seed` and `repeats`: remove th
 
 def _check_keys(settings: Settings) -> None:
     """Raise TableError for a key of [[parameters]] or [set] that would have no effect."""
-    earlier = list(leaves(settings.set))
+    earlier = dict.fromkeys(leaves(settings.set), "in [set]")
     if _SEED in earlier:
         raise TableError(_OWN_SEED, ("set", *_SEED))
     for i, law in enumerate(settings.parameters):
-        at: KeyPath = ("parameters", i, "key")
         if settings.sampling != "grid" and getattr(law, "steps", None):
             raise TableError('it is for sampling = "grid" alone: remove this key', ("parameters", i, "steps"))
         for key in (law.key, *law.also):
+            at: KeyPath = ("parameters", i, "key" if key == law.key else "also")
             try:
                 path = path_of(key)
             except ValueError as error:
@@ -336,6 +336,7 @@ def _check_keys(settings: Settings) -> None:
                 raise TableError(f"{key} is for a program under test: there is no [program]", at)
             if path == _SEED:
                 raise TableError(_OWN_SEED, at)
-            if lost := [text_of(other) for other in earlier if other[: len(path)] == path]:
-                raise TableError(f"{key} replaces {lost[0]}, given in [set] or by an earlier parameter", at)
-            earlier.append(path)
+            for other, place in earlier.items():
+                if other[: len(path)] == path:
+                    raise TableError(f"{key} replaces {text_of(other)}, given {place}", at)
+            earlier[path] = "by an earlier parameter"

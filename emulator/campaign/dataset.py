@@ -96,15 +96,15 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
     if parsed.trigger is not None or parsed.second_camera is not None:
         raise CampaignError(f"{rig_file}: a data set has one camera and no link: remove [trigger] and [second_camera]")
     vary, truth = sequences.vary, sequences.truth
-    source = Source(str(file), "", str(rig_file), rig_text, "vary")
+    author = "vary", ""
     if isinstance(vary, str | Path):
-        source = dataclasses.replace(source, author_file=str(vary), author_text=campaign_text(Path(vary)))
-        vary = table_of(source.author_text, str(vary))
+        author = str(vary), campaign_text(Path(vary))
+        vary = table_of(author[1], author[0])
     table = dict(vary or {})
     try:
         _check_varied(table)
     except TableError as error:
-        raise located(source, error) from error
+        raise located(Source(*author, "", ""), error) from error
     run = {"seconds": sequences.seconds, "pace": "free", "step_us": _step_us(parsed.run.step_us, truth.rate_hz)}
     settings = laid_over({"links": [], "faults": [], "run": run}, table.get("set", {}))
     named = str(rig_file if Path(rig).is_file() else rig)
@@ -112,7 +112,7 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
     count = _COUNT if sequences.count is None and table.get("sampling") != "grid" else sequences.count
     table = {"seed": sequences.seed} | table | ({} if count is None else {"count": count}) | content
     text = "".join(f"{_toml(key)} = {_toml(value)}\n" for key, value in table.items())
-    return dataclasses.replace(source, text=text, has_options=True)
+    return Source(str(file), text, str(rig_file), rig_text, *author)
 
 
 def _check_varied(table: Mapping[str, Any]) -> None:

@@ -370,8 +370,7 @@ class Source:
     ----------
     file, text : of the campaign.
     rig_file, rig_text : of its rig.
-    author_file, author_text : of what its author wrote, where mistakes are shown; "": the campaign itself.
-    has_options : True of a data set, whose other keys are those of `OPTIONS`.
+    author_file, author_text : of what the author of a data set wrote beside `OPTIONS`; "": no data set.
     """
 
     file: str
@@ -380,7 +379,6 @@ class Source:
     rig_text: str
     author_file: str = ""
     author_text: str = ""
-    has_options: bool = False
 
 
 def load_source(file: Path) -> Source:
@@ -438,10 +436,12 @@ OPTIONS: Mapping[KeyPath, str] = {
 
 def located(source: Source, error: TableError) -> CampaignError:
     """Return the mistake with its file, line and key; in the campaign of a data set with its option."""
-    if source.has_options and error.path in OPTIONS:
-        return CampaignError(f"{OPTIONS[error.path]}: {shortened(error)}")
-    line = line_of(source.author_text if source.author_file else source.text, error.path)
-    file = source.author_file or source.file
+    file, text = source.file, source.text
+    if source.author_file:
+        file, text = source.author_file, source.author_text
+        if error.path in OPTIONS:
+            return CampaignError(f"{OPTIONS[error.path]}: {shortened(error)}")
+    line = line_of(text, error.path)
     at = f"{file}, line {line}" if line else file
     key = text_of(error.path)[:200]
     return CampaignError(f"{at}: {key}: {shortened(error)}" if key else f"{at}: {shortened(error)}")
@@ -466,15 +466,7 @@ def parse_laws(tables: object) -> tuple[Law, ...]:
     """Return [[parameters]] as laws; raises TableError."""
     if not isinstance(tables, list):
         raise TableError("expected [[parameters]] tables", ("parameters",))
-    laws = tuple(convert_kind(table, LAWS, ("parameters", i)) for i, table in enumerate(tables))
-    taken: set[str] = set()
-    for i, law in enumerate(laws):
-        for key in (law.key, *law.also):
-            if key in taken:
-                path: KeyPath = ("parameters", i, "key" if key == law.key else "also")
-                raise TableError(f"{key!r} is given by an earlier parameter as well", path)
-            taken.add(key)
-    return laws
+    return tuple(convert_kind(table, LAWS, ("parameters", i)) for i, table in enumerate(tables))
 
 
 def _rules(rules: object) -> tuple[SuccessRule, ...]:

@@ -177,18 +177,15 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _difference_message(campaign: Campaign, folder: Path, before: dict[str, Any], now: dict[str, Any]) -> str:
     differences = [line for part in ("campaign", "rig") for line in _differences(before.get(part), now.get(part), part)]
-    if campaign.source.has_options:
+    content, remedy = "runs of another campaign", f"Undo the change in {campaign.source.file}, or give another --folder"
+    if campaign.source.author_file:
+        content = "sequences of another data set"
+        remedy = "Give the options, the rig and the file of --vary as they were, or another folder with --out"
         names = {f"campaign.{text_of(path)} ": f"{option}: " for path, option in OPTIONS.items()}
         differences = [next((names[key] for key in names if line.startswith(key)), "") + line for line in differences]
     remainder = [f"and {len(differences) - _MOST_LISTED} more"] if len(differences) > _MOST_LISTED else []
     listed = "; ".join([*differences[:_MOST_LISTED], *remainder])
-    if campaign.source.has_options:
-        remedy = "Give the options, the rig and the file of --vary as they were, or another folder with --out"
-        return f"{folder} has the sequences of another data set: {listed}. {remedy}"
-    return (
-        f"{folder} has the runs of another campaign: {listed}. Undo the change in {campaign.source.file}, "
-        "or give another --folder"
-    )
+    return f"{folder} has the {content}: {listed}. {remedy}"
 
 
 def _differences(before: Any, now: Any, at: str) -> Iterator[str]:

@@ -347,7 +347,7 @@ def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
 
 def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     """Make or check the folder, and return the runs that remain to be done."""
-    option = "--out" if loaded.source.has_options else "--folder"
+    option = "--out" if loaded.source.author_file else "--folder"
     with failing(WRONG_USE, OSError, at=f"{option}: {folder}"):
         remark = table.begin_folder(loaded, folder)
     if remark:

@@ -224,7 +224,7 @@ class LivePage:
         """Show a step, execute commands, and wait while the run is paused; to be called after each step."""
         self._view.show(events, light, now_us)
         self._axis.take(readings)
-        if self._view.commands != self._commands_done:
+        if self._view.commands.value != self._commands_done:
             self._execute_commands()
         elif self._outbox.waits:
             self._flush()

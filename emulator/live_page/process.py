@@ -102,26 +102,11 @@ _RING_EVENTS = 1 << 19
 _LIGHT_PERIOD_US = 40_000  # of stream time; the page shows 25 pictures a second
 
 
-class _Cell:
-    """A number in the shared memory of a `SharedView`."""
-
-    def __init__(self, index: int) -> None:
-        self._index = index
-
-    def __get__(self, view: SharedView, _: type) -> int:
-        return int(view.cells[self._index])
-
-    def __set__(self, view: SharedView, count: int) -> None:
-        view.cells[self._index] = count
-
-
 class SharedView:
     """Shared memory for a sensor of `size`, (width, height); pass it to a process started by the spawn method.
 
     The page's process writes the number of `viewers`, and of `commands`, so that the session polls no pipe each step.
     """
-
-    viewers, commands = _Cell(0), _Cell(1)
 
     def __init__(self, size: tuple[int, int]) -> None:
         context = multiprocessing.get_context("spawn")
@@ -129,7 +114,7 @@ class SharedView:
         self._by = reduction(size)
         self._shape = tuple(-(-side // self._by) for side in reversed(size))
         self._light = context.RawArray("f", self._shape[0] * self._shape[1])
-        self.cells = context.RawArray("q", 2)
+        self.viewers, self.commands = context.RawValue("q"), context.RawValue("q")
         self._light_us = 0
 
     @property
@@ -139,7 +124,7 @@ class SharedView:
 
     def show(self, events: Events, light: npt.NDArray[np.float32], now_us: int) -> None:
         """Show a step's events up to `now_us`, of too many the newest, and the light; nothing without room for them."""
-        if not self.viewers or (len(events) > self._ring.room and self._ring.waiting):
+        if not self.viewers.value or (len(events) > self._ring.room and self._ring.waiting):
             return
         self._ring.push(events[-self._ring.capacity :])
         self._ring.publish(now_us)
@@ -239,7 +224,7 @@ class PageProcess:
         while True:
             await asyncio.sleep(_PICTURE_PERIOD_S)
             self._viewers.drop_stalled()
-            self._view.viewers = len(self._viewers)
+            self._view.viewers.value = len(self._viewers)
             if not len(self._viewers):
                 watched = False
                 continue
@@ -275,9 +260,9 @@ class PageProcess:
 
     def _command(self, viewer: int, command: dict[str, Any]) -> bool:
         """Send a viewer's command to the session; False where too many wait."""
-        if self._view.commands - self._commands_done >= _MOST_WAITING:
+        if self._view.commands.value - self._commands_done >= _MOST_WAITING:
             return False
         with suppress(OSError):
             self._session.send((viewer, command))
-        self._view.commands += 1
+        self._view.commands.value += 1
         return True

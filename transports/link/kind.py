@@ -19,10 +19,8 @@ from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.needs import Need
 
-EVENT_OCTETS = {"jaer": 8, "caer": 8, "t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8} | {
-    "evt2": 4, "evt21": 8, "evt3": 5, "spif": 4  # fewer for rows that are full of events
-}  # fmt: skip
-"""Octets of an event in streams without packets of an instrument, about."""
+EVENT_OCTETS = dict(jaer=8, caer=8, t64_x16_y16_on8=13, t32_x16_y15_on1=8, evt2=4, evt21=8, evt3=5, spif=4)
+"""Octets of an event in streams without packets of an instrument, about; of EVT fewer in rows that are full of them."""
 
 Port = Annotated[int, Meta(ge=0, le=65535)]
 """A port of UDP or TCP to listen on; 0: any free one."""

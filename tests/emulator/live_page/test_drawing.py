@@ -69,7 +69,7 @@ def _every(count, until_us):
 
 def test_of_a_step_with_too_many_events_the_newest_are_shown():
     view, light = SharedView((4, 3)), np.zeros((3, 4), np.float32)
-    view.viewers = 1
+    view.viewers.value = 1
     view.show(_every(1_000_000, 1_000_000), light, 1_000_000)
     events, until_us = view.take()
     assert (int(events["t"][-1]), until_us) == (1_000_000, 1_000_000)
@@ -79,7 +79,7 @@ def test_of_a_step_with_too_many_events_the_newest_are_shown():
 def test_the_shown_time_is_that_of_the_events_when_they_are_not_taken():
     """A step without room is left out whole; time and events of the ones before stay together."""
     view, light = SharedView((4, 3)), np.zeros((3, 4), np.float32)
-    view.viewers = 1
+    view.viewers.value = 1
     for step in range(1, 5):
         view.show(_every(200_000, 200_000 * step), light, 200_000 * step)
     events, until_us = view.take()
