@@ -295,7 +295,9 @@ def _crc_tables() -> npt.NDArray[np.uint32]:
     """Return the remainder of each byte at each place of a row, before the rest of the row, (_CRC_ROW, 256)."""
     byte = np.arange(256, dtype=np.uint32)
     for _ in range(8):
-        byte = byte >> 1 ^ (byte & 1) * np.uint32(_CASTAGNOLI_REFLECTED)
+        odd = (byte & 1).astype(bool)
+        byte >>= 1
+        byte[odd] ^= _CASTAGNOLI_REFLECTED
     tables = np.empty((_CRC_ROW, 256), np.uint32)
     tables[-1] = byte
     for place in range(_CRC_ROW - 2, -1, -1):
