@@ -291,20 +291,15 @@ _CASTAGNOLI_REFLECTED = 0x82F63B78
 _CRC_ROW = 64
 
 
-def _castagnoli_table() -> npt.NDArray[np.uint32]:
-    """Return the remainder of each single byte, shape (256,)."""
-    table = np.arange(256, dtype=np.uint32)
-    for _ in range(8):
-        odd = (table & 1).astype(bool)
-        table >>= 1
-        table[odd] ^= _CASTAGNOLI_REFLECTED
-    return table
-
-
 def _crc_tables() -> npt.NDArray[np.uint32]:
     """Return the remainder of each byte at each place of a row, before the rest of the row, (_CRC_ROW, 256)."""
+    byte = np.arange(256, dtype=np.uint32)
+    for _ in range(8):
+        odd = (byte & 1).astype(bool)
+        byte >>= 1
+        byte[odd] ^= _CASTAGNOLI_REFLECTED
     tables = np.empty((_CRC_ROW, 256), np.uint32)
-    tables[-1] = byte = _castagnoli_table()
+    tables[-1] = byte
     for place in range(_CRC_ROW - 2, -1, -1):
         tables[place] = byte[tables[place + 1] & 0xFF] ^ (tables[place + 1] >> 8)
     return tables

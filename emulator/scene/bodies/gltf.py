@@ -251,14 +251,14 @@ class _File(ModelContents):
         """Return the nodes of the scene with a mesh, and its number."""
         raw, scenes = self._all("nodes"), self._all("scenes")
         roots = _roots(nodes)
-        shown = set(roots)
+        shown = list(range(len(nodes)))
         if scenes:
             scene = _number(self._document, "scene", 0, len(scenes), "the file")
             named = _list(scenes[scene], "nodes")
             numbers = {_number({"nodes": n}, "nodes", None, len(nodes), f"scene {scene}") for n in named}
-            shown = {k for k, root in roots.items() if root in numbers}
+            shown = [k for k in shown if roots[k] in numbers]
         count = len(self._all("meshes"))
-        return [(k, _number(raw[k], "mesh", None, count, f"node {k}")) for k in sorted(shown) if "mesh" in raw[k]]
+        return [(k, _number(raw[k], "mesh", None, count, f"node {k}")) for k in shown if "mesh" in raw[k]]
 
     # --- shapes
 
@@ -482,21 +482,16 @@ class _File(ModelContents):
         return path.read_bytes()
 
 
-def _roots(nodes: list[_Object]) -> dict[int, int]:
+def _roots(nodes: list[_Object]) -> list[int]:
     """Return the node at the top of each node's chain of parents; raises SceneError for a circle."""
-    children: dict[int, list[int]] = {}
-    for k, node in enumerate(nodes):
-        children.setdefault(node["parent"], []).append(k)
-    waiting = children.get(-1, [])
-    roots = {k: k for k in waiting}
-    for k in waiting:
-        below = children.get(k, [])
-        roots |= dict.fromkeys(below, roots[k])
-        waiting += below
-    if len(roots) < len(nodes):
-        k = min(set(range(len(nodes))) - set(roots))
-        raise SceneError(f"node {k} is its own ancestor, or below such a node: the nodes must be a tree")
-    return roots
+    parents = np.array([node["parent"] for node in nodes], np.intp)
+    above = np.where(parents < 0, np.arange(len(nodes)), parents)
+    for _ in range(len(nodes).bit_length()):
+        above = above[above]  # each look goes twice as far
+    circling = np.flatnonzero(parents[above] >= 0)
+    if circling.size:
+        raise SceneError(f"node {circling[0]} is its own ancestor, or below such a node: the nodes must be a tree")
+    return list(map(int, above))
 
 
 def _triangles(order: _Array, mode: int) -> _Array:

@@ -31,10 +31,8 @@ from __future__ import annotations
 import bisect
 import itertools
 import math
-import os
 import re
 from abc import abstractmethod
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
@@ -149,12 +147,13 @@ def read_images(path: Path) -> dict[str, Any]:
     if inner and not images:
         return read_images(inner[0])
     times_s, notes = np.zeros(0), list[str]()
-    listed = next((file for file in _lists_of_times(path) if file.is_file()), path)
-    if listed != path:
+    folders = [path, path.parent] if path.name in _INNER else [path]
+    listed = next((file for folder in folders for name in _LISTS if (file := folder / name).is_file()), None)
+    if listed:
         with reader_errors(listed.name):
             times_s, images, notes = _timed(listed, images)
     levels = stacked(_frames(images))
-    if len(times_s) not in (0, len(levels)):
+    if listed and len(times_s) != len(levels):
         raise SceneError(f"{listed.name} has {len(times_s)} times for {len(levels)} frames: an image has several")
     names = ", ".join(other.name for other in no_images[:_MOST_NAMED]) + ", ..." * (len(no_images) > _MOST_NAMED)
     notes += [f"{len(no_images)} files of the folder are no images and are left out: {names}"] if no_images else []
@@ -162,6 +161,7 @@ def read_images(path: Path) -> dict[str, Any]:
 
 
 _INNER = ("imgs", "images")  # folders of images beside their times
+_LISTS = ("timestamps.txt", "images.csv")
 _MOST_NAMED = 5
 _LONGEST_NAME = 255
 _MOST_LIST_BYTES = 1 << 26
@@ -170,24 +170,15 @@ _MOST_S = 1e9
 _NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]{1,2})?")
 
 
-def _lists_of_times(folder: Path) -> list[Path]:
-    """Return where the times of a folder's images may be listed."""
-    folders = [folder, folder.parent] if folder.name in _INNER else [folder]
-    return [place / name for place in folders for name in ("timestamps.txt", "images.csv")]
-
-
 def _files_of(folder: Path) -> tuple[list[Path], list[Path]]:
     """Return a folder's images, frame10 behind frame2, and what else it holds, but hidden files."""
     from PIL import Image
 
-    Image.init()
-    suffixes = {suffix for suffix, form in Image.EXTENSION.items() if form in Image.OPEN}
+    suffixes = {suffix for suffix, form in Image.registered_extensions().items() if form in Image.OPEN}
     images, no_images = list[Path](), list[Path]()
-    by_number = {
-        path: re.sub("[0-9]+", lambda digits: digits[0].zfill(_LONGEST_NAME), path.name) for path in folder.iterdir()
-    }
-    for path in sorted(by_number, key=lambda path: (by_number[path], path.name)):
-        if not path.name.startswith(".") and path not in _lists_of_times(folder):
+    by_name = sorted(folder.iterdir())
+    for path in sorted(by_name, key=lambda p: re.sub("[0-9]+", lambda digits: digits[0].zfill(_LONGEST_NAME), p.name)):
+        if not path.name.startswith(".") and path.name not in _LISTS:
             (images if path.is_file() and path.suffix.lower() in suffixes else no_images).append(path)
     return images, no_images
 
@@ -205,15 +196,15 @@ def _timed(listed: Path, images: list[Path]) -> tuple[npt.NDArray[np.float64], l
         stamps.append(Decimal(numbers[0]))
         if len(words) == 2:
             words.remove(numbers[0])
-            named.append(Path(os.path.normpath(listed.parent / words[0])))
-            if not (named[-1].is_file() and named[-1].is_relative_to(os.path.normpath(listed.parent))):
+            named.append(listed.parent / words[0])
+            if ".." in words[0].split("/") or not (named[-1].is_relative_to(listed.parent) and named[-1].is_file()):
                 raise ValueError(f"line {number}: there is no file {words[0][:60]!r} in its folder")
     shown = named or images
     if not stamps or len(stamps) != len(shown):
         raise ValueError(f"has {len(stamps)} times for {len(shown)} images: a line for each is needed")
     times_s, unit = _seconds(stamps)
     kept, notes = _later(times_s)
-    unnamed = len({Path(os.path.normpath(image)) for image in images} - set(shown)) if named else 0
+    unnamed = len(set(images) - set(shown))
     notes += [f"{unnamed} images of the folder are not in {listed.name} and are left out"] if unnamed else []
     notes.insert(0, f"the times of {len(shown)} images are those of {listed.name}, read as {unit}")
     return times_s[kept] - times_s[kept[0]], [shown[k] for k in kept], notes
@@ -233,22 +224,17 @@ def _seconds(stamps: list[Decimal]) -> tuple[npt.NDArray[np.float64], str]:
     return times_s, unit
 
 
-def _later(times_s: npt.NDArray[np.float64]) -> tuple[list[int], list[str]]:
+def _later(times_s: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.intp], list[str]]:
     """Return the frames that are later than all before them, and a note on the others; SceneError: these are most."""
-    kept, left = list[int](), Counter[str]()
-    first = ""
-    for k, t_s in enumerate(times_s):
-        last_s = times_s[kept[-1]] if kept else -math.inf
-        if t_s > last_s:
-            kept.append(k)
-            continue
-        left["earlier" if t_s < last_s else "without a time" if math.isnan(t_s) else "at the same time"] += 1
-        first = first or f"the first is frame {k}, at {t_s:.6g} s after {last_s:.6g} s"
-    if not left:
+    last_s = np.fmax.accumulate([-math.inf, *times_s])[:-1]
+    kept, left = np.flatnonzero(times_s > last_s), np.flatnonzero(~(times_s > last_s))
+    if not left.size:
         return kept, []
-    counts = ", ".join(f"{count} {fault}" for fault, count in left.items())
-    note = f"{left.total()} of {len(times_s)} frames are not later than the one before ({counts}; {first})"
-    if len(kept) < left.total():
+    faults = {"at the same time": times_s == last_s, "earlier": times_s < last_s, "without a time": np.isnan(times_s)}
+    counts = ", ".join(f"{at.sum()} {fault}" for fault, at in faults.items() if at.any())
+    first = f"the first is frame {left[0]}, at {times_s[left[0]]:.6g} s after {last_s[left[0]]:.6g} s"
+    note = f"{left.size} of {len(times_s)} frames are not later than the one before ({counts}; {first})"
+    if kept.size < left.size:
         raise SceneError(f"{note}: times that increase are needed")
     return kept, [f"{note}: left out"]
 
