@@ -69,9 +69,8 @@ def egl() -> Finding:
 def _usbip_tool() -> Finding:
     path = shutil.which("usbip") or shutil.which("usbip", path=_SBIN)
     use = "attaching the camera to this machine's own USB bus"
-    if path:
-        return Finding("usbip", True, path, use)
-    return Finding("usbip", False, "the tool is not installed", use, "apt-get install usbip")
+    fix = None if path else "apt-get install usbip"
+    return Finding("usbip", path is not None, path or "the tool is not installed", use, fix)
 
 
 def _gvcp() -> Finding:
@@ -112,9 +111,8 @@ def _priority() -> Finding:
 def _libusb() -> Finding:
     path = ctypes.util.find_library("usb-1.0")
     use = "`evstim listen` on the real USB bus"
-    if path:
-        return Finding("libusb", True, path, use)
-    return Finding("libusb", False, "not found", use, "apt-get install libusb-1.0-0")
+    fix = None if path else "apt-get install libusb-1.0-0"
+    return Finding("libusb", path is not None, path or "not found", use, fix)
 
 
 def _usb_permission() -> Finding:
