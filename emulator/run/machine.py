@@ -69,8 +69,9 @@ def egl() -> Finding:
 def _usbip_tool() -> Finding:
     path = shutil.which("usbip") or shutil.which("usbip", path=_SBIN)
     use = "attaching the camera to this machine's own USB bus"
-    fix = None if path else "apt-get install usbip"
-    return Finding("usbip", path is not None, path or "the tool is not installed", use, fix)
+    if path:
+        return Finding("usbip", True, path, use)
+    return Finding("usbip", False, "the tool is not installed", use, "apt-get install usbip")
 
 
 def _gvcp() -> Finding:
@@ -111,8 +112,9 @@ def _priority() -> Finding:
 def _libusb() -> Finding:
     path = ctypes.util.find_library("usb-1.0")
     use = "`evstim listen` on the real USB bus"
-    fix = None if path else "apt-get install libusb-1.0-0"
-    return Finding("libusb", path is not None, path or "not found", use, fix)
+    if path:
+        return Finding("libusb", True, path, use)
+    return Finding("libusb", False, "not found", use, "apt-get install libusb-1.0-0")
 
 
 def _usb_permission() -> Finding:
