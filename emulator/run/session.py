@@ -348,7 +348,11 @@ class Session:
         """Return the reason for the verdict; "" for a regular end of the scene where a run has none, or was stopped."""
         t_s = self.t_ns * 1e-9
         if isinstance(error, StepInterrupted):
-            return f"interrupted within the step after {t_s:g} s, which is discarded"
+            text = f"interrupted within the step after {t_s:g} s, which is discarded"
+            if not STOP[0]:
+                return text
+            log.info("%s", text)  # a first signal: the run ends as it was to end, only sooner
+            return ""
         log.info("the scene ends at %g s: %s", t_s, error)
         if not isinstance(error, SceneEnded):
             return str(error)
