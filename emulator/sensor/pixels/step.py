@@ -329,7 +329,7 @@ def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: 
     arguments = {
         "blocks": (FlatLight(light, light), pixels, buffers, share, _Progress(0, 0, 0, 0, 0, 0, 0), c),
         "candidates": (pixels, buffers.table, 0, keys, 0, c),
-        "noise": (pixels, buffers.table, 0, keys, 0, c),
+        "noise": (pixels, buffers.table, 0, keys, 0, share.stop, c),
     }
     kernel_of = {"blocks": _fill, "candidates": solve, "noise": solve_noisy}
     kernel_of[part].compile(tuple(map(numba.typeof, arguments[part])))
@@ -350,7 +350,9 @@ def advance(
     while at.block != _END and share.stop[0] == 0:
         at = _fill(frame, pixels, buffers, share, at, c)
         if c.noisy:
-            keys, n_keys, lost_now, undersampled_now = solve_noisy(pixels, buffers.table, at.n, keys, n_keys, c)
+            keys, n_keys, lost_now, undersampled_now = solve_noisy(
+                pixels, buffers.table, at.n, keys, n_keys, share.stop, c
+            )
             rest.hold_back(pixels, buffers.table.pixels[: at.n], share.idle, c)
         else:
             keys, n_keys, lost_now, undersampled_now = solve(pixels, buffers.table, at.n, keys, n_keys, c)
