@@ -4,7 +4,7 @@
     step(20_000, camera=pose) --poses, end of the step---> paths of the scene; `Session` goes as far as the end
                SimulationStep <--events, light, frames---- and waits for the next step
 
-Nothing depends on the time that the program takes, and the same poses and seed give the same bits on any machine, with
+Nothing depends on the time that the program takes, and the same poses and seed give the same bits each time, with
 links or without, on any number of threads: the run is one that is not paced. In a step the light is drawn each
 `run.step_us` of the rig and at the step's end; between two poses of a program the camera moves on a straight line and a
 great circle. Without links there is no process and no socket.
