@@ -22,6 +22,7 @@ import numpy.typing as npt
 import emulator.sensor.pixels.substeps as substep
 from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, decay, exponential, use_widest_vectors
+from emulator.sensor.passages.rows import Visits, new_visits
 from emulator.sensor.pixels import curve, event_time, state
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.idle import pixel_at
@@ -59,7 +60,8 @@ _SHARE = np.float32(0.01)  # of a threshold: what the cubic may miss of the expo
 
 
 class Table(NamedTuple):
-    """The candidates: float32 rows, their pixels, room to list columns, and the table of those that need substeps.
+    """The candidates: float32 rows, their pixels, room to list columns, the table of those that need substeps, and those
+    of a sensor with noise.
 
     The caller uses one table for all steps: memory of this size costs page faults when it is allocated again.
     """
@@ -68,12 +70,14 @@ class Table(NamedTuple):
     pixels: _Int64s
     listed: _Int64s
     substep_table: SubstepTable
+    visits: Visits
 
 
 def new_table() -> Table:
     """Return an empty table."""
     rows = aligned_zeros(C_ROWS * CAPACITY)
-    return Table(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64), new_substep_table())
+    pixels, listed = np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64)
+    return Table(rows, pixels, listed, new_substep_table(), new_visits())
 
 
 @inlined

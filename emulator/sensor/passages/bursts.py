@@ -1,0 +1,489 @@
+"""The time shortly after a reset, when the noise is near the value at which it left: a burst of events may follow.
+
+A burst lasts 9 times of the slower pole, and each of its parts between turns of the curve is first bounded (`bound_of`):
+
+    calm      a bound of its integral is below half of what is left: the settled law counts from the age t_d on at which it
+              has made up for what the noise's mean keeps from the threshold (integral of 1 - e^(-A e^-s) is ln A + gamma)
+    fast      the curve passes a threshold swiftly: `direct` finds the c = c* from afar, with the distances, speed and
+              poles of that age
+    other     slices between ages .35, .8, 1.4, 2.2, 3.3, 5 and 9: exact distances and speeds at both ends, and a parabola of
+              the hazard in time, by one more look-up in the middle; the first one, and fast approaches, over the distance
+
+All of it follows the exact mean and variance of the noise since the reset (`moments`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.noise.integral import (
+    CERTAIN,
+    FARTHEST,
+    ONE_POLE,
+    density_or_integral,
+    farther,
+    integral_beyond,
+    pair_factors,
+    place_of,
+    rate_of,
+    rho_of,
+    slice_of,
+    steeper_beyond,
+)
+from emulator.sensor.noise.moments import Nearness, Noise, Signal, Start, nearness, slower_rate
+from emulator.sensor.numerics.columns import put, take
+from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
+from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
+from emulator.sensor.passages.rows import (
+    AGED,
+    BURST,
+    CUT,
+    DIRECT,
+    DONE,
+    FIRST,
+    PART,
+    PLACED,
+    SEEK,
+    SLICE,
+    Column,
+    curve_of,
+    noise_at,
+    replace,
+    speed_at,
+    value_at,
+)
+from emulator.sensor.passages.settled import Bracket, root_of
+
+_Float32s = npt.NDArray[np.float32]
+
+_ZERO, _HALF, _ONE, _TWO, _THREE, _FOUR, _SIX, _NINE = (np.float32(x) for x in (0, 0.5, 1, 2, 3, 4, 6, 9))
+_QUARTER, _EIGHTH, _SIXTH, _THIRD, _LIKELY = (np.float32(x) for x in (0.25, 0.125, 1 / 6, 1 / 3, 4 / 6))
+LASTS = _NINE
+"""Length of a burst, in times of the slower pole."""
+
+_AGE1, _AGE2, _AGE3, _AGE4, _AGE5, _AGE6, _AGE7 = (np.float32(x) for x in (0.35, 0.8, 1.4, 2.2, 3.3, 5, 9))
+_EARLY = np.float32(2.5)  # age up to which the first of two bounds holds
+_KICK, _LATER_KICK, _LATER = np.float32(0.4), np.float32(0.2), np.float32(0.29)  # of slope and value, left at most
+_CROSSINGS, _CARRIED = np.float32(0.25), np.float32(0.6)  # Rice's rate, bounded: .25 by the noise, .6 by the travel
+_NEAREST = np.float32(1.5)  # deviations from which on the bounds hold
+_NEGLIGIBLE = np.float32(0.01)
+_MADE_UP, _CLOSER = np.float32(1 / 0.56), np.float32(0.75)  # e^gamma
+_PASSED, _APART = np.float32(-2), np.float32(6)  # deviations of a fast approach behind its threshold, and to the other
+_BEGUN, _NO_AGE = np.float32(1e-7), np.float32(1e-9)
+_NEXT_AGE, _LEAST_AGE = np.float32(1.001), np.float32(1e-5)  # so that a slice has a length
+_AFAR = np.float32(1e3)
+_FAST, _FAST_END, _FAST_TRAVEL = np.float32(0.5), np.float32(0.1), np.float32(0.8)
+_LEAST_START, _LEAST_NU = np.float32(0.05), np.float32(0.02)
+_BEYOND, _UNRESOLVED = np.float32(-4), np.float32(16)
+_HALVED, _MOST_HALVINGS, _SHORTEST = np.float32(0.3), np.float32(4), np.float32(0.05)
+_PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)
+_LEAST_HAZARD = np.float32(1e-30)
+_STEEP, _STILL_STEEP, _CONVERGED = np.float32(0.7), np.float32(0.4), np.float32(0.3)
+_BEND_C, _BEND_NU = np.float32(1.5), np.float32(0.25)
+_ON, _OFF = np.float32(1), np.float32(2)  # bits of TELESCOPED
+
+
+class Bound(NamedTuple):
+    """The bound of a part of a burst."""
+
+    calm: Real
+    settles: Real  # time from which on the settled law counts
+    end: Real
+    skipped: Real  # time up to which little can happen; -1: none
+    fast: Real
+
+
+@lane
+def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, left: Real, start: Start) -> Bound:  # noqa: PLR0913, PLR0917
+    """Return the bound of column i's burst from x to the burst's end, or the end of the part between two turns."""
+    turn, turn2, curve = take(rows, Column.TURN + i), take(rows, Column.TURN2 + i), curve_of(rows, i)
+    part_end = turn if x < turn else (turn2 if x < turn2 else _ONE)
+    end = min(reset + take(rows, Column.BURST + i), part_end)
+    noise, slow = noise_at(rows, i, _ZERO), slower_rate(noise_at(rows, i, x))
+    on, off = take(rows, Column.ON + i) + reference, take(rows, Column.OFF + i) - reference
+    inverse = _ONE / (noise.sigma + max(take(rows, Column.D_SIGMA + i), _ZERO))
+    # Two phases, up to an age of 2.5 and behind it: the nearest that signal and mean of the noise come.
+    w0, w2 = value_at(curve, x), value_at(curve, end)
+    middle = min(max(x, reset + _EARLY / slow), end)
+    w1 = value_at(curve, middle)
+    kick = abs(start.v) / noise.rate * inverse
+    up, down = max(start.n, _ZERO), min(start.n, _ZERO)
+    c = min(on - max(w0, w1) - up, off + min(w0, w1) + down) * inverse - _KICK * kick
+    later = min(on - max(w1, w2) - _LATER * up, off + min(w1, w2) + _LATER * down) * inverse - _LATER_KICK * kick
+    gone, gone_later = abs(w1 - w0) * inverse, abs(w2 - w1) * inverse
+    q, q_later, two = (middle - x) * noise.rate, (end - middle) * noise.rate, noise.z < ONE_POLE
+    weight = _CROSSINGS * q + _CARRIED * gone if two else _HALF * ((_ONE + c) * q + gone)
+    weight_later = _CROSSINGS * q_later + _CARRIED * gone_later if two else _HALF * ((_ONE + later) * q_later + gone_later)
+    near, near_later = min(max(c, _ZERO), _NINE), min(max(later, _ZERO), _NINE)
+    early = weight * exponential(-_HALF * near * near)
+    total = early + weight_later * exponential(-_HALF * near_later * near_later)
+    far = (c > _NEAREST) & (later > _NEAREST)
+    calm = far & (total < _HALF * left)
+    skips = far & ~calm & (early < _NEGLIGIBLE * left) & (middle < end)
+    # Calm: from this age on the settled law has made up for what the mean keeps away.
+    c_on, c_off = (on - w2) * inverse, (off + w2) * inverse
+    inward = (start.n + start.v / max(noise.rate, slow)) * inverse
+    inward = max(-inward if c_on < c_off else inward, _ZERO)
+    nearest = min(c_on, c_off)
+    deficit = (_TWO * inward + _CLOSER * nearest) * nearest
+    settles = min(max(x, reset + natural_log(max(deficit * _MADE_UP, _ONE)) / slow), end)
+    rises = w2 > w0
+    passed, other = (on - w2 if rises else off + w2) * inverse, (off + w0 if rises else on - w0) * inverse
+    return Bound(calm, settles, end, middle if skips else -_ONE, (passed < _PASSED) & (other > _APART))
+
+
+class Next(NamedTuple):
+    """State of a column whose burst was bounded, the time from which on it goes on, and whether it is at the reset."""
+
+    state: Real
+    x: Real
+    begins: Real
+
+
+@lane
+def after_bound(bound: Bound, x: Real, reset: Real, burst: Real) -> Next:
+    """Return how a column goes on at x, whose burst lasts `burst`."""
+    begun = x > reset + _BEGUN
+    more = (bound.settles >= bound.end) & (bound.end < reset + burst)
+    settled = DONE if bound.settles >= _ONE else (BURST if more else PART)
+    sliced = FIRST if (bound.skipped > _ZERO) | begun else SLICE
+    state = settled if bound.calm else (DIRECT if bound.fast else sliced)
+    from_x = x if bound.fast | (bound.skipped < _ZERO) else bound.skipped
+    return Next(state, bound.settles if bound.calm else from_x, _ONE if state == SLICE else _ZERO)
+
+
+@lane
+def store_bound(rows: _Float32s, i: int, bound: Bound, after: Next, mine: Real) -> None:
+    """Store how column i goes on in a burst."""
+    replace(rows, Column.BURST_END + i, bound.end, mine)
+    replace(rows, Column.SKIPPED + i, bound.skipped, mine)
+    replace(rows, Column.BEGINS + i, after.begins, mine)
+    replace(rows, Column.CUT_AT + i, _TWO, mine)
+    replace(rows, Column.HALVINGS + i, _ZERO, mine)
+
+
+@vector_kernel
+def bound(rows: _Float32s, n: int) -> None:
+    """Bound the next part of the burst of each column in state BURST."""
+    use_widest_vectors()
+    for i in range(n):
+        state, x, reset = take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.RESET + i)
+        mine = state == BURST
+        start = Start(take(rows, Column.N + i), take(rows, Column.V + i))
+        b = bound_of(rows, i, x, reset, take(rows, Column.REFERENCE + i), take(rows, Column.LEFT + i), start)
+        after = after_bound(b, x, reset, take(rows, Column.BURST + i))
+        put(rows, Column.STATE + i, after.state if mine else state)
+        put(rows, Column.AT + i, after.x if mine else x)
+        store_bound(rows, i, b, after, mine)
+
+
+@lane
+def near_at(rows: _Float32s, i: int, x: Real) -> Nearness:
+    """Return distances and speeds of column i at a time after its reset."""
+    noise, curve = noise_at(rows, i, x), curve_of(rows, i)
+    w, reference = value_at(curve, x), take(rows, Column.REFERENCE + i)
+    on, off = take(rows, Column.ON + i) + reference - w, take(rows, Column.OFF + i) - reference + w
+    signal = Signal(on, off, speed_at(curve, x), -take(rows, Column.D_SIGMA + i) / noise.sigma)
+    start = Start(take(rows, Column.N + i), take(rows, Column.V + i))
+    return nearness(max(x - take(rows, Column.RESET + i), _NO_AGE), signal, start, noise)
+
+
+class Point(NamedTuple):
+    """A threshold at an instant: distance, speed, hazard over s."""
+
+    c: Real
+    nu: Real
+    hazard: Real
+
+
+class Along(NamedTuple):
+    """Integral of a threshold over a slice, and the hazard in its middle."""
+
+    value: Real
+    middle: Real
+
+
+@lane
+def along(tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real) -> Along:  # noqa: PLR0913, PLR0917
+    """Return a threshold's integral over a slice of q time constants from a to b, one look-up either way.
+
+    Over the distance with the speed at b where the slice begins at the reset or is fast, else by Simpson's rule. Place
+    and speed of the middle are those of the cubic through both ends.
+    """
+    over_distance = begins | fast
+    c_middle = _HALF * (a.c + b.c) + _EIGHTH * q * (b.nu - a.nu)
+    nu_middle = _BEND_C * (a.c - b.c) / q - _BEND_NU * (a.nu + b.nu)
+    nu = (max(b.nu, _LEAST_START) if begins else b.nu) if over_distance else nu_middle
+    c = b.c if over_distance else c_middle
+    steep = _ONE + abs(nu)
+    rho, at, far = nu / steep, c + farther(c, nu, apart), a.c + farther(a.c, nu, apart)
+    value = density_or_integral(tables, over_distance, k, rho, at)
+    beyond = integral_beyond(tables, k, rho, far)
+    beyond = beyond if ~begins & ((a.c - b.c) * (a.c + b.c) < _UNRESOLVED) else _ZERO
+    middle = value * steep * steeper_beyond(at)
+    middle = middle if c < FARTHEST else _ZERO
+    telescoped = CERTAIN if b.c < _BEYOND else (value - beyond) / rho
+    total = telescoped if over_distance else q * _SIXTH * (a.hazard + _FOUR * middle + b.hazard)
+    return Along(total if min(a.c, b.c) < FARTHEST else _ZERO, middle)
+
+
+@lane
+def next_age(age: Real) -> Real:
+    """Return the age at which the slice from `age` on ends."""
+    late = _AGE5 if _AGE5 > age else (_AGE6 if _AGE6 > age else _AGE7)
+    middle = _AGE3 if _AGE3 > age else (_AGE4 if _AGE4 > age else late)
+    return _AGE1 if _AGE1 > age else (_AGE2 if _AGE2 > age else middle)
+
+
+@vector_kernel
+def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:
+    """Integrate the next slice of each column in state SLICE; of one in state FIRST, find the values at its start."""
+    use_widest_vectors()
+    for i in range(n):
+        state = take(rows, Column.STATE + i)
+        first = state == FIRST
+        mine = (state == SLICE) | first
+        x, reset, last = take(rows, Column.AT + i), take(rows, Column.RESET + i), take(rows, Column.BURST_END + i)
+        cut_at, left = take(rows, Column.CUT_AT + i), take(rows, Column.LEFT + i)
+        begins = take(rows, Column.BEGINS + i) > _ZERO
+        slow, apart = slower_rate(noise_at(rows, i, x)), take(rows, Column.APART + i)
+        # The slice: to the next of the ages. A slower pole that speeds up may bring the last one before the burst's end.
+        age = (x - reset) * slow * _NEXT_AGE + _LEAST_AGE
+        end = min(min(reset + next_age(age) / slow, cut_at), last)
+        end = x if first else (last if _AGE7 <= age else end)
+        # Distances, speeds and hazards at its end, the factor of two thresholds included.
+        there = near_at(rows, i, end)
+        k = slice_of(there.z)
+        on1 = rate_of(tables, k, apart, there.c_on, there.nu_on)
+        off1 = rate_of(tables, k, apart, there.c_off, there.nu_off)
+        near_both = (there.c_on + there.c_off < _PAIR_SUM) & (max(there.c_on, there.c_off) < _PAIR_FAR)
+        on_factor, off_factor = pair_factors(tables, there.c_on, there.c_off, there.z)
+        rise, variance = _HALF * (there.nu_on - there.nu_off), there.deviation * there.deviation
+        share = variance * variance / (_ONE + rise * rise) if near_both else _ZERO
+        on_factor, off_factor = _ONE + (on_factor - _ONE) * share, _ONE + (off_factor - _ONE) * share
+        on1, off1 = on1 * on_factor, off1 * off_factor
+        # Both integrals, from the values at its start.
+        slope0, z0 = take(rows, Column.SLOPE0 + i), take(rows, Column.Z0 + i)
+        q = max(_ONE if begins else _HALF * (slope0 + there.slope) * (end - x), _NO_AGE)
+        k = slice_of(there.z if begins | (there.z > ONE_POLE) else _HALF * (z0 + there.z))
+        on_c0, off_c0 = take(rows, Column.ON_C0 + i), take(rows, Column.OFF_C0 + i)
+        on_a = Point(_AFAR if begins else on_c0, take(rows, Column.ON_NU0 + i), take(rows, Column.ON_RATE0 + i))
+        off_a = Point(_AFAR if begins else off_c0, take(rows, Column.OFF_NU0 + i), take(rows, Column.OFF_RATE0 + i))
+        on_fast = (max(on_a.nu, there.nu_on) > _FAST) & (there.nu_on > _FAST_END) & (on_a.c - there.c_on > _FAST_TRAVEL)
+        off_fast = (max(off_a.nu, there.nu_off) > _FAST) & (there.nu_off > _FAST_END)
+        off_fast = off_fast & (off_a.c - there.c_off > _FAST_TRAVEL) & ~begins
+        on_fast = on_fast & ~begins
+        on = along(tables, k, apart, on_a, Point(there.c_on, there.nu_on, on1), q, begins, on_fast)
+        off = along(tables, k, apart, off_a, Point(there.c_off, there.nu_off, off1), q, begins, off_fast)
+        on_telescoped, off_telescoped = begins | on_fast, begins | off_fast
+        in_middle = q * _LIKELY
+        on_total = on.value * on_factor if on_telescoped else on.value + in_middle * on.middle * (on_factor - _ONE)
+        off_total = off.value * off_factor if off_telescoped else off.value + in_middle * off.middle * (off_factor - _ONE)
+        total, halvings = on_total + off_total, take(rows, Column.HALVINGS + i)
+        # A first slice that takes much is halved, as its speed at the end stands for all of it.
+        steady = (max(there.nu_on, there.nu_off) < _ONE) & (halvings < _MOST_HALVINGS)
+        halved = begins & (total > _HALVED) & steady & ((end - x) * slow > _SHORTEST)
+        fired = ~(total < left) & ~halved & ~first
+        over = DONE if end >= _ONE else (PART if end >= reset + take(rows, Column.BURST + i) else BURST)
+        after = SLICE if first | halved else (CUT if fired else (over if end >= last else SLICE))
+        go, moves_on = mine & ~first & ~halved & ~fired, mine & ~halved & ~fired
+        put(rows, Column.STATE + i, after if mine else state)
+        put(rows, Column.AT + i, end if go else x)
+        put(rows, Column.LEFT + i, left - total if go else left)
+        put(rows, Column.CUT_AT + i, (_HALF * (x + end) if halved else _TWO) if mine else cut_at)
+        put(rows, Column.HALVINGS + i, (halvings + _ONE if halved else _ZERO) if mine else halvings)
+        replace(rows, Column.BEGINS + i, _ONE if begins & (halved | fired) else _ZERO, mine)
+        replace(rows, Column.END + i, end, mine)
+        replace(rows, Column.ON_INTEGRAL + i, on_total, mine)
+        replace(rows, Column.OFF_INTEGRAL + i, off_total, mine)
+        replace(rows, Column.ON_MIDDLE + i, on.middle, mine)
+        replace(rows, Column.OFF_MIDDLE + i, off.middle, mine)
+        bits = (_ON if on_telescoped else _ZERO) + (_OFF if off_telescoped else _ZERO)
+        replace(rows, Column.TELESCOPED + i, bits, mine)
+        # The values of its end are those of the next one's start.
+        replace(rows, Column.ON_RATE0 + i, on1, moves_on)
+        replace(rows, Column.OFF_RATE0 + i, off1, moves_on)
+        replace(rows, Column.ON_C0 + i, there.c_on, moves_on)
+        replace(rows, Column.OFF_C0 + i, there.c_off, moves_on)
+        replace(rows, Column.ON_NU0 + i, there.nu_on, moves_on)
+        replace(rows, Column.OFF_NU0 + i, there.nu_off, moves_on)
+        replace(rows, Column.SLOPE0 + i, there.slope, moves_on)
+        replace(rows, Column.Z0 + i, there.z, moves_on)
+        replace(rows, Column.ON_RATE1 + i, on1, mine)
+        replace(rows, Column.OFF_RATE1 + i, off1, mine)
+        replace(rows, Column.ON_C1 + i, there.c_on, mine)
+        replace(rows, Column.OFF_C1 + i, there.c_off, mine)
+        replace(rows, Column.ON_NU1 + i, there.nu_on, mine)
+        replace(rows, Column.OFF_NU1 + i, there.nu_off, mine)
+        replace(rows, Column.SLOPE1 + i, there.slope, mine)
+        replace(rows, Column.Z1 + i, there.z, mine)
+
+
+@lane
+def nearer_share(f: Real, h0: Real, p: Real, r: Real, wanted: Real) -> Real:
+    """Return a step of Newton's method for the share of a slice at which the integral of h0 + p x + r x^2 is `wanted`."""
+    slope = max(h0 + (p + r * f) * f, _LEAST_HAZARD)
+    return min(max(f - (((_THIRD * r * f + _HALF * p) * f + h0) * f - wanted) / slope, _ZERO), _ONE)
+
+
+@vector_kernel
+def choose(rows: _Float32s, n: int) -> None:
+    """Choose the polarity of each column in state CUT, and its time by the parabola of the hazard where it has one."""
+    use_widest_vectors()
+    for i in range(n):
+        state, x, end, left = (
+            take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.END + i), take(rows, Column.LEFT + i)
+        )  # fmt: skip
+        mine = state == CUT
+        on_integral = take(rows, Column.ON_INTEGRAL + i)
+        total = on_integral + take(rows, Column.OFF_INTEGRAL + i)
+        on = take(rows, Column.POLARITY + i) * total < on_integral
+        bits = take(rows, Column.TELESCOPED + i)
+        over_distance = (bits == _ON + _OFF) | (bits == (_ON if on else _OFF))
+        h0 = take(rows, Column.ON_RATE0 + i) if on else take(rows, Column.OFF_RATE0 + i)
+        middle = take(rows, Column.ON_MIDDLE + i) if on else take(rows, Column.OFF_MIDDLE + i)
+        h1 = take(rows, Column.ON_RATE1 + i) if on else take(rows, Column.OFF_RATE1 + i)
+        p, r, f = _FOUR * middle - _THREE * h0 - h1, _TWO * (h0 - _TWO * middle + h1), left / total
+        wanted = f * (h0 + _HALF * p + _THIRD * r)
+        f = nearer_share(f, h0, p, r, wanted)
+        f = nearer_share(f, h0, p, r, wanted)
+        f = nearer_share(f, h0, p, r, wanted)
+        replace(rows, Column.EVENT + i, end if over_distance else x + f * (end - x), mine)
+        replace(rows, Column.SIGN + i, _ONE if on else -_ONE, mine)
+        replace(rows, Column.C + i, take(rows, Column.ON_C1 + i) if on else take(rows, Column.OFF_C1 + i), mine)
+        replace(rows, Column.NU + i, take(rows, Column.ON_NU1 + i) if on else take(rows, Column.OFF_NU1 + i), mine)
+        put(rows, Column.STATE + i, (SEEK if over_distance else AGED) if mine else state)
+
+
+class Approach(NamedTuple):
+    """An approach in a burst: c at its start, and the integral that is left there."""
+
+    c0: Real
+    left: Real
+    apart: Real
+
+
+class Seen(NamedTuple):
+    """A threshold at the present guess of an event's time."""
+
+    c: Real
+    nu: Real
+    slope: Real
+    z: Real
+
+
+class Target(NamedTuple):
+    """The next guess with its bounds, the c of the event by the present speed, and whether Newton's step was used."""
+
+    at: Bracket
+    c: Real
+    inside: Real
+
+
+@lane
+def nearer_event(tables: _Float32s, at: Bracket, seen: Seen, approach: Approach) -> Target:
+    """Return a step of Newton's method for c(x) = c*."""
+    nu, k = max(seen.nu, _LEAST_NU), slice_of(seen.z)
+    rho = rho_of(nu)
+    before = integral_beyond(tables, k, rho, approach.c0 + farther(approach.c0, nu, approach.apart))
+    c = place_of(tables, k, rho, approach.left * rho + (before if approach.c0 < FARTHEST else _ZERO))
+    c -= farther(c, nu, approach.apart)
+    low, high = at.low if seen.c < c else at.x, at.x if seen.c < c else at.high
+    x = at.x + (seen.c - c) / (nu * seen.slope)
+    inside = (low <= x) & (x <= high)
+    return Target(Bracket(x if inside else _HALF * (low + high), low, high), c, inside)
+
+
+@lane
+def seen_at(near: Nearness, up: Real) -> Seen:
+    """Return what an approach sees of one threshold."""
+    return Seen(near.c_on if up else near.c_off, near.nu_on if up else near.nu_off, near.slope, near.z)
+
+
+@vector_kernel
+def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
+    """Find the time of the event of each column in state SEEK, by four steps of Newton's method."""
+    use_widest_vectors()
+    for i in range(n):
+        state = take(rows, Column.STATE + i)
+        mine, up = state == SEEK, take(rows, Column.SIGN + i) > _ZERO
+        c0 = take(rows, Column.ON_C0 + i) if up else take(rows, Column.OFF_C0 + i)
+        c0 = _AFAR if take(rows, Column.BEGINS + i) > _ZERO else c0
+        approach = Approach(c0, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
+        seen = Seen(take(rows, Column.C + i), take(rows, Column.NU + i), take(rows, Column.SLOPE1 + i), take(rows, Column.Z1 + i))
+        at = Bracket(take(rows, Column.EVENT + i), take(rows, Column.AT + i), take(rows, Column.END + i))
+        at = nearer_event(tables, at, seen, approach).at
+        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
+        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
+        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
+        replace(rows, Column.EVENT + i, at.x, mine)
+        put(rows, Column.STATE + i, AGED if mine else state)
+
+
+@lane
+def store_event(rows: _Float32s, i: int, near: Nearness, c: Real, nu: Real, mine: Real) -> None:  # noqa: PLR0913, PLR0917
+    """Store the noise of column i's event."""
+    replace(rows, Column.C + i, c, mine)
+    replace(rows, Column.NU + i, nu, mine)
+    replace(rows, Column.SLOPE + i, near.slope, mine)
+    replace(rows, Column.DEVIATION + i, near.deviation, mine)
+    replace(rows, Column.PULL + i, near.pull, mine)
+    replace(rows, Column.MEAN_SLOPE + i, near.mean_slope, mine)
+    replace(rows, Column.EVENT_Z + i, near.z, mine)
+
+
+@vector_kernel
+def age(rows: _Float32s, n: int) -> None:
+    """Find the noise of the event of each column in state AGED."""
+    use_widest_vectors()
+    for i in range(n):
+        state = take(rows, Column.STATE + i)
+        mine, up = state == AGED, take(rows, Column.SIGN + i) > _ZERO
+        near = near_at(rows, i, take(rows, Column.EVENT + i))
+        store_event(rows, i, near, near.c_on if up else near.c_off, near.nu_on if up else near.nu_off, mine)
+        put(rows, Column.STATE + i, PLACED if mine else state)
+
+
+@vector_kernel
+def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
+    """Find the event of each column in state DIRECT by three steps of Newton's method, or leave it to slices."""
+    use_widest_vectors()
+    for i in range(n):
+        state, x, end, reset = (
+            take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.BURST_END + i),
+            take(rows, Column.RESET + i),
+        )  # fmt: skip
+        mine, curve = state == DIRECT, curve_of(rows, i)
+        w0, w1 = value_at(curve, x), value_at(curve, end)
+        up = w1 > w0
+        sign, reference = _ONE if up else -_ONE, take(rows, Column.REFERENCE + i)
+        level = reference + (take(rows, Column.ON + i) if up else -take(rows, Column.OFF + i))
+        # The first guess is where the signal alone passes the level; there it must be fast.
+        at = root_of(Bracket(x + (end - x) * (level - w0) / (w1 - w0), x, end), -level, curve)
+        sigma = take(rows, Column.SIGMA + i) + max(take(rows, Column.D_SIGMA + i), _ZERO)
+        good = sign * speed_at(curve, at.x) > _STEEP * take(rows, Column.RATE + i) * sigma
+        begun, near = x > reset + _BEGUN, near_at(rows, i, x)
+        c0 = near.c_on if up else near.c_off
+        approach = Approach(c0 if begun else _AFAR, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
+        at = Bracket(at.x, x, end)
+        seen = seen_at(near_at(rows, i, at.x), up)
+        good = good & (seen.nu > _STILL_STEEP)
+        at = nearer_event(tables, at, seen, approach).at
+        seen = seen_at(near_at(rows, i, at.x), up)
+        good = good & (seen.nu > _STILL_STEEP)
+        at = nearer_event(tables, at, seen, approach).at
+        near = near_at(rows, i, at.x)
+        seen = seen_at(near, up)
+        target = nearer_event(tables, at, seen, approach)
+        good = good & (seen.nu > _STILL_STEEP) & target.inside & (abs(seen.c - target.c) < _CONVERGED)
+        skipped = take(rows, Column.SKIPPED + i)
+        skips = skipped > _ZERO
+        replace(rows, Column.EVENT + i, target.at.x, mine)
+        replace(rows, Column.SIGN + i, sign, mine)
+        store_event(rows, i, near, target.c, seen.nu, mine)
+        replace(rows, Column.BEGINS + i, _ZERO if begun | skips else _ONE, mine)
+        put(rows, Column.AT + i, skipped if mine & ~good & skips else x)
+        put(rows, Column.STATE + i, (PLACED if good else (FIRST if begun | skips else SLICE)) if mine else state)

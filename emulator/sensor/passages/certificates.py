@@ -1,0 +1,126 @@
+"""Certificates: until when, and within which limits, a visited pixel takes little of what is left of its drawn number.
+
+The quiet pass tests them in place of the thresholds (`Field`), so a pixel that noise does not fire costs as little as one
+without noise. What a pixel took of its number while it rested is booked at its next visit (`visiting.book_rest`).
+
+    moving light    limits at which a bound of the hazard, 1/4 + .6 nu times rate e^(-c^2 / 2), takes a share of what is
+                    left until the pixel comes to them
+    still light     until the hazard has taken almost all of it: the next event is known in advance
+
+Behind a high-pass there is no certificate for still light, as its output still moves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.noise.integral import ONE_POLE, pair_factors, rate_of, slice_of
+from emulator.sensor.noise.moments import noise_in, slower_rate
+from emulator.sensor.numerics.columns import put, take
+from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
+from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
+from emulator.sensor.passages.rows import Visit, speed_at, value_at
+from emulator.sensor.passages.visiting import Constants, curve_of_visit
+
+_Float32s = npt.NDArray[np.float32]
+
+_ZERO, _HALF, _ONE, _TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
+_ENDLESS = np.float32(np.inf)
+_TAKEN = np.float32(0.1)  # of what is left, by the bound, while moving light comes to its limits
+_ALMOST = np.float32(0.95)  # of it, while light stands still
+_FORGOTTEN = np.float32(10)  # times of the slower pole after which a reset is forgotten
+_KICK = np.float32(0.4)  # of the mean of the noise by its slope at the reset, at most, over slope / rate
+_SLOW, _FASTER = np.float32(0.3), np.float32(2)  # least speed of a certificate; its speed over the present one
+_NEAREST, _NEAREST_SETTLED = np.float32(1.5), np.float32(0.75)  # deviations from which on the bound holds
+_CROSSINGS, _CARRIED = np.float32(0.25), np.float32(0.6)
+_FARTHEST = np.float32(30)  # deviations at which a hazard is still a number
+_ANY_SPEED, _AMPLE = np.float32(9.5), np.float32(12.5)  # limits of a pixel so far away that its speed does not matter
+_LONGEST_S, _LONGEST_STEPS = np.float32(2.0**33 * 1e-9), np.float32(256)
+_LEAVES = np.float32(1.5)  # over the time in which a pixel leaves its limits at its present speed
+_STILL = np.float32(0.05)  # deviations that the value of a pixel at rest may move in the longest time
+_DRIFTS = np.float32(0.3)  # deviations that leak may move it
+_ROUNDED = np.float32(1e-6)  # share of a number, more than float32 rounds
+_SLOWEST = np.float32(0.1)  # 1/s: forgets in more than the longest time
+_LEAK = np.float32(1.5)  # of it, that the quiet test allows
+_TINY, _LEAST_HZ = np.float32(1e-30), np.float32(1e-12)
+_PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)
+
+
+@lane
+def _limit(steep: Real, hz: Real, nearest: Real) -> Real:
+    """Return the deviations at which a bound of a hazard, steep e^(-c^2 / 2), has come to a rate."""
+    return max(np.sqrt(max(_TWO * natural_log(max(steep / hz, _ONE)), _ZERO)), nearest)
+
+
+@vector_kernel
+def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
+    """Write the certificate of each visited pixel at the end of its piece."""
+    use_widest_vectors()
+    for j in range(n):
+        reference, left, span = take(rows, Visit.REFERENCE + j), take(rows, Visit.LEFT + j), take(rows, Visit.SPAN + j)
+        rate, rms, curve = take(rows, Visit.RATE1 + j), take(rows, Visit.RMS + j), curve_of_visit(rows, j)
+        leak, lit = take(rows, Visit.LEAK + j), take(rows, Visit.LIT + j)
+        value, moving = value_at(curve, _ONE), speed_at(curve, _ONE) / span - leak
+        noise = noise_in(rate, c.pole, rms, c.high)
+        # What the noise's mean may still use up of the room, if a reset is not forgotten.
+        slow = slower_rate(noise)
+        age = (_ONE - take(rows, Visit.RESET + j)) * span * slow
+        fading = exponential(-age)
+        n_r, v_r = take(rows, Visit.N + j), take(rows, Visit.V + j)
+        recent = age < _FORGOTTEN
+        mean = (_ONE + age) * fading if recent else _ZERO
+        kick = abs(v_r) / noise.rate * (_KICK if age < _ONE else age * fading) if recent else _ZERO
+        offset = value - reference
+        on, off = take(rows, Visit.ON + j) - offset, take(rows, Visit.OFF + j) + offset
+        on_room, off_room = on - max(n_r, _ZERO) * mean - kick, off + min(n_r, _ZERO) * mean - kick
+        # Light that falls may make the noise louder, no more than behind the receptor alone.
+        single = (c.pole == _ZERO) | (rate > np.float32(1e11))
+        slower = _ZERO if single else noise.a1 / (noise.a1 + noise.a2)
+        behind = c.high / (rate + c.high) if c.high > _ZERO else _ZERO
+        reach = _TWO * max(on_room, off_room) if c.high > _ZERO else max(off_room, _ZERO)
+        fixed = single & (c.high == _ZERO)
+        sigma = noise.sigma if fixed else min(noise.sigma * (_ONE + _HALF * max(slower, behind) * reach), rms)
+        # Moving light.
+        moves = abs(moving) * _LONGEST_S > _STILL * noise.sigma
+        unit = sigma * noise.rate
+        nu = max(_SLOW, _FASTER * abs(moving) / unit)
+        c_on, c_off = min(on_room / sigma, _FARTHEST), min(off_room / sigma, _FARTHEST)
+        nearest = _NEAREST if recent else _NEAREST_SETTLED
+        of_one = _HALF * (_ONE + max(c_on, c_off) + nu)
+        steep = noise.rate * (_CROSSINGS + _CARRIED * nu if noise.z < ONE_POLE else of_one)
+        ample = (c.high == _ZERO) & (min(c_on, c_off) > _AMPLE)
+        least = _ANY_SPEED if ample else nearest
+        longest_moving = min(_ONE / max(c.high, _SLOWEST), _LONGEST_STEPS * span)
+        longest = min(longest_moving, _LONGEST_S) if moves else _LONGEST_S
+        ahead = c_on if moving > _ZERO else c_off
+        # The longer a rest, the nearer must its limits be, and the sooner the pixel comes to them: two steps to a balance.
+        lasts = longest
+        limit = _limit(steep, _HALF * _TAKEN * left / lasts, least)
+        lasts = min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest) if moves else longest
+        limit = _limit(steep, _HALF * _TAKEN * left / lasts, least)
+        lasts = min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest) if moves else longest
+        limit = _limit(steep, _HALF * _TAKEN * left / lasts, least)
+        holds = (c_on > limit) & (c_off > limit)
+        on_limit, off_limit = on_room + offset - sigma * limit, off_room - offset - sigma * limit
+        fastest = _ENDLESS if ample else nu * unit
+        speed = fastest if moves | (c.high == _ZERO) else _ZERO
+        # Still light: a filter that settles may still move the value by little, and leak too.
+        quiet = (take(rows, Visit.STILL + j) > _ZERO) & (c.high == _ZERO) & ~recent
+        quiet = quiet & (abs(moving - lit) * _LONGEST_S <= _STILL * noise.sigma)
+        inverse, k = _ONE / noise.sigma, slice_of(noise.z)
+        still_on, still_off = on * inverse, off * inverse
+        near_both = (still_on + still_off < _PAIR_SUM) & (max(still_on, still_off) < _PAIR_FAR)
+        on_factor, off_factor = pair_factors(tables, still_on, still_off, noise.z)
+        hz = rate_of(tables, k, noise.apart, still_on, _ZERO) * (on_factor if near_both else _ONE)
+        hz += rate_of(tables, k, noise.apart, still_off, _ZERO) * (off_factor if near_both else _ONE)
+        drift = _LEAK * (leak + lit)
+        still_s = min(_ALMOST * left / max(hz * noise.rate, _LEAST_HZ), _LONGEST_S)
+        still_s = min(still_s, _DRIFTS * noise.sigma / max(drift, _TINY))
+        slack = _TWO * _STILL * noise.sigma + _ROUNDED * abs(offset)
+        put(rows, Visit.ON_LIMIT + j, slack + offset + drift * still_s if quiet else on_limit)
+        put(rows, Visit.OFF_LIMIT + j, slack - offset if quiet else off_limit)
+        put(rows, Visit.SPEED + j, -_TWO * _STILL * noise.sigma / _LONGEST_S if quiet else speed)
+        armed = reference == reference
+        lasts = lasts if holds else -_ENDLESS
+        put(rows, Visit.LASTS + j, (still_s if quiet else lasts) if armed else -_ENDLESS)
