@@ -2,8 +2,8 @@
 
 A burst lasts 9 times of the slower pole, and each of its parts between turns of the curve is first bounded (`bound_of`):
 
-    calm      a bound of its integral is below half of what is left: the settled law counts from the age t_d on at which it
-              has made up for what the noise's mean keeps from the threshold (integral of 1 - e^(-A e^-s) is ln A + gamma)
+    calm      a bound of its integral is below half of what is left: the settled hazard, which the noise's mean lessens by
+              e^(-A e^-s) at the age s, counts for as long as the integral of that factor, a difference of E1(A e^-s)
     fast      the curve passes a threshold swiftly: `direct` finds the c = c* from afar, with the distances, speed and
               poles of that age
     other     slices between ages .35, .8, 1.4, 2.2, 3.3, 5 and 9: exact distances and speeds at both ends, and a parabola of
@@ -69,8 +69,12 @@ _EARLY = np.float32(2.5)  # age up to which the first of two bounds holds
 _KICK, _LATER_KICK, _LATER = np.float32(0.4), np.float32(0.2), np.float32(0.29)  # of slope and value, left at most
 _CROSSINGS, _CARRIED = np.float32(0.25), np.float32(0.6)  # Rice's rate, bounded: .25 by the noise, .6 by the travel
 _NEAREST = np.float32(1.5)  # deviations from which on the bounds hold
-_NEGLIGIBLE = np.float32(0.01)
-_MADE_UP, _CLOSER = np.float32(1 / 0.56), np.float32(0.75)  # e^gamma
+_NEGLIGIBLE, _LEAST_SHARE = np.float32(0.01), np.float32(0.01)
+_CLOSER, _LEAST_DEFICIT = np.float32(0.75), np.float32(1e-6)
+_E0, _E1, _E2, _E3, _E4, _E5 = (
+    np.float32(x) for x in (-0.57721566, 0.99999193, -0.24991055, 0.05519968, -0.00976004, 0.00107857)
+)
+_N0, _N1, _D0, _D1 = (np.float32(x) for x in (0.250621, 2.334733, 1.681534, 3.330657))
 _PASSED, _APART = np.float32(-2), np.float32(6)  # deviations of a fast approach behind its threshold, and to the other
 _BEGUN, _NO_AGE = np.float32(1e-7), np.float32(1e-9)
 _NEXT_AGE, _LEAST_AGE = np.float32(1.001), np.float32(1e-5)  # so that a slice has a length
@@ -86,11 +90,21 @@ _BEND_C, _BEND_NU = np.float32(1.5), np.float32(0.25)
 _ON, _OFF = np.float32(1), np.float32(2)  # bits of TELESCOPED
 
 
+@lane
+def exponential_integral(u: Real) -> Real:
+    """Return E1(u), u > 0, within 1e-4 (Hastings 1955; Abramowitz and Stegun 5.1.53, 5.1.54)."""
+    small = min(u, _ONE)
+    near = ((((_E5 * small + _E4) * small + _E3) * small + _E2) * small + _E1) * small + _E0 - natural_log(small)
+    large = max(u, _ONE)
+    far = exponential(-large) * (large * (large + _N1) + _N0) / ((large * (large + _D1) + _D0) * large)
+    return near if u < _ONE else far
+
+
 class Bound(NamedTuple):
     """The bound of a part of a burst."""
 
     calm: Real
-    settles: Real  # time from which on the settled law counts
+    settles: Real  # time from which on the settled hazard counts
     end: Real
     skipped: Real  # time up to which little can happen; -1: none
     fast: Real
@@ -121,15 +135,19 @@ def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, lef
     early = weight * exponential(-_HALF * near * near)
     total = early + weight_later * exponential(-_HALF * near_later * near_later)
     far = (c > _NEAREST) & (later > _NEAREST)
-    calm = far & (total < _HALF * left)
-    skips = far & ~calm & (early < _NEGLIGIBLE * left) & (middle < end)
-    # Calm: from this age on the settled law has made up for what the mean keeps away.
+    # The settled hazard errs by a share of the bound: a part of a burst may take its share of half of what is left.
+    share = max((end - x) / take(rows, Column.BURST + i), _LEAST_SHARE)
+    calm = far & (total < _HALF * share * left)
+    skips = far & ~calm & (early < _NEGLIGIBLE * share * left) & (middle < end)
+    # Calm: while the mean decays by e^-s, the hazard is less by e^(-A e^-s). As much of the part's end counts.
     c_on, c_off = (on - w2) * inverse, (off + w2) * inverse
     inward = (start.n + start.v / max(noise.rate, slow)) * inverse
     inward = max(-inward if c_on < c_off else inward, _ZERO)
     nearest = min(c_on, c_off)
-    deficit = (_TWO * inward + _CLOSER * nearest) * nearest
-    settles = min(max(x, reset + natural_log(max(deficit * _MADE_UP, _ONE)) / slow), end)
+    deficit = max((_TWO * inward + _CLOSER * nearest) * nearest, _LEAST_DEFICIT)
+    faded0, faded1 = exponential((reset - x) * slow), exponential((reset - end) * slow)
+    counts = (exponential_integral(deficit * faded1) - exponential_integral(deficit * faded0)) / slow
+    settles = min(max(end - counts, x), end)
     rises = w2 > w0
     passed, other = (on - w2 if rises else off + w2) * inverse, (off + w0 if rises else on - w0) * inverse
     return Bound(calm, settles, end, middle if skips else -_ONE, (passed < _PASSED) & (other > _APART))

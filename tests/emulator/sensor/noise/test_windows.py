@@ -6,7 +6,7 @@ import pytest
 from emulator.sensor.noise.hazard import hazard_tables
 from emulator.sensor.numerics.keyed import CERTAIN_HZ
 from emulator.sensor.pixels import passage
-from emulator.sensor.pixels.passage import Piece
+from emulator.sensor.passages.rounds import Piece
 
 THRESHOLD = 0.25
 INSIDE = np.linspace(0.02, 0.98, 13)
