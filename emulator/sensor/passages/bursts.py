@@ -82,10 +82,11 @@ _AFAR = np.float32(1e3)
 _FAST, _FAST_END, _FAST_TRAVEL = np.float32(0.5), np.float32(0.1), np.float32(0.8)
 _LEAST_START, _LEAST_NU = np.float32(0.05), np.float32(0.02)
 _BEYOND, _UNRESOLVED = np.float32(-4), np.float32(16)
-_HALVED, _MOST_HALVINGS, _SHORTEST = np.float32(0.3), np.float32(4), np.float32(0.05)
+_HALVED, _MOST_HALVINGS, _SHORTEST = np.float32(0.08), np.float32(4), np.float32(0.05)
 _PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)
 _LEAST_HAZARD = np.float32(1e-30)
 _STEEP, _STILL_STEEP, _CONVERGED = np.float32(0.7), np.float32(0.4), np.float32(0.3)
+_RESOLVED, _FASTEST = np.float32(4e-7), np.float32(1e3)
 _BEND_C, _BEND_NU = np.float32(1.5), np.float32(0.25)
 _ON, _OFF = np.float32(1), np.float32(2)  # bits of TELESCOPED
 
@@ -98,6 +99,17 @@ def exponential_integral(u: Real) -> Real:
     large = max(u, _ONE)
     far = exponential(-large) * (large * (large + _N1) + _N0) / ((large * (large + _D1) + _D0) * large)
     return near if u < _ONE else far
+
+
+@lane
+def mean_factor(c: Real, inward: Real, age0: Real, age1: Real) -> Real:
+    """Return the mean factor of a settled hazard between two ages: while the noise's mean decays, it is e^(-A e^-s).
+
+    `c` is the nearer threshold's distance, `inward` by how much the noise was farther from it at the reset.
+    """
+    deficit = max((_TWO * max(inward, _ZERO) + _CLOSER * c) * c, _LEAST_DEFICIT)
+    later, earlier = exponential_integral(deficit * exponential(-age1)), exponential_integral(deficit * exponential(-age0))
+    return (later - earlier) / max(age1 - age0, _LEAST_DEFICIT)
 
 
 class Bound(NamedTuple):
@@ -142,11 +154,8 @@ def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, lef
     # Calm: while the mean decays by e^-s, the hazard is less by e^(-A e^-s). As much of the part's end counts.
     c_on, c_off = (on - w2) * inverse, (off + w2) * inverse
     inward = (start.n + start.v / max(noise.rate, slow)) * inverse
-    inward = max(-inward if c_on < c_off else inward, _ZERO)
-    nearest = min(c_on, c_off)
-    deficit = max((_TWO * inward + _CLOSER * nearest) * nearest, _LEAST_DEFICIT)
-    faded0, faded1 = exponential((reset - x) * slow), exponential((reset - end) * slow)
-    counts = (exponential_integral(deficit * faded1) - exponential_integral(deficit * faded0)) / slow
+    inward, age0, age1 = -inward if c_on < c_off else inward, (x - reset) * slow, (end - reset) * slow
+    counts = mean_factor(min(c_on, c_off), inward, age0, age1) * (end - x)
     settles = min(max(end - counts, x), end)
     rises = w2 > w0
     passed, other = (on - w2 if rises else off + w2) * inverse, (off + w0 if rises else on - w0) * inverse
@@ -480,14 +489,19 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
         sign, reference = _ONE if up else -_ONE, take(rows, Column.REFERENCE + i)
         level = reference + (take(rows, Column.ON + i) if up else -take(rows, Column.OFF + i))
         # The first guess is where the signal alone passes the level; there it must be fast.
-        at = root_of(Bracket(x + (end - x) * (level - w0) / (w1 - w0), x, end), -level, curve)
+        ahead = sign * (level - w0) > _ZERO
+        guess = min(max(x + (end - x) * (level - w0) / (w1 - w0), x), end)
+        at = root_of(Bracket(guess, x, end), -level, curve)
         sigma = take(rows, Column.SIGMA + i) + max(take(rows, Column.D_SIGMA + i), _ZERO)
         good = sign * speed_at(curve, at.x) > _STEEP * take(rows, Column.RATE + i) * sigma
+        # A signal that crosses all of the noise within the resolution of the time needs no more.
+        passes, there = at.x, near_at(rows, i, at.x)
+        swift = ahead & (sign * speed_at(curve, passes) * _RESOLVED > sigma * there.deviation)
         begun, near = x > reset + _BEGUN, near_at(rows, i, x)
         c0 = near.c_on if up else near.c_off
         approach = Approach(c0 if begun else _AFAR, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
         at = Bracket(at.x, x, end)
-        seen = seen_at(near_at(rows, i, at.x), up)
+        seen = seen_at(there, up)
         good = good & (seen.nu > _STILL_STEEP)
         at = nearer_event(tables, at, seen, approach).at
         seen = seen_at(near_at(rows, i, at.x), up)
@@ -496,12 +510,12 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
         near = near_at(rows, i, at.x)
         seen = seen_at(near, up)
         target = nearer_event(tables, at, seen, approach)
-        good = good & (seen.nu > _STILL_STEEP) & target.inside & (abs(seen.c - target.c) < _CONVERGED)
+        good = (good & (seen.nu > _STILL_STEEP) & target.inside & (abs(seen.c - target.c) < _CONVERGED)) | swift
         skipped = take(rows, Column.SKIPPED + i)
         skips = skipped > _ZERO
-        replace(rows, Column.EVENT + i, target.at.x, mine)
+        replace(rows, Column.EVENT + i, passes if swift else target.at.x, mine)
         replace(rows, Column.SIGN + i, sign, mine)
-        store_event(rows, i, near, target.c, seen.nu, mine)
+        store_event(rows, i, near, _ZERO if swift else target.c, _FASTEST if swift else seen.nu, mine)
         replace(rows, Column.BEGINS + i, _ZERO if begun | skips else _ONE, mine)
         put(rows, Column.AT + i, skipped if mine & ~good & skips else x)
         put(rows, Column.STATE + i, (PLACED if good else (FIRST if begun | skips else SLICE)) if mine else state)

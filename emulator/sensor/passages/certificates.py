@@ -30,6 +30,7 @@ _ENDLESS = np.float32(np.inf)
 _TAKEN = np.float32(0.1)  # of what is left, by the bound, while moving light comes to its limits
 _ALMOST = np.float32(0.95)  # of it, while light stands still
 _FORGOTTEN = np.float32(10)  # times of the slower pole after which a reset is forgotten
+_HORIZON, _KEPT = np.float32(1), np.float32(np.exp(-1))  # of a certificate before that, in these times
 _KICK = np.float32(0.4)  # of the mean of the noise by its slope at the reset, at most, over slope / rate
 _SLOW, _FASTER = np.float32(0.3), np.float32(2)  # least speed of a certificate; its speed over the present one
 _NEAREST, _NEAREST_SETTLED = np.float32(1.5), np.float32(0.75)  # deviations from which on the bound holds
@@ -69,11 +70,15 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         fading = exponential(-age)
         n_r, v_r = take(rows, Visit.N + j), take(rows, Visit.V + j)
         recent = age < _FORGOTTEN
-        mean = (_ONE + age) * fading if recent else _ZERO
         kick = abs(v_r) / noise.rate * (_KICK if age < _ONE else age * fading) if recent else _ZERO
+        # It keeps the other threshold away for some time, at least as long as the slower pole lets it.
+        mean = (_ONE + age) * fading if recent else _ZERO
+        kept = fading * _KEPT if recent else _ZERO
+        horizon = _HORIZON / slow if recent else _LONGEST_S
+        up, down = max(n_r, _ZERO), max(-n_r, _ZERO)
         offset = value - reference
         on, off = take(rows, Visit.ON + j) - offset, take(rows, Visit.OFF + j) + offset
-        on_room, off_room = on - max(n_r, _ZERO) * mean - kick, off + min(n_r, _ZERO) * mean - kick
+        on_room, off_room = on - up * mean + down * kept - kick, off - down * mean + up * kept - kick
         # Light that falls may make the noise louder, no more than behind the receptor alone.
         single = (c.pole == _ZERO) | (rate > np.float32(1e11))
         slower = _ZERO if single else noise.a1 / (noise.a1 + noise.a2)
@@ -92,7 +97,7 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         ample = (c.high == _ZERO) & (min(c_on, c_off) > _AMPLE)
         least = _ANY_SPEED if ample else nearest
         longest_moving = min(_ONE / max(c.high, _SLOWEST), _LONGEST_STEPS * span)
-        longest = min(longest_moving, _LONGEST_S) if moves else _LONGEST_S
+        longest = min(longest_moving, horizon) if moves else horizon
         ahead = c_on if moving > _ZERO else c_off
         # The longer a rest, the nearer must its limits be, and the sooner the pixel comes to them: two steps to a balance.
         lasts = longest
@@ -106,16 +111,17 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         fastest = _ENDLESS if ample else nu * unit
         speed = fastest if moves | (c.high == _ZERO) else _ZERO
         # Still light: a filter that settles may still move the value by little, and leak too.
-        quiet = (take(rows, Visit.STILL + j) > _ZERO) & (c.high == _ZERO) & ~recent
+        quiet = (take(rows, Visit.STILL + j) > _ZERO) & (c.high == _ZERO)
         quiet = quiet & (abs(moving - lit) * _LONGEST_S <= _STILL * noise.sigma)
         inverse, k = _ONE / noise.sigma, slice_of(noise.z)
-        still_on, still_off = on * inverse, off * inverse
+        still_on, still_off = on_room * inverse, off_room * inverse
+        nearing = abs(n_r) * fading * slow / (noise.sigma * noise.rate) if recent else _ZERO
         near_both = (still_on + still_off < _PAIR_SUM) & (max(still_on, still_off) < _PAIR_FAR)
         on_factor, off_factor = pair_factors(tables, still_on, still_off, noise.z)
-        hz = rate_of(tables, k, noise.apart, still_on, _ZERO) * (on_factor if near_both else _ONE)
-        hz += rate_of(tables, k, noise.apart, still_off, _ZERO) * (off_factor if near_both else _ONE)
+        hz = rate_of(tables, k, noise.apart, still_on, nearing) * (on_factor if near_both else _ONE)
+        hz += rate_of(tables, k, noise.apart, still_off, nearing) * (off_factor if near_both else _ONE)
         drift = _LEAK * (leak + lit)
-        still_s = min(_ALMOST * left / max(hz * noise.rate, _LEAST_HZ), _LONGEST_S)
+        still_s = min(_ALMOST * left / max(hz * noise.rate, _LEAST_HZ), horizon)
         still_s = min(still_s, _DRIFTS * noise.sigma / max(drift, _TINY))
         slack = _TWO * _STILL * noise.sigma + _ROUNDED * abs(offset)
         put(rows, Visit.ON_LIMIT + j, slack + offset + drift * still_s if quiet else on_limit)

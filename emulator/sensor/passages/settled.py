@@ -278,7 +278,8 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:
         # A place c deviations before the level, which is `distance` away: the curve there is a cubic still.
         distance = on_level if is_on else -off_level
         at_c = Curve(curve.c1 + sign * c * change, curve.c2, curve.c3)
-        at = root_of(Bracket(x + (c0 - c) * per_deviation, x, end), sign * c * sigma - distance, at_c)
+        guess = min(max(x + (c0 - c) * per_deviation, x), end)
+        at = root_of(Bracket(guess, x, end), sign * c * sigma - distance, at_c)
         # And again with the speed that counts there.
         inverse = _ONE / (sigma + change * at.x)
         v = (sign * speed_at(curve, at.x) + c * change) * inverse * per

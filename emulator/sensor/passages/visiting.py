@@ -21,7 +21,7 @@ from emulator.sensor.noise.moments import Noise, noise_in, slower_rate
 from emulator.sensor.numerics.columns import pick, put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import use_widest_vectors
-from emulator.sensor.passages.bursts import LASTS
+from emulator.sensor.passages.bursts import LASTS, mean_factor
 from emulator.sensor.passages.rows import BURST, PART, Column, Curve, Visit
 from emulator.sensor.passages.settled import Ends, Span, Widening, integral_of, integrals
 
@@ -33,7 +33,7 @@ _BOTH, _BOTH_TOGETHER = np.float32(0.02), np.float32(0.1)  # see `settled.part`
 _PAIR_SUM, _PAIR_FAR, _PAIR_ALONE = np.float32(10), np.float32(5.4), np.float32(7.8)  # the factor is 1 within 1 % beyond
 _ALMOST = np.float32(0.98)  # of what is left: nearer to it, the column decides
 _CHANGES = np.float32(0.1)  # of a rate over a piece, from which on its noise changes along it
-_TINY = np.float32(1e-9)
+_TINY, _THIRD = np.float32(1e-9), np.float32(1 / 3)
 _KEPT = np.float32(0.02)  # of what is left: a rest takes no more than the other part
 
 
@@ -75,6 +75,12 @@ def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         near_both = (c_on + c_off < _PAIR_SUM) & (max(c_on, c_off) < _PAIR_FAR)
         on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z)
         taken = of_on.value * (on_factor if near_both else _ONE) + of_off.value * (off_factor if near_both else _ONE)
+        # After a recent reset the mean of the noise lessens the hazard, see `bursts.bound_of`.
+        slow, n_r = slower_rate(noise), take(rows, Visit.N + j)
+        age1 = -take(rows, Visit.RESET + j) * slow
+        age0 = max(age1 - rested * slow, _ZERO)
+        lessened = mean_factor(min(c_on, c_off), (-n_r if c_on < c_off else n_r) * inverse, age0, age1)
+        taken *= lessened if age0 < LASTS else _ONE
         rests = (rested > _ZERO) & (reference == reference)
         put(rows, Visit.LEFT + j, max(left - taken, _KEPT * left) if rests else left)
 
@@ -94,8 +100,10 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         on, off = take(rows, Visit.ON + j) + reference, take(rows, Visit.OFF + j) - reference
         both = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise)
         total = both.on.value + both.off.value
-        near = min(both.on.near, both.off.near)
-        is_near = near < FARTHEST
+        # A curve that turns may come nearer than its ends: it stays within its Bernstein coefficients.
+        b1, b2, b3 = _THIRD * curve.c1, _THIRD * (_TWO * curve.c1 + curve.c2), curve.c1 + curve.c2 + curve.c3
+        highest, lowest = max(max(b1, b2), max(b3, _ZERO)), min(min(b1, b2), min(b3, _ZERO))
+        is_near = min(on - highest, off + lowest) < FARTHEST * (noise.sigma + _HALF * abs(widens))
         end = curve.c1 + _TWO * curve.c2 + _THREE * curve.c3
         turns = (curve.c1 * end < _ZERO) | (curve.c1 * (curve.c1 + curve.c2) < _ZERO)
         short = (min(both.on.value, both.off.value) > _BOTH) & (total > _BOTH_TOGETHER) & ~(both.on.cell & both.off.cell)

@@ -48,6 +48,8 @@ _U, _V, _L, _REF, _LEAK, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL = (
     )
 )  # fmt: skip
 _ROUNDED = 1e-6  # share of a number, more than float32 rounds
+_LEAST_RMS = np.float32(1e-6)  # ln units: float32 resolves no less in a log light
+_STEEPEST = np.float32(1e15)
 _LEAST_REST_S = 2e-6  # below it a time since the last visit is rounding
 _ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
 
@@ -90,9 +92,12 @@ def _visit(visits: Visits, j: int, pixels: Pixels, pixel: int, begin_ns: float, 
     rested_s = np.float64(c.since_epoch_0) - np.float64(memory[of_pixel + Memory.SEEN_S])
     visits.bases[j], visits.begins_ns[j] = base, begin_ns
     visits.streams[j], visits.resets_ns[j] = noise_stream(pixels, pixel, c), pixels.refractory_until_ns[pixel]
-    rows[Visit.RMS + j] = np.float32(c.noise_rms * np.float64(memory[of_pixel + Memory.SCALE]))
+    rows[Visit.RMS + j] = max(np.float32(c.noise_rms) * memory[of_pixel + Memory.SCALE], _LEAST_RMS)
     rows[Visit.ON + j], rows[Visit.OFF + j] = fields[at + _REF + BLOCK], fields[at + _REF + 2 * BLOCK]
     rows[Visit.LEAK + j] = fields[at + _LEAK]
+    rows[Visit.C1 + j] += np.float32(leak * span_s)
+    for k in (Visit.C1, Visit.C2, Visit.C3):  # steeper, all is passed at once
+        rows[k + j] = min(max(rows[k + j], -_STEEPEST), _STEEPEST)
     rows[Visit.REFERENCE + j] = np.float32(np.float64(fields[at + _REF]) - base)
     rows[Visit.LEFT + j] = memory[of_pixel + Memory.LEFT]
     rows[Visit.N + j], rows[Visit.V + j] = memory[of_pixel + Memory.N], memory[of_pixel + Memory.V]
@@ -205,6 +210,8 @@ def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, const
         rows[Visit.STILL + j], rows[Visit.COUNT + j] = _ZERO, pieces[sub.COUNT + j]
         visits.bases[j] = np.float64(pieces[sub.BASE + j]) + np.float64(pieces[sub.D0 + j])
         _visit(visits, j, pixels, of[j], np.float64(pieces[sub.Z + j]) * c.h_ns, c)
+        if pieces[sub.COUNT + j] >= rounds.MOST_PASSAGES:
+            rows[Visit.RESET + j] = _TWO  # takes no part any more
         if pieces[sub.Z + j] > _ZERO:
             rows[Visit.RESTED + j] = _ZERO  # the pixel was seen at the end of the last substep
     return _look(visits, pixels.tables, n, c, constants)
