@@ -437,11 +437,14 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
     for i in range(n):
         state = take(rows, Column.STATE + i)
         mine, up = state == SEEK, take(rows, Column.SIGN + i) > _ZERO
-        c0 = take(rows, Column.ON_C0 + i) if up else take(rows, Column.OFF_C0 + i)
+        # A weight in place of a choice: LLVM would load from a chosen address, which does not become a vector.
+        of_on = _ONE if up else _ZERO
+        c0 = of_on * take(rows, Column.ON_C0 + i) + (_ONE - of_on) * take(rows, Column.OFF_C0 + i)
         c0 = _AFAR if take(rows, Column.BEGINS + i) > _ZERO else c0
         approach = Approach(c0, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
         seen = Seen(take(rows, Column.C + i), take(rows, Column.NU + i), take(rows, Column.SLOPE1 + i), take(rows, Column.Z1 + i))
-        at = Bracket(take(rows, Column.EVENT + i), take(rows, Column.AT + i), take(rows, Column.END + i))
+        low, high = take(rows, Column.AT + i), take(rows, Column.END + i)
+        at = Bracket(min(max(take(rows, Column.EVENT + i), low), high), low, high)
         at = nearer_event(tables, at, seen, approach).at
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
@@ -487,7 +490,8 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
         w0, w1 = value_at(curve, x), value_at(curve, end)
         up = w1 > w0
         sign, reference = _ONE if up else -_ONE, take(rows, Column.REFERENCE + i)
-        level = reference + (take(rows, Column.ON + i) if up else -take(rows, Column.OFF + i))
+        on_threshold, off_threshold = take(rows, Column.ON + i), take(rows, Column.OFF + i)
+        level = reference + (on_threshold if up else -off_threshold)
         # The first guess is where the signal alone passes the level; there it must be fast.
         ahead = sign * (level - w0) > _ZERO
         guess = min(max(x + (end - x) * (level - w0) / (w1 - w0), x), end)

@@ -27,7 +27,7 @@ _Float32s = npt.NDArray[np.float32]
 
 _ZERO, _HALF, _ONE, _TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
 _ENDLESS = np.float32(np.inf)
-_TAKEN = np.float32(0.1)  # of what is left, by the bound, while moving light comes to its limits
+_TAKEN = np.float32(0.5)  # of what is left, by the bound, while moving light comes to its limits
 _ALMOST = np.float32(0.95)  # of it, while light stands still
 _FORGOTTEN = np.float32(10)  # times of the slower pole after which a reset is forgotten
 _HORIZON, _KEPT = np.float32(1), np.float32(np.exp(-1))  # of a certificate before that, in these times

@@ -122,7 +122,7 @@ def fill(rows: _Float32s, visits: _Float32s, listed: _Int32s, n: int, c: Constan
     """Set up columns for the listed pixels, with the noise at both ends of the piece, and the turns of the curve."""
     use_widest_vectors()
     for i in range(n):
-        j = listed[i]
+        j = take(listed, i)
         c1, c2, c3 = pick(visits, Visit.C1, j), pick(visits, Visit.C2, j), pick(visits, Visit.C3, j)
         span, rms = pick(visits, Visit.SPAN, j), pick(visits, Visit.RMS, j)
         rate0, rate1 = pick(visits, Visit.RATE0, j), pick(visits, Visit.RATE1, j)
