@@ -103,9 +103,13 @@ def verdict_line(rules: Sequence[Judgement]) -> str:
 
 def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
     """Return no line for a run that kept up, else its lateness and the remedies."""
-    late = result.lateness
+    late, run = result.lateness, rig.run
     if result.too_late:
-        return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig, late.processor_share)}"]
+        worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late, and run.max_late_ms is {run.max_late_ms:g}"
+        often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
+        often = f"{often}, and run.max_late_share is {run.max_late_share:g}"
+        broken = "; ".join([worst] * result.step_too_late + [often] * result.late_too_often)
+        return [f"NOT IN REAL TIME: {broken}. {_remedies(rig, late.processor_share)}"]
     if late.worst_gap_us > _REPORTED_LATENESS_US or result.often_stretched:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
@@ -123,15 +127,6 @@ def _remedies(rig: Rig, processor_share: float) -> str:
         )
     longer = f"a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us})"
     return f"Take {longer}, fewer scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
-
-
-def _broken(rig: Rig, result: RunResult) -> str:
-    """Return which limits the run has broken, and by how much."""
-    late, run = result.lateness, rig.run
-    worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late, and run.max_late_ms is {run.max_late_ms:g}"
-    often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
-    often = f"{often}, and run.max_late_share is {run.max_late_share:g}"
-    return "; ".join([worst] * result.step_too_late + [often] * result.late_too_often)
 
 
 def timing_json(report: LinkReport) -> dict[str, object]:
