@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from cyclopts import Parameter
 
@@ -19,6 +19,7 @@ from emulator.run.outcome import good, judge
 from transports.file import FileLink
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class RunOptions:
     """Options of the run.
@@ -38,18 +39,7 @@ class RunOptions:
     pace: Literal["realtime", "free"] = "free"
 
 
-_DEFAULTS = RunOptions()
-
-
-def record(
-    rig: RigName,
-    file: Path,
-    /,
-    *,
-    to: str = "",
-    course: Annotated[RunOptions, Parameter(name="*")] = _DEFAULTS,
-    json: Json = False,
-) -> int:
+def record(rig: RigName, file: Path, /, *, to: str = "", course: RunOptions = RunOptions(), json: Json = False) -> int:
     """Record all that a rig's camera sends and the format can hold, without its links: no host is needed.
 
     Events, triggers, and frames and IMU samples where the rig has them, with the settings that drivers make by default.

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Parameter
 
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from emulator.run.report.files import RunReporter
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Files:
     """Files that a run writes.
@@ -99,7 +100,7 @@ def run(
     seconds: float | None = None,
     seed: int | None = None,
     pace: Literal["realtime", "free"] | None = None,
-    files: Annotated[Files, Parameter(name="*")] = NO_FILES,
+    files: Files = NO_FILES,
     json: Json = False,
 ) -> int:
     """Run a rig: render its scene, simulate its sensor, serve its links. Ctrl-C ends the run with its summary.
