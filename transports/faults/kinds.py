@@ -23,7 +23,7 @@ from typing import Annotated, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from msgspec import Meta
 
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded
 from transports.registry import Registry
 
 SERIAL_LINE = "a serial line"
@@ -69,7 +69,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Fault:
+class Fault(Bounded):
     """Common attributes of all faults.
 
     Attributes
@@ -96,9 +96,6 @@ class Fault:
             cls.kind = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
         cls.carriers = carriers or cls.carriers
         cls.effect = effect or cls.effect
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def stage(self, random: np.random.Generator, carrier: Any) -> Stage:
         """Return the effect of this fault on a carrier; `random` draws the hits."""
