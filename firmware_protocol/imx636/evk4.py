@@ -100,13 +100,9 @@ class Evk4Settings(TreuzellSettings):
     `surroundings`: readings of the sensor's own instruments; `board`: the board's identity and its sensor.
     """
 
+    size = SIZE
     surroundings: Surroundings = field(default_factory=Surroundings)
     board: BoardModel = BOARDS["evk4"]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor, pixels."""
-        return SIZE
 
     @property
     def chip_names(self) -> ChipNames:
