@@ -304,10 +304,10 @@ class TmPacket:
     def parse(cls, octets: bytes) -> TmPacket:
         """Read one whole packet. Raises PacketError if it is not a valid telemetry report."""
         packet = _unsealed(octets, PacketType.TELEMETRY, TM_HEADER)
-        _, time_status, service, subtype, *numbers = _TM_HEAD.unpack(packet.data[: _TM_HEAD.octets]).values()
+        _, status, service, subtype, count, destination = _TM_HEAD.unpack(packet.data[: _TM_HEAD.octets]).values()
         t_us = OWN_EPOCH_4_3.parse_us(packet.data[_TM_HEAD.octets : TM_HEADER.octets])
         data = packet.data[TM_HEADER.octets : -_CRC_BYTES]
-        return cls(packet.apid, packet.sequence_count, service, subtype, t_us, data, *numbers, time_status)
+        return cls(packet.apid, packet.sequence_count, service, subtype, t_us, data, count, destination, status)
 
 
 @dataclass(frozen=True)
