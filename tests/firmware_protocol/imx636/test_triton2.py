@@ -91,18 +91,6 @@ def test_readers_skip_the_reserved_words(reserved, tmp_path):
         assert all((seen[name] == events[name]).all() for name in events.dtype.names)
 
 
-def test_a_silence_is_told_by_blocks_of_time():
-    host = Host()
-    host.start()
-    for second in range(1, 40):
-        host.camera.advance(second * 1_000_000)
-        assert len(host.collect()[0]) == 0
-    host.camera.offer(steady(1, start_us=39_500_000))
-    host.camera.advance(39_600_000)
-    assert host.collect()[0]["t"].tolist() == [39_500_000]
-    assert host.assembly.lost == 0
-
-
 def test_a_silence_is_told_each_second_since_decoders_lose_the_time_after_eight():
     host = Host()
     host.start()
