@@ -19,16 +19,6 @@ def queue(policy=Policy.OLDEST, most=10, age_us=1000, block=4):
     return EventQueue(QueueBounds(most, age_us, block, policy))
 
 
-def test_what_fits_comes_out_in_order():
-    q = queue()
-    assert q.put(events([1, 2]), 2).total == 0
-    assert q.put(events([3]), 3).total == 0
-    assert q.head(8)["t"].tolist() == [1, 2, 3]
-    q.remove(2, 0)
-    assert q.head(8)["t"].tolist() == [3]
-    assert (q.waiting, q.oldest_us, q.room) == (1, 3, 9)
-
-
 def test_the_oldest_give_way_at_the_head():
     q = queue(most=4)
     assert q.put(events(range(6)), 5).full == 2
@@ -65,23 +55,6 @@ def test_time_alone_makes_the_oldest_too_old():
     assert q.trim(101).late == 1
     assert q.trim(500).late == 1
     assert q.dropped_before == 2
-
-
-def test_a_block_that_cannot_tell_all_leaves_the_rest_for_the_next():
-    q = queue(most=2)
-    q.put(events(range(7)), 6)
-    q.remove(1, 3)
-    assert q.dropped_before == 2
-
-
-def test_clearing_counts_as_dropped_before_the_next():
-    q = queue()
-    q.put(events([1, 2, 3]), 3)
-    assert q.clear() == 3
-    q.put(events([9]), 9)
-    assert q.dropped_before == 3
-    assert q.clear() == 1
-    assert q.dropped_before == 4
 
 
 STEPS = st.lists(
