@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from davis_host import IN, OUT, RUN, Host, events_of, steady
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, WordEncoder
+from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.usb.device import Stall
 
@@ -201,40 +201,11 @@ def test_a_long_stall_keeps_time_right_without_growing():
     assert host.decoder.faults.total == 0
 
 
-@pytest.mark.parametrize("max_bytes", [2, 3, 7, 64, 512, 8192, 131072])
-def test_reads_of_any_size_give_the_same_stream(max_bytes):
-    camera, host = running()
-    events = steady(2000, step_us=30)
-    camera.offer(events)
-    transfers = host.transfers(max_bytes)
-    assert all(len(t.data) <= max_bytes and len(t.data) % 2 == 0 for t in transfers)
-    assert np.array_equal(np.concatenate([t.events for t in transfers]), events)
-    assert np.array_equal(host.decoder.feed(b"".join(t.data for t in transfers)).events, events)
-
-
 @pytest.mark.parametrize("max_bytes", [0, 1])
 def test_a_read_without_room_for_a_word_gets_nothing(max_bytes):
     camera, _ = running()
     camera.offer(steady(1))
     assert camera.read(2, max_bytes) is None
-
-
-def test_offered_events_are_copied():
-    camera, host = running()
-    events = steady(100)
-    camera.offer(events)
-    events["x"] = 0
-    (transfer,) = host.transfers(8192)
-    assert np.array_equal(transfer.events, steady(100))
-
-
-def test_turned_layout_end_to_end():
-    camera, host = running(layout=Layout.TURNED)
-    assert [host.read(1, k) for k in range(3)] == [260, 346, 4]
-    assert [host.read(2, k) for k in range(3)] == [260, 346, 4]
-    events = steady(500)
-    camera.offer(events)
-    assert np.array_equal(host.decoded().events, events)
 
 
 # --- bad input
