@@ -1,4 +1,4 @@
-"""A driver's whole life with our own camera, over USB/IP and over a (faked) USB bus."""
+"""A driver's whole life with our own camera, over USB/IP."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import PeerGone, StreamSettings, TransferTimeout, UnsuitableDevice
-from transports.usb.pyusb_host import PyusbHost
 from transports.usb.usbip.client import UsbipHost
 
 pytestmark = pytest.mark.socket
@@ -28,11 +27,11 @@ def events(n: int, start_us: int, seed: int = 1) -> np.ndarray:
     return batch
 
 
-@pytest.fixture(params=["usbip", "pyusb"])
-def cable(request, bench, usb_bus):
+@pytest.fixture
+def cable(bench):
     """Gives open(camera) -> host, and play(events, now_us), which makes the camera see them."""
 
-    def usbip(camera):
+    def open_camera(camera):
         bench.start({"1-1": camera})
 
         def play(batch, now_us):
@@ -42,16 +41,7 @@ def cable(request, bench, usb_bus):
 
         return UsbipHost(bench.connect(), "1-1", timeout_s=120), lambda *args: bench.call(play, *args)
 
-    def pyusb(camera):
-        bus = usb_bus(camera, camera.settings.descriptors())
-
-        def play(batch, now_us):
-            camera.offer(batch)
-            camera.advance(now_us)
-
-        return PyusbHost.find(0x152A, 0x841A, bus), lambda *args: bus.call(play, *args)
-
-    return {"usbip": usbip, "pyusb": pyusb}[request.param]
+    return open_camera
 
 
 def read_all(driver: DavisHost, n: int) -> np.ndarray:
