@@ -16,7 +16,7 @@ from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.output_file import OutputFile
 from transports.recording.part import Part
-from transports.recording.record import Recorder, load_record
+from transports.recording.record import Recorder
 
 FULL = "/dev/full"
 NO_SPACE = "No space left on device"
@@ -72,14 +72,6 @@ def test_a_record_for_which_the_archive_has_no_room_is_kept_as_it_is(tiny):
     assert NO_SPACE in recorder.trouble
     assert [path.name for path in sorted(tiny.iterdir())] == ["a.npz.edges.part", "a.npz.imu.part", "a.npz.part"]
     assert (tiny / "a.npz.part").stat().st_size == 12_000 * EVENT.itemsize
-
-
-def test_a_record_that_fits_has_no_trouble(tiny):
-    recorder = Recorder(tiny / "a.npz")
-    recorder.append(Part(events(5000)))
-    recorder.close()
-    assert recorder.trouble == ""
-    assert len(load_record(tiny / "a.npz")[0]) == 5000
 
 
 def test_the_truth_of_a_clock_stops(full):
