@@ -30,7 +30,7 @@ from transports.gige.host import GigeHost
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING, EventRing
 
-COUNT = int(float(os.environ.get("EVSTIM_HOSTILE_DATAGRAMS", "20000")))
+COUNT = int(float(os.environ.get("EVSTIM_HOSTILE_DATAGRAMS", "8000")))
 PARTS = 50
 OWNER = ("127.0.0.1", 40_000)
 MOST_GROWTH_KB = 4096

@@ -3,7 +3,7 @@
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.queue import EventQueue, Policy, QueueBounds
@@ -68,6 +68,7 @@ STEPS = st.lists(
 )
 
 
+@example([("put", [0, 0, 0]), ("clear", 0), ("put", [0]), ("take", 1)], Policy.OLDEST, 12, 5, 10**9)
 @given(STEPS, st.sampled_from(Policy), st.integers(1, 12), st.integers(1, 5), st.sampled_from([1, 3, 10**9]))
 def test_any_life_loses_nothing_untold(steps, policy, most, block, told_at_most):
     """What went in came out, waits or was dropped; and each gap is told exactly before the event behind it."""

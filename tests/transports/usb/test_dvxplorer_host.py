@@ -52,6 +52,7 @@ def test_all_streams_come_as_they_were_sent():
     assert np.array_equal(seen, shown)
     assert felt.tobytes() == moved.tobytes()
     assert [(t, kind) for t, kind, _, _ in marks.tolist() if kind != 4] == [(7200, 2), (7300, 3)]
+    assert len(host.take_edges()) == len(host.take_imu()) == 0
     assert host.faults.total == 0
     host.close()
     assert not camera.streaming
