@@ -31,22 +31,16 @@ def davis():
     return camera, lambda: camera.read(2, 512)
 
 
-def evk4():
-    camera = Evk4(Evk4Settings(start_delay_us=0))
+def board(camera):
     TreuzellHost(DirectHost(camera)).start()
     return camera, lambda: camera.read(1, 512)
 
 
-def genx320():
-    camera = Genx320(Genx320Settings(start_delay_us=0))
-    TreuzellHost(DirectHost(camera)).start()
-    return camera, lambda: camera.read(1, 512)
-
-
-def gen31():
-    camera = Gen31(Gen31Settings(start_delay_us=0))
-    TreuzellHost(DirectHost(camera)).start()
-    return camera, lambda: camera.read(1, 512)
+BOARDS = [
+    lambda: board(Evk4(Evk4Settings(start_delay_us=0))),
+    lambda: board(Genx320(Genx320Settings(start_delay_us=0))),
+    lambda: board(Gen31(Gen31Settings(start_delay_us=0))),
+]
 
 
 def triton2():
@@ -65,7 +59,7 @@ def plain():
     return camera, lambda: camera.take(100)
 
 
-@pytest.mark.parametrize("make", [davis, evk4, gen31, genx320, triton2, instrument, plain])
+@pytest.mark.parametrize("make", [davis, *BOARDS, triton2, instrument, plain])
 def test_counts_are_those_of_the_counters(make):
     camera, take = make()
     events = stream(1000)
@@ -118,7 +112,7 @@ def test_a_request_that_changes_settings_changes_their_version(make):
     assert camera.settings_version != before
 
 
-@pytest.mark.parametrize("make", [davis, evk4, gen31, genx320, triton2, instrument, plain])
+@pytest.mark.parametrize("make", [davis, *BOARDS, triton2, instrument, plain])
 def test_a_camera_whose_data_a_host_reads_is_not_at_rest(make):
     camera, _ = make()
     assert not camera.at_rest

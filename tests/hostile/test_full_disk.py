@@ -129,14 +129,6 @@ def test_a_path_that_cannot_be_written_is_told_before_the_run(tmp_path, make, me
         check_output("--record", make(tmp_path), ".npz")
 
 
-def test_a_check_leaves_no_file_and_changes_none(tmp_path):
-    check_output("--record", tmp_path / "new.npz", ".npz")
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "old.npz").write_bytes(b"old")
-    check_output("--record", tmp_path / "old.npz", ".npz")
-    assert (tmp_path / "old.npz").read_bytes() == b"old"
-
-
 @pytest.mark.system
 def test_a_truth_that_cannot_begin_names_the_file_the_room_and_what_to_do(tiny, capsys):
     with pytest.raises(OSError, match=NO_SPACE):

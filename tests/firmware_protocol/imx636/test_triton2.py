@@ -25,19 +25,6 @@ def test_blocks_of_a_busy_stream_are_full():
     assert min(sizes[:-1]) > BLOCK_OCTETS - 24  # a turn of the loop, and the padding of eight octets
 
 
-@pytest.mark.parametrize("step_us", [0, 1, 700, 20_000, 3_000_000])
-def test_events_come_out_as_they_went_in(step_us):
-    host = Host()
-    host.start()
-    events = steady(30_000 if step_us < 1000 else 200, start_us=5, step_us=step_us)
-    host.camera.offer(events)
-    host.camera.advance(int(events["t"][-1]) + 2000)
-    seen, _ = host.collect()
-    assert seen.tobytes() == events.tobytes()
-    counters = host.camera.counters
-    assert (counters.offered, counters.delivered, counters.queued) == (len(events), len(events), 0)
-
-
 def test_time_is_zero_at_the_start_of_the_acquisition():
     host = Host()
     host.camera.advance(123_456_789_000)

@@ -38,15 +38,6 @@ def test_a_ring_gives_back_what_it_took_in_order(capacity, pushes_and_takes):
     assert ring.refused == t - len(pushed)
 
 
-def test_a_ring_says_where_the_run_is():
-    ring = EventRing(3)
-    assert (ring.origin_ns, ring.now_us, ring.closed) == (None, 0, False)
-    ring.start(123)
-    ring.publish(7)
-    ring.close()
-    assert (ring.origin_ns, ring.now_us, ring.closed) == (123, 7, True)
-
-
 def test_neither_a_ring_nor_a_tally_needs_a_folder(monkeypatch):
     """/dev/shm and /tmp may be read-only, or small."""
 
