@@ -12,6 +12,8 @@ from transports.recording.files import OpenRecording, read_events
 from transports.recording.part import RecordingError
 from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, event_array
 
+pytestmark = pytest.mark.usefixtures("forked_readers")
+
 LEFT, RIGHT = "/left/events", "/right/events"
 UNIX_US = 1_700_000_000_000_000
 
