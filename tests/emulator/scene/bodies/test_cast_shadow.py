@@ -151,25 +151,3 @@ def test_eros_under_a_low_sun_does_not_leak(direction):
     clear = (truth == 0) | (truth == 1)
     assert (truth == 0).sum() > 10
     assert (np.abs(share - truth)[clear] > 0.1).mean() <= 0.002
-
-
-def test_a_sheet_shades_on_both_sides():
-    sheet = build_mesh([(-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)], [(0, 1, 2), (0, 2, 3)])
-    tree = build_tree(shadow_triangles(sheet))
-    for z, up in ((0.0, 1.0), (2.0, -1.0)):
-        assert traced(tree, np.array([[0.1, 0.2, z]]), np.array([0.0, 0.0, up]))[0] == 0
-
-
-def test_points_and_triangles_without_sense_give_no_nan():
-    triangles = np.array([[[0, 0, 1], [0, 0, 1], [0, 0, 1]], [[-1, -1, 1], [1, -1, 1], [0, 1, 1.0]]])[:, ::-1]
-    tree = build_tree(triangles)
-    points = np.array([[0, 0, 0], [0, 0, 1], [-1, -1, 1], [np.nan, 0, 0], [0, 0, 1 - 1e-12]], float)
-    for sun in (np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])):
-        share = traced(tree, points, sun)
-        assert np.isfinite(share).all()
-        assert ((share >= 0) & (share <= 1)).all()
-
-
-def _moved(mesh, by):
-    mesh.apply_translation(by)
-    return mesh

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
-from emulator.scene.bodies.albedo import Texture, mean_albedo, painted
+from emulator.scene.bodies.albedo import Texture, mean_albedo
 from emulator.scene.bodies.gltf import WRAPS, read_gltf, transformed
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.models import load_bodies
@@ -166,19 +166,6 @@ def halves_of_light(path, **more):
     return rows[shown[2] : shown[len(shown) // 2 - 2]], rows[shown[len(shown) // 2 + 2] : shown[-2]]
 
 
-def test_metallic_and_roughness_count_by_the_mean_of_their_texture(tmp_path):
-    pixels = np.zeros((8, 8, 3), np.uint8)
-    pixels[..., 1], pixels[:4, :, 2] = 128, 255
-    image = Image.fromarray(pixels)
-    shape = sheet(None, metallicRoughnessTexture=image, metallicFactor=0.5, roughnessFactor=0.8)
-    header = json.loads(read_gltf(written(tmp_path, shape))["header"].tobytes())
-    material = header["parts"][0]["material"]
-    assert material["metallic"] == pytest.approx(0.25)
-    assert material["roughness"] == pytest.approx(0.8 * 128 / 255)
-    assert header["parts"][0]["texture"] is None
-    assert header["notes"] == ["textures of metallic and roughness count by their mean"]
-
-
 @pytest.mark.parametrize("law", [Lambert(0.3), LommelSeeliger(0.2), LunarLambert(), Hapke(), Glossy()])
 def test_the_rig_s_reflectance_keeps_the_texture(tmp_path, law):
     path = written(tmp_path, sheet(two_halves(), roughnessFactor=1.0))
@@ -199,34 +186,10 @@ def test_images_go_on_as_scipy_s_do(wrap, mode):
     np.testing.assert_allclose(mean, truth, rtol=1e-5)
 
 
-def test_mean_and_deviation_are_those_of_the_pixels():
-    image = np.random.default_rng(5).random((16, 16)).astype(np.float32)
-    mean, deviation = Texture(image).around(np.array([[0.375, 0.625]]), np.array([4.0]))
-    part = image[8:12, 4:8]
-    assert mean[0] == pytest.approx(part.mean(), rel=1e-5)
-    assert deviation[0] == pytest.approx(part.std(), rel=1e-4)
-
-
 def test_transforms_scale_then_turn_then_move():
     """By the extension's words: radians counter-clockwise, with v down; scale first."""
     uv = transformed(np.array([[1.0, 0.0], [0.0, 1.0]]), (0.5, 0.25), (2.0, 3.0), np.pi / 2)
     np.testing.assert_allclose(uv, [[0.5, 0.25 - 2.0], [0.5 + 3.0, 0.25]], atol=1e-12)
-
-
-def test_a_texture_that_is_too_fine_keeps_its_mean():
-    pixels = np.random.default_rng(6).random((256, 256)).astype(np.float32)
-    flat = build_mesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-    uv = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], float)
-    mesh, mean, is_whole = painted(flat, uv, Texture(pixels), 1000)
-    assert not is_whole
-    assert 500 < len(mesh.faces) <= 1000
-    assert mean == pytest.approx(pixels.mean(), rel=0.01)
-
-
-def test_a_black_texture_has_no_light(tmp_path):
-    body, mesh, _ = loaded(written(tmp_path, sheet(np.zeros((4, 4, 3), np.uint8))))
-    assert body.reflectance.albedo == 0.0
-    assert mesh.albedo is None
 
 
 @pytest.mark.parametrize("mode", ["L", "P", "LA", "RGBA", "I;16", "1"])

@@ -5,7 +5,7 @@ import pytest
 
 from emulator.scene.terrain import tile
 from emulator.scene.terrain.ground import nested
-from emulator.scene.terrain.pixel_hits import Fields, Grids, Posts, clamp, meet_map, write_levels
+from emulator.scene.terrain.pixel_hits import Fields, Grids, Posts, meet_map, write_levels
 from emulator.scene.terrain.pixel_parts import Peaks, first_hits
 from emulator.scene.terrain.quadtree import Quadtree
 from emulator.scene.terrain.relief import make_ridge
@@ -109,8 +109,3 @@ def test_rays_meet_nested_grids_where_small_steps_do():
         assert (way == np.inf) == (height is None)
         assert height is None or along - 0.0501 <= way <= along + 1e-3
     assert 30 < np.isfinite(ways).sum() < 290
-
-
-def test_no_number_is_the_lowest_place():
-    assert clamp.py_func(float("nan"), 0.0, 5.0) == 0.0
-    assert [clamp.py_func(v, 0.0, 5.0) for v in (-1.0, 3.0, 9.0)] == [0.0, 3.0, 5.0]
