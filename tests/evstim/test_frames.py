@@ -54,10 +54,6 @@ def test_any_iterable_of_frames_and_the_sensor_s_own_size():
     assert whole["y"].max() == 3
 
 
-def test_one_frame_has_no_events():
-    assert not len(evstim.events_from_frames(ramp(1), [0]))
-
-
 def test_black_frames_are_allowed():
     frames = np.zeros((3, 4, 6))
     frames[1] = 1.0
@@ -142,15 +138,6 @@ def test_times_in_seconds_are_refused_with_what_to_write(times_s):
     assert len(evstim.events_from_frames(frames, np.rint(1e6 * times_s).astype(np.int64), **PLAIN))
 
 
-@pytest.mark.filterwarnings("ignore:t_us holds floats")
-@pytest.mark.parametrize(
-    ("times", "message"), [([0, np.nan, 1], "not finite"), ([0, 20, 20.0001], r"t_us\[2\] is 20.0001.*must grow")]
-)
-def test_floats_that_do_not_fit_are_named(times, message):
-    with pytest.raises(ValueError, match=message):
-        evstim.events_from_frames(ramp(3), times)
-
-
 def test_floats_work_for_one_version_with_a_warning():
     with pytest.warns(DeprecationWarning, match="t_us holds floats: give whole microseconds") as warned:
         events = evstim.events_from_frames(ramp(), 1e4 * np.arange(5), **PLAIN)
@@ -164,22 +151,7 @@ def test_times_of_another_type(times):
         evstim.events_from_frames(ramp(2), times)
 
 
-def test_times_that_may_be_seconds_are_warned_of():
-    with pytest.warns(UserWarning, match="the frames are 1 us apart, 1e.06 frames a second") as warned:
-        evstim.events_from_frames(ramp(), np.arange(5))
-    assert warned[0].filename == __file__
-
-
 def test_integer_frames_need_levels():
     levels = np.full((2, 4, 6), 100, np.uint8)
     with pytest.raises(ValueError, match=r'levels is missing, and frame 0 is uint8: write levels="srgb".*"linear"'):
         evstim.events_from_frames(levels, [0, 10])
-
-
-def test_floats_as_bright_as_levels_are_warned_of_once():
-    frames, times = 255 * ramp() / ramp().max(), 10_000 * np.arange(5)
-    with pytest.warns(UserWarning, match=r'frame 1 reaches 31.*uint8 frames and levels="srgb"') as warned:
-        by_warning = evstim.events_from_frames(frames, times)
-    assert len(warned) == 1
-    assert np.array_equal(by_warning, evstim.events_from_frames(frames, times, light_at_white=1.0))
-    evstim.events_from_frames(frames, times, light_at_white=1 / 255)
