@@ -40,10 +40,6 @@ def test_the_design_of_saltelli_changes_one_column_at_a_time():
         assert np.array_equal(points[:, k + 1, others], a[:, others])
 
 
-def test_without_parameters_runs_differ_by_their_seed_alone():
-    assert unit_points("sobol", 5, 0, seed=1).shape == (5, 0)
-
-
 def test_a_grid_has_every_combination_once():
     lengths = [2, 3, 4]
     digits = [tuple(grid_digits(i, lengths)) for i in range(24)]

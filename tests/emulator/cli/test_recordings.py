@@ -245,28 +245,6 @@ def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera
     assert all((np.diff(t.astype(np.float64)) >= 0).all() for t in streams)
 
 
-@pytest.mark.long
-@pytest.mark.system
-def test_info_lists_every_stream_with_its_times(camera, tmp_path, capsys):
-    told(capsys, "record", camera(10_000), tmp_path / "a.aedat4", "--seconds", "0.2")
-    code, info = told(capsys, "info", tmp_path / "a.aedat4")
-    streams = info["streams"]
-    assert code == 0
-    assert [streams[name]["count"] for name in ("edges", "frames")] == [7, 5] == [info["edges"], info["frames"]]
-    assert (streams["edges"]["first_us"], streams["edges"]["last_us"]) == (50_000, 200_000)
-    assert streams["frames"]["last_us"] - streams["frames"]["first_us"] == 4 * 40_000
-    assert streams["imu"]["first_us"] == 998
-    assert not any(stream["steps_back"] for stream in streams.values())
-    assert _main(["info", str(tmp_path / "a.aedat4")]) == 0
-    printed = capsys.readouterr().out
-    assert "triggers  7, from 50000 to 200000 us" in printed
-    assert f"frames    5, from {streams['frames']['first_us']} to {streams['frames']['last_us']} us" in printed
-    assert f"IMU       {info['imu']}, from 998 to" in printed
-    told(capsys, "convert", tmp_path / "a.aedat4", tmp_path / "a.raw")
-    assert _main(["info", str(tmp_path / "a.raw")]) == 0
-    assert "frames    none: the format holds none" in capsys.readouterr().out
-
-
 @pytest.mark.system
 def test_a_record_that_stopped_ends_with_a_verdict_and_says_why(camera, tmp_path, capsys):
     (tmp_path / "full.raw").symlink_to("/dev/full")
