@@ -7,7 +7,7 @@ import pytest
 
 from emulator.live_page.messages import BadMessage
 from emulator.live_page.process import Canvas
-from emulator.live_page.server import MOST_VIEWERS, STALLED_S, Viewer, Viewers
+from emulator.live_page.server import STALLED_S, Viewer, Viewers
 from firmware_protocol.events import EVENT
 
 
@@ -129,12 +129,3 @@ def test_who_shows_nothing_for_long_is_dropped_and_who_has_nothing_to_show_is_no
     assert dropped == [1]
     assert len(viewers) == 2
     assert idle.on_the_way == 0
-
-
-def test_there_is_a_most_of_viewers():
-    viewers = Viewers(_Clock())
-    entered = [viewers.enter(lambda: None) for _ in range(MOST_VIEWERS)]
-    assert None not in entered
-    assert viewers.enter(lambda: None) is None
-    viewers.leave(entered[0])
-    assert viewers.enter(lambda: None) is not None

@@ -146,14 +146,6 @@ def test_what_the_rate_of_noise_depends_on_is_kept_with_it():
     assert still_hz(planned, 300.0) == pytest.approx(still_hz(noisy, 300.0), rel=1e-12)
 
 
-def test_dropping_takes_an_effect_out_of_the_sensor():
-    loose = list(decisions(1e12, 1.0).values())
-    bare = without(SENSOR, loose)
-    assert set(decisions(1.0, sensor=bare)) == ALWAYS
-    assert bare.dark_current_relative == SENSOR.dark_current_relative
-    assert (bare.width, bare.threshold_on, bare.readout) == (SENSOR.width, SENSOR.threshold_on, SENSOR.readout)
-
-
 @pytest.mark.parametrize("effect", sorted(ALL))
 def test_an_effect_goes_alone(effect):
     bare = without(SENSOR, [dataclasses.replace(decisions(1.0)[effect], kept=False)])
@@ -171,10 +163,6 @@ def test_a_photoreceptor_of_large_signals_is_dropped_where_it_hardly_matters():
     dropped = decisions(1.01 * bound_us, sensor=sensor)["large signals"]
     assert without(sensor, [dropped]).photoreceptor == "large_signal"
     assert not decisions(0.0)["large signals"].kept
-
-
-def test_kept_effects_stay_as_they_are():
-    assert without(SENSOR, list(decisions(0.0, 0.0).values())) == SENSOR
 
 
 def test_the_figures_of_the_table():

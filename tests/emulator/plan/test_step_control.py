@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from emulator.light import LightFrame
 from emulator.plan.step_control import (
     ControlledSteps,
-    FixedSteps,
     Limits,
     RefinementModel,
     error_us,
@@ -67,10 +66,6 @@ def test_slopes_allow_steps_many_times_longer():
 def test_a_tolerance_n_times_wider_allows_steps_longer_by_its_root(with_rate, order):
     ratio = settled(16.0, with_rate) / settled(1.0, with_rate)
     assert ratio == pytest.approx(16 ** (1 / order), rel=0.15)
-
-
-def test_where_the_first_step_begins_does_not_matter():
-    assert settled(10.0, True, first_ns=100_000) == pytest.approx(settled(10.0, True, first_ns=10_000_000), rel=0.15)
 
 
 def test_steps_stay_within_their_limits():
@@ -138,9 +133,3 @@ def test_a_weighted_quantile_has_that_much_weight_below_it(pairs, share):
     if total > 0:
         assert weights[values <= quantile].sum() >= share * total * (1 - 1e-9)
         assert weights[values < quantile].sum() <= share * total * (1 + 1e-9)
-
-
-def test_fixed_steps_are_fixed():
-    steps = FixedSteps(5)
-    steps.observe(sine(0))
-    assert steps.step_ns == 5

@@ -85,22 +85,6 @@ def test_a_surface_without_cuts_and_its_patches_are_as_before():
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
 
 
-def test_rows_of_parts_belong_to_their_facets():
-    facets = Facets(surfaces(), POINTS)
-    facets.cut(marked(0.5, 2))
-    half = len(FACES) // 2
-    first, second = facets.parts_of(0, half), facets.parts_of(half, len(FACES))
-    assert first[0] == len(FACES)
-    assert first[1] == second[0]
-    assert second[1] == len(facets.shades)
-    wholes = set(range(half)), set(range(half, len(FACES)))
-    owner = {tuple(sorted(p)): f for f in range(len(FACES)) for p in [FACES[f].tolist(), POINTS[f].tolist()]}
-    for rows, own in zip((first, second), wholes, strict=True):
-        for row in range(*rows):
-            corners = set(facets.shades[row].tolist())
-            assert any(corners <= set(key) | set(POINTS[f]) | set(FACES[f]) for key, f in owner.items() if f in own)
-
-
 def test_cuts_of_flat_sides_change_no_light():
     """The points in the planes of facets, with the light between their corners, too far away for perspective."""
     light, places = VERTICES[:, 2] ** 2, VERTICES + [0.1, 0.05, 1e5]

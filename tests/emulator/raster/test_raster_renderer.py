@@ -37,26 +37,6 @@ def test_threads_change_no_bit(picture):
     with_two.close()
 
 
-def test_threads_take_bands_in_small_shares(picture, monkeypatch):
-    topology, view = soup(4)
-    screen = Screen(40, 640, 60.0, (20.0, 320.0))
-    with_one, with_two = Renderer(topology, screen), Renderer(topology, screen, threads=2)
-    taken = []
-
-    def each(work, count):  # the second thread gets one share, since its core is busy
-        for item in range(count):
-            work(item, thread := int(item == 3))
-            taken.append(thread)
-
-    monkeypatch.setattr(with_two._pool, "each", each)
-    expected, found = (np.zeros((2, 640, 40), np.float32) for _ in range(2))
-    with_one.draw(view, *expected)
-    with_two.draw(view, *found)
-    np.testing.assert_equal(found, expected)
-    assert expected.any()
-    assert 8 <= len(taken) <= 20
-
-
 def test_only_what_changes_is_written():
     topology, corners = grid(1)
     renderer = Renderer(topology, SCREEN)
@@ -183,12 +163,3 @@ def test_no_facets_at_all(picture):
     assert box.empty
     assert not light.any()
     assert not rate.any()
-
-
-def test_neighbours():
-    topology = prepare([[0, 1, 2], [2, 1, 3], [1, 2, 4]], shades=[[0, 1, 2], [2, 1, 3], [5, 6, 4]])
-    assert topology.across.tolist() == [[-1, -1, -1], [-1, -1, -1], [-1, -1, -1]]  # a side with three facets
-    topology = prepare([[0, 1, 2], [2, 1, 3]], shades=[[0, 1, 2], [2, 4, 3]])
-    assert topology.across.tolist() == [[-1, 1, -1], [0, -1, -1]]
-    assert not topology.smooth.any()
-    assert prepare([[0, 1, 2], [2, 1, 3]]).smooth.tolist() == [[0, 1, 0], [1, 0, 0]]

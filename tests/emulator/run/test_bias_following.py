@@ -131,10 +131,6 @@ def test_figures_that_the_sensor_lacks_or_refuses_are_left():
     assert sensor.adjustable == {"threshold_on": 0.2, "corner_max_hz": 6000.0}
 
 
-def test_a_sensor_that_cannot_be_adjusted_is_left_alone():
-    BiasFollowing(object()).follow("usbip", report(threshold_on=2.0))
-
-
 def test_a_figure_that_was_refused_is_not_multiplied_on_the_way_back():
     sensor = Adjusted(refuses=("threshold_on",))
     following = BiasFollowing(sensor)

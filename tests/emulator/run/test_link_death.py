@@ -233,16 +233,6 @@ def test_a_signal_to_the_group_ends_the_run_cleanly(tmp_path, number):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("after_s", [0.1, 0.3, 0.6, 1.0, 1.5])
-def test_a_signal_at_any_time_shows_no_traceback(tmp_path, after_s):
-    with Running(tmp_path) as running:
-        time.sleep(after_s)
-        os.killpg(running.pid, signal.SIGINT)
-        _, err = running.end()
-    assert "Traceback" not in err, err
-
-
-@pytest.mark.system
 def test_links_of_a_killed_session_end_without_a_word(tmp_path):
     with Running(tmp_path) as running:
         running.wait_started()
