@@ -63,20 +63,6 @@ def test_it(evstim_rig):
     assert "1 passed" in done.stdout
 
 
-@pytest.mark.long
-def test_two_rigs_of_one_port_run_at_once(project):
-    source = """
-from evstim.testing.running_rig import RunningRig
-@pytest.mark.rig("small.toml")
-def test_it(evstim_rig, tmp_path):
-    with RunningRig("small.toml", tmp_path) as other:
-        assert other.address != evstim_rig.address
-        assert not other.address.endswith(":3240")
-"""
-    done = project(source, kind="usbip", more="port = 3240")
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
 def test_of_a_failed_test_the_events_and_counts_are_kept(project, tmp_path):
     faery = pytest.importorskip("faery", reason="AEDAT 4.0 (extra files)")
     done = project("""
@@ -126,16 +112,6 @@ def test_the_plugin_loads_pytest_alone():
     code = f"import sys, evstim.testing.plugin; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
     assert done.stdout.strip() == "[]"
-
-
-@pytest.mark.long
-def test_of_a_good_test_nothing_is_kept(project, tmp_path):
-    project("""
-@pytest.mark.rig("small.toml", pace="free", seconds=0.02)
-def test_it(evstim_rig):
-    pass
-""")
-    assert not (tmp_path / "evstim-artefacts").exists()
 
 
 LACKING = """
