@@ -379,12 +379,6 @@ def test_a_layer_that_the_scene_does_not_have_is_refused_before_anything_begins(
         evstim.dataset(path, 1, truth=layers.split(", "))
 
 
-def test_of_a_scene_without_surfaces_there_is_the_rest(tmp_path):
-    (tmp_path / "rig.toml").write_text('[scene]\nkind = "checkerboard"\n[camera.sensor]\nwidth = 16\nheight = 16\n')
-    (sequence,) = evstim.dataset(tmp_path / "rig.toml", 1, seconds=0.02, truth=["flow", "labels"])
-    assert {"pictures/flow", "pictures/labels"} <= {*sequence.arrays}
-
-
 def test_a_file_that_cannot_be_written_ends_the_data_set_without_a_row(rig, tmp_path, monkeypatch):
     # HDF5 may crash where a disk is full: its run has no fault and is to be done again.
     monkeypatch.setattr(

@@ -6,11 +6,10 @@ import re
 import numpy as np
 import pytest
 from SALib.analyze import pawn as salib_pawn
-from scipy.stats import ks_2samp
 
 from emulator.campaign import report as module
 from emulator.campaign.loading import proportion
-from emulator.campaign.report import pawn, quantiles, sensitivity, slices_of, worst_runs, write_report
+from emulator.campaign.report import pawn, sensitivity, slices_of, worst_runs, write_report
 from emulator.campaign.sampling import OneOf, Uniform, unit_points
 
 
@@ -74,13 +73,6 @@ def test_pawn_is_that_of_salib():
     assert pawn(y, slices_of(x)) == pytest.approx(theirs, abs=0.005)
 
 
-def test_each_value_of_a_list_is_a_slice():
-    """With the distance of scipy's test of Kolmogorov and Smirnov."""
-    x, y = np.arange(120) % 4 + 3.0, np.random.default_rng(3).random(120)
-    distances = [ks_2samp(y[x == value], y).statistic for value in (3, 4, 5, 6)]
-    assert pawn(y, slices_of(x)) == pytest.approx(np.median(distances), abs=1e-12)
-
-
 def test_without_salib_there_are_pawn_and_ranks(monkeypatch):
     monkeypatch.setattr(module, "find_spec", lambda _: None)
     rows = [{"a": float(k), "kind": "xy"[k % 2], "y": -float(k)} for k in range(40)]
@@ -141,16 +133,6 @@ def test_the_page_needs_nothing_else(campaign, rows, tmp_path):
     assert "again small.toml INDEX --record" in page
     assert not re.search(r'(src|href)="(?!data:|#)', page)
     assert "NaN" not in re.sub(r'(?s)data:image.*?"', "", page)
-
-
-def test_columns_have_the_names_that_the_file_gives(campaign, rows, tmp_path):
-    made = campaign(count=48, more='[report.labels]\n"events.rate_hz" = "rate, <1/s>"\n"scene.speed_px_s" = "speed"')
-    page = write_report(made, rows, tmp_path).read_text()
-    assert "<h3>rate, &lt;1/s&gt;</h3>" in page
-    assert ">speed</th>" in page
-    assert "events.rate_hz" not in re.sub(r'(?s)data:image.*?"', "", page).replace('alt="events.rate_hz', "")
-    worst = {"least": 30, "median": 300, "most": 600}
-    assert {name: quantiles(rows, "scene.speed_px_s")[name] for name in worst} == pytest.approx(worst, rel=0.25)
 
 
 @pytest.mark.sampled

@@ -91,20 +91,6 @@ def test_ground_that_reaches_behind_the_camera(picture, sample, height_m):
     assert 500 < light.sum() < 600
 
 
-def test_camera_inside_a_closed_body(picture):
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    for two_sided, expected in ((True, 1.0), (False, 0.0)):
-        renderer = Renderer(prepare(ball.faces, two_sided=two_sided), SCREEN)
-        points = np.asarray(ball.vertices) + [0.1, 0.05, -0.2]
-        light, rate, _ = picture(
-            renderer, View(points, np.ones_like(points), np.ones(len(points)), np.zeros(len(points)))
-        )
-        np.testing.assert_allclose(light, expected, atol=1e-6)
-        np.testing.assert_allclose(rate, 0.0, atol=1e-5)
-
-
 def test_light_of_one_layer_is_conserved_however_fine(picture):
     """Facets far below a pixel, in several sheets whose borders only touch."""
     left, corners = grid(60)
@@ -156,10 +142,3 @@ def test_what_a_view_must_have():
         View(np.zeros((4, 3)), np.zeros((3, 3)), np.zeros(4), np.zeros(4))
     with pytest.raises(ValueError, match="below 0"):
         prepare([[0, 1, -2]])
-
-
-def test_no_facets_at_all(picture):
-    light, rate, box = picture(Renderer(join([]), SCREEN), View(*(np.zeros((0, 3)),) * 2, *(np.zeros(0),) * 2))
-    assert box.empty
-    assert not light.any()
-    assert not rate.any()

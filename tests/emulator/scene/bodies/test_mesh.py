@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from emulator.light import SceneError
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh, read_surface
-from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates
+from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates, parse_wavefront
 from tests.emulator.scene.bodies.volume import volume_m3
 
 # a tetrahedron, counter-clockwise from outside, volume 1/6
@@ -213,6 +213,14 @@ def test_a_cut_surface_names_what_is_missing(tmp_path, monkeypatch, kind, conten
 def test_an_intact_surface_is_read(tmp_path, kind, encoding):
     (tmp_path / f"shape.{kind[:3]}").write_bytes(exported(kind, encoding))
     assert len(read_surface(tmp_path / f"shape.{kind[:3]}")["faces"]) == 80
+
+
+@pytest.mark.parametrize("facet", ["0 1 2", "1 2 -4", "-0 1 2"])
+def test_a_vertex_0_of_an_obj_file_is_refused_with_its_line(facet):
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    assert parse_wavefront(f"{corners}f 1/1 2 -1").facets.tolist() == [[0, 1, 2]]
+    with pytest.raises(PlateTableError, match=f"line 4: 'f {facet}' is not a facet of vertices that count from 1"):
+        parse_wavefront(f"{corners}f {facet}")
 
 
 @pytest.mark.sampled
