@@ -6,7 +6,6 @@ themselves, as they are when the program runs, are a second source of the same a
 """
 
 import ast
-import builtins
 import gc
 import importlib
 import re
@@ -196,23 +195,6 @@ def test_every_kernel_declares_all_that_it_is_made_of(cached):
     assert not found, "\n".join(found)
 
 
-def test_the_walk_finds_what_kernels_call_and_freeze(cached):
-    """The modules of one kernel, found by reading them."""
-    shading = next(one for one in cached if name_of(one) == "emulator.scene.terrain.pixel_shading.shade_rows")
-    made_of = modules_of(shading.py_func)
-    assert {
-        "emulator.raster.layout",  # columns that are frozen
-        "emulator.photometry.reflection_kernels",  # called
-        "emulator.scene.terrain.ground",  # MOMENTS, by way of the boxes
-        "emulator.sensor.numerics.compiled",  # options of what it calls
-    } <= made_of
-    assert "emulator.scene.terrain.raster_terrain" not in made_of  # calls it
-
-
 def test_a_source_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match=r"'emulator\.rastr' is no module"):
         entry_of("emulator.rastr")
-
-
-def test_builtins_are_no_modules_of_ours():
-    assert not is_ours(builtins.__name__)
