@@ -24,6 +24,8 @@ from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
 
+pytestmark = pytest.mark.usefixtures("reads_here")
+
 SIZE, ON, OFF, BLACK = (346, 260), (230, 159, 0), (86, 180, 233), (0, 0, 0)
 START_US = 7_000_000  # a recording need not begin at zero
 EVENTS = np.array(

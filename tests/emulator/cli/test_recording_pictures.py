@@ -12,7 +12,7 @@ from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Frame, Part
 
-pytestmark = pytest.mark.system  # each command reads the file in a process
+pytestmark = pytest.mark.usefixtures("reads_here")
 SIZE, ON, OFF, BLACK = (346, 260), (230, 159, 0), (86, 180, 233), (0, 0, 0)
 START_US = 7_000_000  # a recording need not begin at zero
 EVENTS = np.array(

@@ -22,6 +22,8 @@ from emulator.scene.bodies.usd import read_usd
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.parameters import FixedPath, SpinPath
 
+pytestmark = pytest.mark.usefixtures("reads_here")
+
 S = 1_000_000_000
 TURN_S = 4.0
 PLACE = (0.5, 2.0, -0.25)

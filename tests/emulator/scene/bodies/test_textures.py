@@ -25,6 +25,8 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath
 from tests.emulator.scene.bodies.volume import volume_m3
 
+pytestmark = pytest.mark.usefixtures("reads_here")
+
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 

@@ -14,6 +14,8 @@ from PIL import Image
 from emulator.light import SceneError
 from emulator.scene.video.video import Video, VideoParameters, coarsest_level, linear_light, read_frames, read_video
 
+pytestmark = pytest.mark.usefixtures("reads_here")
+
 SIZE = (12, 8)
 
 
