@@ -151,7 +151,22 @@ def test_times_of_another_type(times):
         evstim.events_from_frames(ramp(2), times)
 
 
+def test_times_that_may_be_seconds_are_warned_of():
+    with pytest.warns(UserWarning, match="the frames are 1 us apart, 1e.06 frames a second") as warned:
+        evstim.events_from_frames(ramp(), np.arange(5))
+    assert warned[0].filename == __file__
+
+
 def test_integer_frames_need_levels():
     levels = np.full((2, 4, 6), 100, np.uint8)
     with pytest.raises(ValueError, match=r'levels is missing, and frame 0 is uint8: write levels="srgb".*"linear"'):
         evstim.events_from_frames(levels, [0, 10])
+
+
+def test_floats_as_bright_as_levels_are_warned_of_once():
+    frames, times = 255 * ramp() / ramp().max(), 10_000 * np.arange(5)
+    with pytest.warns(UserWarning, match=r'frame 1 reaches 31.*uint8 frames and levels="srgb"') as warned:
+        by_warning = evstim.events_from_frames(frames, times)
+    assert len(warned) == 1
+    assert np.array_equal(by_warning, evstim.events_from_frames(frames, times, light_at_white=1.0))
+    evstim.events_from_frames(frames, times, light_at_white=1 / 255)

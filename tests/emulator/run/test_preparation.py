@@ -1,5 +1,6 @@
 """Compilation ahead of a run: in processes of their own, once; tests/test_wheel.py compiles all that a run needs."""
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from emulator.run import kernels as preparation
 from emulator.run.assembly import build_scene
 from emulator.run.kernels import DECODER, EVT, Part, parts_of, prepare, uncompiled
 from emulator.scene.bodies import regolith
+from emulator.sensor.parameters import RadiationParameters
 
 
 @pytest.fixture
@@ -52,6 +54,22 @@ def test_parts_whose_note_is_there_are_not_cold(notes):
 def test_a_rig_compiles_each_part_once(name):
     keys = [part.key for part in parts_of(load_rig(name))]
     assert len(set(keys)) == len(keys) >= 3
+
+
+def test_other_numbers_of_a_sensor_need_no_other_kernels_and_other_effects_do():
+    rig = load_rig("eros")
+
+    def keys(**changes):
+        sensor = dataclasses.replace(rig.camera.sensor, **changes)
+        other = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
+        return {part.key for part in parts_of(other)}
+
+    assert keys() == keys(threshold_on=0.31, readout=dataclasses.replace(rig.camera.sensor.readout, event_ns=300.0))
+    noise = rig.camera.sensor.noise
+    assert noise.rms
+    assert keys() == keys(noise=dataclasses.replace(noise, rms=0.0))  # noise is a part of every pixel step
+    assert keys() != keys(noise=dataclasses.replace(noise, grade="grid"))
+    assert keys() != keys(radiation=RadiationParameters(hits_per_cm2_s=1.0))
 
 
 def test_a_camera_on_usb_that_sends_evt3_needs_its_coder():

@@ -107,6 +107,13 @@ def test_a_landing_passes_its_gates_and_ends_on_its_site():
     assert up[1] < 0
 
 
+def test_a_landing_has_the_gates_speeds():
+    landing = Descent(LANDING)
+    for gate in LANDING[1:-1]:
+        around = [landing.pose(round((gate.t_s + d) * S)).position_m for d in (-1e-3, 1e-3)]
+        np.testing.assert_allclose((around[1] - around[0]) / 2e-3, [0, gate.forward_m_s, -gate.down_m_s], atol=0.05)
+
+
 def test_a_boresight_held_straight_down_stays_there():
     landing = Descent(LANDING)
     boresights = [landing.pose(t * S).world_from_body @ [0, 0, 1] for t in range(85, 166, 5)]

@@ -24,6 +24,18 @@ def ball(subdivisions=3):
     return dataclasses.replace(mesh, normals=mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True))
 
 
+def test_both_facets_of_a_side_have_its_points_in_order():
+    mesh = ball(1)
+    surface, sides, fine = with_thirds(mesh, 1e-4)
+    for k in range(3):
+        ends = mesh.vertices[mesh.faces[:, k]], mesh.vertices[np.roll(mesh.faces, -1, axis=1)[:, k]]
+        for j in range(2):
+            share = (1 + j) / 3
+            chord = (1 - share) * ends[0] + share * ends[1]
+            np.testing.assert_allclose(fine.vertices[sides.between[:, 2 * k + j]], chord, atol=0.05)
+    assert len(np.unique(sides.between)) == len(sides.bends_m) == len(surface.points) - len(mesh.vertices)
+
+
 def test_facets_with_a_shadow_edge_are_cut():
     mesh = ball()
     surface, sides, _ = with_thirds(mesh, 1e-4)

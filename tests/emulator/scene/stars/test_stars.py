@@ -75,6 +75,12 @@ def test_a_rate_is_the_light_s_derivative(x, y, vx, vy):
     np.testing.assert_allclose(pictures[3], (pictures[1] - pictures[0]) / (2 * h), atol=5e-3)
 
 
+def test_a_point_beyond_the_picture_touches_nothing_outside():
+    light = np.zeros((5, 5), np.float32)
+    draw_points([[-100.0, 2, 1, 0, 0], [2, 1e9, 1, 0, 0], [5.2, 2, 1, 0, 0]], 0.5, light)
+    assert 0 < light.sum() < 1
+
+
 @given(st.floats(10, 40), st.floats(10, 40), st.floats(0.3, 1.2), st.floats(-6, 1))
 def test_a_star_touches_no_more_pixels_than_have_light(x, y, sigma, exponent):
     flux, light = 10.0**exponent, np.zeros((50, 50), np.float32)
@@ -197,6 +203,12 @@ def test_a_star_off_the_axis_sees_a_narrower_aperture():
     )
     cosine = math.cos(away) * math.cos(SIRIUS[1]) ** 2 + math.sin(SIRIUS[1]) ** 2
     assert aside.sum(dtype=float) / ahead.sum(dtype=float) == pytest.approx(cosine, abs=1e-3)
+
+
+def test_the_sky_between_the_stars():
+    light, _ = drawn(StarsParameters(faintest_v=-2.0, sky_w_m2_sr=0.01))
+    assert np.unique(light).size == 1
+    assert light[0, 0] == pytest.approx(0.01 * LENS.light_per_radiance)
 
 
 @pytest.mark.socket
