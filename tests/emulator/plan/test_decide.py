@@ -209,34 +209,6 @@ def test_in_a_still_scene_what_makes_events_is_kept():
     assert {"leak", "noise", "hot pixels", "radiation"} <= kept
 
 
-def test_the_comparator_costs_the_delay_of_the_slower_polarity():
-    """OFF at 53 us and 20 ln units a second: u - 1 + e^-u = q, q = 53 / 3570 us, so about sqrt(2 q) 3570 us."""
-    cost = decisions(1.0)["comparator"]
-    q = 53.0 / (0.0714 / 20 * 1e6)
-    assert math.sqrt(2 * q) * 3570 < cost.cost_us < 1.2 * math.sqrt(2 * q) * 3570
-    assert cost.cost_share == pytest.approx(cost.cost_us * 1e-6 * 20 / 0.2725)
-
-
-def test_reset_errors_add_up_over_a_run():
-    """Along ln(1 / 0.1) at a mean threshold of 0.2725, 8.45 events: an offset adds up, its noise by the square root."""
-    events = math.log(10) / 0.2725
-    found = decisions(1.0)
-    assert found["reset offset"].cost_us == pytest.approx(events * 0.01 / 20 * 1e6)
-    assert found["reset offset"].cost_share == pytest.approx(0.01 / 0.262)
-    assert found["reset noise"].cost_us == pytest.approx(2 * math.sqrt(events) * 0.002 / 20 * 1e6)
-
-
-def test_the_acknowledge_costs_the_mean_wait():
-    """A queue with constant service (M/D/1): 160 ns an event at 1e6 a second are a load of 0.16; of a scan, half."""
-    events, load = math.log(10) / 0.2725, 0.16
-    wait_us = 0.08 + 0.16 * load / (2 * (1 - load))
-    assert decisions(1.0)["acknowledge"].cost_us == pytest.approx(events * wait_us)
-    scanned = dataclasses.replace(SENSOR, readout=dataclasses.replace(SENSOR.readout, scan_us=200.0))
-    assert decisions(1.0, sensor=scanned)["acknowledge"].cost_us == pytest.approx(events * 100)
-    full = dataclasses.replace(SCENE, events_per_s=1e8)
-    assert decisions(1e9, 0.9, scene=full)["acknowledge"].kept
-
-
 def test_veiling_glare_costs_its_share_of_the_darkest_light_and_is_never_left_out():
     scene = dataclasses.replace(SCENE, mean_current=0.5)
     (cost,) = lens_costs(LensParameters(veiling_glare=0.02), SENSOR, scene)
