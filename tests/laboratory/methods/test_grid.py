@@ -26,7 +26,6 @@ from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 from laboratory.methods.grid import NoisyPixels, grid_ns
-from laboratory.methods.other_simulators import Pangu
 
 MS = 1_000_000
 S = 1000 * MS
@@ -57,16 +56,6 @@ def run(p, times, scene=lambda t: still(), seed=1, make=NoisyPixels):
     return joined(parts), pixels
 
 
-def test_the_grid_is_a_twentieth_of_the_noises_shortest_time():
-    assert grid_ns(noisy(3)) == 8_000  # poles of 3 kHz and 300 Hz at the most: 1 / sqrt(a1 a2) is 168 us
-    fast = dataclasses.replace(PLAIN, noise=NoiseParameters(0.05, 1e6, "grid"), corner_max_hz=1e6)
-    assert grid_ns(fast) == 125
-    one_pole = dataclasses.replace(PLAIN, noise=NoiseParameters(0.05, 0.0, "grid"), corner_max_hz=1000.0)
-    assert grid_ns(one_pole) == 4_000  # 159 us
-    far = dataclasses.replace(PLAIN, noise=NoiseParameters(0.05, 3000.0, "grid"), corner_max_hz=3.0)
-    assert grid_ns(far) == 8_000  # a quarter of 53 us, where the geometric mean is 1.7 ms
-
-
 def at_rest(a, tau1_us, tau2_us, refractory_us, pixels=200):
     """A sensor in light that moves no pixel, thresholds of a (1 +- .02) deviations of the noise at the comparator."""
     f1, f2 = (1e6 / (2 * np.pi * tau) if tau else 0.0 for tau in (tau1_us, tau2_us))
@@ -89,6 +78,7 @@ def rate_and_order(p, seconds, delta_ns=0):
     return counts.mean(), counts.std() / p.width**0.5, (on[1:] != on[:-1])[same].mean()
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(
     ("a", "refractory", "law", "opposite"),
@@ -126,6 +116,7 @@ def test_half_the_step_gives_the_same_rates(poles_us):
     assert one[2] == pytest.approx(half[2], abs=0.006)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("tau1_us", "tau2_us"), [(53.0, 84.0), (84.0, 84.0), (1900.0, 84.0)])
 def test_two_poles_cross_a_level_at_rices_rate(tau1_us, tau2_us):
     """Shortly after the start, first passages are crossings; fewer than 3 % are of pixels that began beyond."""
@@ -177,6 +168,7 @@ def test_with_little_noise_it_is_the_pixel_itself(effects):
     assert np.median(off_ns) < 25_000  # the noise is worth some 10 000
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS, 333_333])
 def test_steps_do_not_matter(step_ns):
     p = noisy(3, leak_hz=5.0, refractory_us=100.0)
@@ -198,11 +190,6 @@ def test_the_sensor_uses_it_and_reads_out_what_is_settled():
     assert len(events) == sensor.read_out > 300
     assert sensor.raised == sensor.lost_at_readout + sensor.read_out
     assert np.all(np.diff(events["t"].astype(int)) >= 0)
-
-
-def test_it_is_a_method_of_its_own():
-    with pytest.raises(ValueError, match="is a method of its own"):
-        Sensor(noisy(3), 1, Pangu)
 
 
 def test_hot_pixels_leak_at_their_rate_and_dead_ones_not_at_all():
@@ -250,6 +237,7 @@ def test_with_every_other_effect_nothing_is_lost_and_a_copy_goes_on_the_same():
     assert found > 300
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS])
 def test_with_every_other_effect_steps_do_not_matter_in_still_light(step_ns):
     imager = dataclasses.replace(everything().imager, photon_shot_noise=False, dark_shot_noise=False)  # see `imager`
