@@ -11,7 +11,7 @@ from laboratory.accuracy.rendering import SETTINGS, Setting, Stretch, fits, rend
 
 def small(name):
     rig = load_rig(name)
-    sensor = dataclasses.replace(rig.camera.sensor, width=96, height=72)
+    sensor = dataclasses.replace(rig.camera.sensor, width=64, height=48)
     return dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
 
 

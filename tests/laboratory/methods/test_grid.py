@@ -96,8 +96,8 @@ def test_one_pole_has_the_law_of_first_passages(a, refractory, law, opposite):
 @pytest.mark.system
 @pytest.mark.parametrize(
     ("a", "tau1_us", "tau2_us", "rate", "error", "opposite"),
-    [(2.0, 53.0, 84.0, 1262, 0.005, 0.889), (3.0, 53.0, 84.0, 285, 0.014, 0.965), (2.0, 84.0, 84.0, 997, 0.006, 0.881),
-     (1.6, 487.0, 84.0, 575, 0.004, 0.765), (2.0, 1900.0, 84.0, 122, 0.006, 0.836)],
+    [(1.6, 487.0, 84.0, 575, 0.004, 0.765), (2.0, 53.0, 84.0, 1262, 0.005, 0.889), (3.0, 53.0, 84.0, 285, 0.014, 0.965),
+     (2.0, 84.0, 84.0, 997, 0.006, 0.881), (2.0, 1900.0, 84.0, 122, 0.006, 0.836)],
 )  # fmt: skip
 def test_two_poles_have_the_rate_of_a_simulation_by_others(a, tau1_us, tau2_us, rate, error, opposite):
     """Rates and their errors of a program that shares no code: steps of a tenth, so its rates are .6 % low at most."""
@@ -106,7 +106,7 @@ def test_two_poles_have_the_rate_of_a_simulation_by_others(a, tau1_us, tau2_us, 
     assert found_opposite == pytest.approx(opposite, abs=0.006)
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.parametrize("poles_us", [(487.0, 84.0), (487.0, 0.0)])
 def test_half_the_step_gives_the_same_rates(poles_us):
@@ -132,9 +132,7 @@ def test_two_poles_cross_a_level_at_rices_rate(tau1_us, tau2_us):
 
 def test_the_rms_behind_the_receptor_stays_when_the_light_changes():
     """So that behind the fixed pole it rises as the light falls, to its stationary value after some time constants."""
-    p = dataclasses.replace(
-        at_rest(20.0, 53.0, 84.0, 0.0, 20_000), corner_min_hz=1.0, threshold_on=50, threshold_off=50
-    )
+    p = dataclasses.replace(at_rest(20.0, 53.0, 84.0, 0.0, 5000), corner_min_hz=1.0, threshold_on=50, threshold_off=50)
     pixels = NoisyPixels(p, 1)
     pixels.reset(LightFrame(0, still(1.0, p)))
     for t_ns, light in ((MS, 1.0), (5 * MS, 0.1), (8 * MS, 0.1)):
@@ -142,7 +140,7 @@ def test_the_rms_behind_the_receptor_stays_when_the_light_changes():
         tau1_us = 53.0 / light
         of_sum = np.cov(pixels._state.n1, pixels._state.n2)
         passed = tau1_us / (tau1_us + 84.0)
-        assert of_sum == pytest.approx(np.array([[1, passed], [passed, passed]]), abs=Z * (2 / 20_000) ** 0.5)
+        assert of_sum == pytest.approx(np.array([[1, passed], [passed, passed]]), abs=Z * (2 / 5000) ** 0.5)
 
 
 @pytest.mark.parametrize(
