@@ -138,6 +138,15 @@ def test_times_in_seconds_are_refused_with_what_to_write(times_s):
     assert len(evstim.events_from_frames(frames, np.rint(1e6 * times_s).astype(np.int64), **PLAIN))
 
 
+@pytest.mark.filterwarnings("ignore:t_us holds floats")
+@pytest.mark.parametrize(
+    ("times", "message"), [([0, np.nan, 1], "not finite"), ([0, 20, 20.0001], r"t_us\[2\] is 20.0001.*must grow")]
+)
+def test_floats_that_do_not_fit_are_named(times, message):
+    with pytest.raises(ValueError, match=message):
+        evstim.events_from_frames(ramp(3), times)
+
+
 def test_floats_work_for_one_version_with_a_warning():
     with pytest.warns(DeprecationWarning, match="t_us holds floats: give whole microseconds") as warned:
         events = evstim.events_from_frames(ramp(), 1e4 * np.arange(5), **PLAIN)

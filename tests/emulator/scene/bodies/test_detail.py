@@ -245,6 +245,7 @@ def approach(shape, seconds):
         return light, len(scene.geometry()._meshes[0].faces)
 
 
+@pytest.mark.long
 def test_an_approach_of_ten_minutes_shows_what_a_short_one_shows(tmp_path):
     shape = tmp_path / "ball.obj"
     trimesh.creation.icosphere(3, 10.0).export(shape)

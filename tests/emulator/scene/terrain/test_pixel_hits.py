@@ -71,6 +71,7 @@ def first_met(ground, eye, rays, start=0.0):
     return places, ways
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slope", [-0.04, 0.0, 0.03])
 def test_a_ray_meets_a_slope_that_its_facet_does_not_have(slope):
     """Ground z = slope x: 1 - x / 10 = slope x."""
@@ -80,6 +81,7 @@ def test_a_ray_meets_a_slope_that_its_facet_does_not_have(slope):
     assert place[[0, 2]] == pytest.approx((wanted, slope * wanted), abs=1e-4)
 
 
+@pytest.mark.long
 def test_a_ridge_before_the_facet_hides_it():
     """A ridge 0.8 high at x = 6, two metres wide: 1 - x / 10 = 0.8 (x - 5) at x = 5 / 0.9."""
     ridge = along_x(lambda x: np.maximum(0.8 * (1 - abs(x - 6)), 0.0))
