@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import evstim
+from emulator.cli.app import _main
 from emulator.light import LightFrame
 from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.run.assembly import build_scene
@@ -164,6 +165,17 @@ def test_every_nth_picture_of_a_run_within_a_program(tmp_path):
         assert len(file["poses/t"]) == 11
     with pytest.raises(TruthRefused, match="it must be 1 or more"):
         evstim.run(rig, truth=tmp_path / "t.h5", truth_every=0)
+
+
+@pytest.mark.long
+def test_by_default_25_pictures_a_second_are_written_and_their_size_is_reported_before(tmp_path, capsys):
+    command = ["run", str(small_rig(tmp_path)), "--seconds", "0.1", "--pace", "free", "--truth", str(tmp_path / "t.h5")]
+    assert _main([*command, "--json"]) == 0
+    printed = " ".join(capsys.readouterr().err.split())
+    assert f"truth: 25 light frames a second, at most 0.14 MB of them in {tmp_path / 't.h5'}" in printed
+    with h5py.File(tmp_path / "t.h5") as file:
+        assert file["pictures/t"][:].tolist() == [0, 40_000, 80_000]
+        assert len(file["poses/t"]) == 11
 
 
 def test_a_video_has_light_and_events_alone(tmp_path):
