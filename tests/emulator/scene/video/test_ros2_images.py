@@ -131,6 +131,15 @@ def test_images_at_the_same_time_are_refused_and_older_ones_too():
     assert images.counts["images at the time of the one before"] == 2
 
 
+def test_levels_of_srgb_are_decoded():
+    fake = Fake()
+    images = Ros2Images(Ros2ImageParameters(delay_ms=0.0, floor=1e-6), SIZE, fake, fake.clock)
+    drawn(images, fake, 0)
+    image = Image(Header(0, ""), SIZE, "mono8", 12, bytes([128]) * 96)
+    fake.waiting.append(Written(image_message(image), fake.epoch_ns + MS))
+    assert drawn(images, fake, 2 * MS)[0] == pytest.approx(0.2158605, rel=1e-4)  # of IEC 61966-2-1
+
+
 def test_hostile_messages_are_counted_and_the_last_image_stays():
     fake = Fake()
     images = scene(fake)
