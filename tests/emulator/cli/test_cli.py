@@ -198,8 +198,7 @@ def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, capsys):
 
 def test_a_picture_shows_what_the_rig_models(rig, tmp_path, capsys):
     noisy = tmp_path / "noisy.toml"
-    hot = "[camera.sensor.defects]\nhot_share = 0.3\nhot_hz = 2000.0\n[run]"
-    noisy.write_text(rig.read_text().replace("[run]", hot))
+    noisy.write_text(rig.read_text().replace("height = 48\n", "height = 48\nleak_hz = 50.0\n"))
     counts = []
     for path in (rig, noisy):
         assert _main(["picture", str(path), str(tmp_path / "a.png"), "--at-s", "0.1", "--json"]) == 0

@@ -31,20 +31,6 @@ def _received(pipe):
     return found
 
 
-def test_messages_and_the_number_heard_arrive_in_order(pipe):
-    outbox = Outbox(pipe[0])
-    outbox.put({"number": 1})
-    outbox.renew({"status": 1})
-    outbox.put({"number": 2})
-    outbox.flush(commands_done=5)
-    assert _received(pipe[1]) == [
-        {"number": 1, "commands_done": 5},
-        {"number": 2, "commands_done": 5},
-        {"status": 1, "commands_done": 5},
-    ]
-    assert not outbox.waits
-
-
 def test_what_a_slow_page_has_not_taken_is_sent_later_and_nothing_blocks(pipe):
     outbox = Outbox(pipe[0])
     taken = _fill(outbox)

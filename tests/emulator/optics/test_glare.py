@@ -128,6 +128,17 @@ def test_a_halo_moves_with_its_source():
     assert np.allclose(frame.rate, (late - early) / 2e-6, atol=0.2)  # float32 light: 1e-7 over 2 us
 
 
+def test_an_unknown_rate_leaves_those_of_other_pixels_known():
+    scene = Veiled(
+        Lit(lambda t, k: 1.0 + 0 * k, lambda t, k: np.where(k == 3, np.nan, 2.0)), LensParameters(veiling_glare=0.1)
+    )
+    light, rate = (np.zeros((30, 40), np.float32) for _ in range(2))
+    scene.light_and_rate(0, light, rate)
+    assert np.isnan(rate.reshape(-1)[3])
+    assert np.isfinite(rate).sum() == 1199
+    assert rate[0, 0] == pytest.approx(2, rel=1e-3)
+
+
 def test_without_glare_the_scene_is_not_wrapped():
     inner = waves()
     assert veiled(inner, LensParameters()) is inner

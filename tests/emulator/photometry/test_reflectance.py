@@ -73,6 +73,10 @@ def test_the_phase_function_s_mean_is_one():
     assert mean == pytest.approx(1.0, abs=1e-6)
 
 
+def test_ground_lit_and_seen_straight_on_is_the_moon_s_albedo():
+    assert math.pi * LunarLambert(0.12).reflect(1.0, 1.0, 0.0) == pytest.approx(0.12)
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_the_night_side_is_black_and_no_light_is_made(law):
     assert law.reflect(np.array([-0.1, 0.0]), np.array([0.5, 0.5]), 1.0).max() == 0

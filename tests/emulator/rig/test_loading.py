@@ -134,6 +134,11 @@ def test_two_served_buses_need_ports_of_their_own():
     parse_rig(scene + free + free + 'name = "other"\n', "my.toml", "my")
 
 
+def test_an_infinite_corner_switches_the_low_pass_off():
+    rig = parse_rig(GOOD.replace("threshold_on = 0.2", "corner_hz_at_reference = inf"), "my.toml", "my")
+    assert rig.camera.sensor.corner_hz_at_reference == float("inf")
+
+
 @pytest.mark.parametrize("key", ["square_px", "threshold_on", "event_ns", "seconds", "tolerance_us", "start_delay_ms"])
 def test_what_is_not_a_number_is_refused(key):
     tables = {"square_px": "scene", "threshold_on": "camera.sensor", "event_ns": "camera.sensor.readout"}

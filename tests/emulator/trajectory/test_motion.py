@@ -14,7 +14,7 @@ from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.geometry.camera import Cycle
 from emulator.trajectory.laws import LANDING, Descent, Elements, Gate, Orbit, eccentric_anomaly
 from emulator.trajectory.mounting import Looking, Spinning, Tilt
-from emulator.trajectory.pose import Fixed, Timescale, TrajectoryError, instants_over
+from emulator.trajectory.pose import Fixed, Timescale, TrajectoryError, instants_over, measured_bounds
 
 S = 1_000_000_000
 EROS = Elements(4.4628e5, 50_000.0, 0.4, 35.0, 20.0, 70.0, 15.0)
@@ -66,6 +66,19 @@ def test_tumbling_is_what_a_free_symmetric_top_does():
     rate = start.T @ np.array([0, 0, momentum]) / inertia
     flown = solve_ivp(euler, (0, 20), np.concatenate([quaternion_of(start), rate]), rtol=1e-10, atol=1e-12).y[:4, -1]
     np.testing.assert_allclose(tumbling.pose(20 * S).world_from_body, matrix_of(flown), atol=1e-6)
+
+
+def test_a_tilt_of_minus_a_quarter_lays_the_axis_along_y():
+    lying = Spinning((0, 0, 0), (0, 0, 1), Cycle(0), Tilt(-math.pi / 2, Cycle(0))).pose(0).world_from_body
+    np.testing.assert_allclose(lying @ [0, 0, 1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(lying @ [0, 1, 0], [0, 0, -1], atol=1e-12)
+
+
+def test_a_spin_s_bound_is_its_rate():
+    spinning = Spinning((1, 2, 3), (0, 1, 0), Cycle(0.1), Tilt(0.3, Cycle(-0.2)))
+    _, turn = measured_bounds(spinning.pose, [k * 10_000_000 for k in range(200)])
+    assert turn / 1.25 <= spinning.turn_bound_rad_s * (1 + 1e-6)
+    assert spinning.turn_bound_rad_s == pytest.approx(2 * math.pi * 0.3)
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1))

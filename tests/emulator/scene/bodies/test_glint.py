@@ -212,3 +212,12 @@ def test_meshes_carry_water_through_every_change():
     for smooth in (True, False):
         surface = lit_surface(shown, smooth=smooth)
         np.testing.assert_allclose(surface.albedo, 2 * surface.water, rtol=1e-12)
+
+
+def test_water_comes_from_the_cache_too(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    globe = load_mesh(find_shape("globe"), RADIUS_M)
+    made = detailed(globe, Clouds(), 1e5)
+    monkeypatch.setattr("emulator.scene.bodies.regolith.clouded", None)
+    np.testing.assert_array_equal(detailed(globe, Clouds(), 1e5).water, made.water)
+    assert 0 < made.water.mean() < 1

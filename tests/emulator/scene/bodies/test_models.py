@@ -129,6 +129,14 @@ def test_cubic_tracks_are_hermite_curves_through_their_tangents(tmp_path):
         assert np.linalg.norm(velocity) <= paths[1].speed_bound_m_s
 
 
+def test_an_animation_that_closes_can_repeat(tmp_path):
+    _, _, paths = loaded(write(tmp_path, *document(TURNS)), repeat=True)
+    ahead = paths[1].pose(9 * S)
+    np.testing.assert_allclose(ahead.world_from_body, (TILT * about_y([np.pi / 2])[0]).as_matrix(), atol=1e-6)
+    with pytest.raises(SceneError, match="ends elsewhere"):
+        loaded(write(tmp_path, *document(TURNS[:3])), repeat=True)
+
+
 @pytest.mark.long
 def test_the_light_and_its_rate_are_those_of_the_same_bodies_on_a_spin(tmp_path):
     """The rate of spinning bodies is checked with point samples in test_raster_bodies."""

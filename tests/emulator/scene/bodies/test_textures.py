@@ -168,6 +168,19 @@ def halves_of_light(path, **more):
     return rows[shown[2] : shown[len(shown) // 2 - 2]], rows[shown[len(shown) // 2 + 2] : shown[-2]]
 
 
+def test_metallic_and_roughness_count_by_the_mean_of_their_texture(tmp_path):
+    pixels = np.zeros((8, 8, 3), np.uint8)
+    pixels[..., 1], pixels[:4, :, 2] = 128, 255
+    image = Image.fromarray(pixels)
+    shape = sheet(None, metallicRoughnessTexture=image, metallicFactor=0.5, roughnessFactor=0.8)
+    header = json.loads(read_gltf(written(tmp_path, shape))["header"].tobytes())
+    material = header["parts"][0]["material"]
+    assert material["metallic"] == pytest.approx(0.25)
+    assert material["roughness"] == pytest.approx(0.8 * 128 / 255)
+    assert header["parts"][0]["texture"] is None
+    assert header["notes"] == ["textures of metallic and roughness count by their mean"]
+
+
 @pytest.mark.parametrize("law", [Lambert(0.3), LommelSeeliger(0.2), LunarLambert(), Hapke(), Glossy()])
 def test_the_rig_s_reflectance_keeps_the_texture(tmp_path, law):
     path = written(tmp_path, sheet(two_halves(), roughnessFactor=1.0))
@@ -192,6 +205,12 @@ def test_transforms_scale_then_turn_then_move():
     """By the extension's words: radians counter-clockwise, with v down; scale first."""
     uv = transformed(np.array([[1.0, 0.0], [0.0, 1.0]]), (0.5, 0.25), (2.0, 3.0), np.pi / 2)
     np.testing.assert_allclose(uv, [[0.5, 0.25 - 2.0], [0.5 + 3.0, 0.25]], atol=1e-12)
+
+
+def test_a_black_texture_has_no_light(tmp_path):
+    body, mesh, _ = loaded(written(tmp_path, sheet(np.zeros((4, 4, 3), np.uint8))))
+    assert body.reflectance.albedo == 0.0
+    assert mesh.albedo is None
 
 
 @pytest.mark.parametrize("mode", ["L", "P", "LA", "RGBA", "I;16", "1"])

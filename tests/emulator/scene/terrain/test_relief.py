@@ -3,11 +3,13 @@
 import dataclasses
 import itertools
 import math
+import os
 
 import numpy as np
 import pytest
 from scipy import integrate, special
 
+from emulator.scene import files
 from emulator.scene.files import cached_array
 from emulator.scene.terrain.relief import (
     DEPTH,
@@ -190,6 +192,24 @@ def test_what_was_made_is_kept(tmp_path, monkeypatch):
         path.write_bytes(path.read_bytes()[:-5])  # cut short by a full disk
     assert cached_array("thing", SMALL, make)[0, 0, 0] == 3
     assert not list((tmp_path / "evstim").glob("*.part"))
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(files, "cache_folder", lambda: tmp_path / "file" / "evstim")
+    assert cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)).all()
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_user_without_a_place_at_home_has_a_folder_below_tmpdir(tmp_path, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    private = tmp_path / f"evstim-{os.geteuid()}"
+    monkeypatch.setenv("HOME", "/dev/null")
+    assert files.cache_folder() == private
+    private.chmod(0o755)
+    assert np.all(cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)))
+    assert list(tmp_path.rglob("*")) == [private]
 
 
 @pytest.mark.parametrize(

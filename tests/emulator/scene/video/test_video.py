@@ -269,6 +269,13 @@ def test_broken_input_is_told(tmp_path, make, message):
         read_frames(files[0] if files else tmp_path)
 
 
+def test_frames_must_be_alike(tmp_path):
+    for k, width in enumerate((12, 13)):
+        Image.fromarray(np.zeros((8, width), np.uint8)).save(tmp_path / f"{k}.png")
+    with pytest.raises(SceneError, match=r"1\.png, frame 0 is 13 x 8 uint8, the first frame 12 x 8"):
+        read_frames(tmp_path)
+
+
 @pytest.mark.parametrize("bad", [{"frames_per_s": 0.0}, {"floor": 0.0}, {"light_at_white": math.nan}, {"path": ""}])
 def test_nonsense_is_refused(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
