@@ -5,11 +5,9 @@ import importlib.util
 import re
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from tests import shown
 from tests.guest.environments import DRIVERS, EVENTCV
 
 ROOT = Path(__file__).parents[2]
@@ -61,13 +59,6 @@ def test_each_declaration_has_an_outcome():
     assert declared - tested == set(), "run these tests with EVSTIM_MATRIX=docs/device_matrix.json (tests/shown.py)"
 
 
-def test_each_outcome_has_its_cell():
-    for row in ROWS:
-        assert row["client"] in device_matrix.CAMERAS[row["camera"]].clients, row
-        assert set(row["what"]) <= device_matrix.COLUMNS.keys(), row
-        assert not set(row["what"]) & set(device_matrix.CAMERAS[row["camera"]].lacks), row
-
-
 def cell(outcomes, column="events"):
     """Return the cell of EVK4, neuromorphic_drivers and a column."""
     rows = [
@@ -102,21 +93,3 @@ def test_the_clients_have_the_versions_that_the_tests_install():
     packages = {driver.name: driver.packages[0] for driver in DRIVERS} | {"eventcv": EVENTCV.packages[0]}
     versions = {key: device_matrix.CLIENTS[key].version for key in packages}
     assert versions == {key: package.partition("==")[2] for key, package in packages.items()}
-
-
-def report(outcome, when="call", nodeid="tests/a.py::test_b", longrepr=None, measured=()):
-    rows = [{"camera": "evk4", "client": "nd", "what": ["opens"]}]
-    states = {name: name == outcome for name in ("passed", "failed", "skipped")}
-    properties = [("shows", rows), *measured]
-    return SimpleNamespace(nodeid=nodeid, when=when, longrepr=longrepr, user_properties=properties, **states)
-
-
-def test_a_test_that_fails_in_its_call_or_after_it_is_no_success(monkeypatch):
-    monkeypatch.setattr(shown, "_rows", {})
-    crash = SimpleNamespace(reprcrash=SimpleNamespace(message="AssertionError: 3 events\nare lost"))
-    for one in (report("passed"), report("failed", "teardown", longrepr=crash)):
-        shown.pytest_runtest_logreport(one)
-    ((row,),) = shown._rows.values()
-    assert (row["outcome"], row["reason"]) == ("failed", "AssertionError: 3 events")
-    shown.pytest_runtest_logreport(report("skipped", "setup", longrepr=("a.py", 1, "Skipped: no guest")))
-    assert shown._rows["tests/a.py::test_b"][0]["reason"] == "no guest"

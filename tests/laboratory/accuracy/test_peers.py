@@ -1,6 +1,5 @@
 """Other simulators on closed-form scenes: ideal pixels, files, the worker, its failures, scores and the page."""
 
-import dataclasses
 import json
 import re
 import sys
@@ -12,16 +11,11 @@ from scipy.special import ndtri
 
 from emulator.cli.app import _main
 from laboratory.accuracy.peers import running, worker
-from laboratory.accuracy.peers.page import BEGIN, END, markdown, read_results, table, write_page
+from laboratory.accuracy.peers.page import BEGIN, END
 from laboratory.accuracy.peers.running import BUNDLED, OURS, Adapter, run_adapter
 from laboratory.accuracy.peers.scoring import (
-    FrameTime,
-    Report,
-    SequenceScore,
     read_events,
-    read_report,
     score_events,
-    write_report,
 )
 from laboratory.accuracy.peers.sequences import SCENES, FolderError, export, open_folder
 from laboratory.accuracy.scenes import Dark, Flash, MovingEdge, SlowRamp
@@ -253,44 +247,6 @@ def test_a_table_of_text_is_read_with_and_without_a_heading(tmp_path):
         assert (found.x.tolist(), found.y.tolist(), found.on.tolist()) == ([2, 0], [3, 1], [True, False])
     (tmp_path / "c.csv").write_text("")
     assert read_events(tmp_path, "c").t_us.size == 0
-
-
-def report(name, t50_us, failure=""):
-    good = SequenceScore("edge-1000", "edge", 1000.0, 10, 10, 1.0, t50_us, 2 * t50_us, 0.0, 0.01)
-    other = dataclasses.replace(good, sequence="edge-100", images_per_s=100.0, right=0.5)
-    failed = SequenceScore("line-1000", "line", 1000.0, failure=failure)
-    frames = {"busy-1000": FrameTime(1000, 4.0, 2.0, 500.0)}
-    about = {
-        "name": name,
-        "version": "1 | 2",
-        "date": "2026-01-02",
-        "takes": "8 bits",
-        "notes": "made | up",
-        "device": "",
-    }
-    return Report(about, "2026-01-03", "a machine", (good, other, *([failed] if failure else [])), frames)
-
-
-def test_results_come_together_in_one_table_and_page(tmp_path):
-    (tmp_path / "results").mkdir()
-    for one in (report("far", 500.0, "it did not end"), report("near", 0.01)):
-        assert read_report(write_report(one, tmp_path / "results" / f"{one.name}.json")) == one
-    reports = read_results(tmp_path)
-    assert [one.name for one in reports] == ["near", "far"]
-    rows = table(reports)
-    assert [(row["simulator"], row["images_per_s"], row["scenes"]) for row in rows] == [
-        ("near", 100, "1 of 1"), ("near", 1000, "1 of 1"), ("far", 100, "1 of 1"), ("far", 1000, "1 of 2"),
-    ]  # fmt: skip
-    assert [row["mpx_per_s"] for row in rows[:2]] == [None, 500]
-    text = markdown(reports, "pictures/simulators.png")
-    assert "|near|100 / 1000|50 / 100|0.01 / 0.01|0.02 / 0.02|0 / 0|1 / 1|1 of 1 / 1 of 1|– / 500|" in text
-    assert "- **far**: made | up; no scores for line-1000: it did not end." in text
-    files = write_page(reports, tmp_path)
-    assert all(file.stat().st_size for file in files)
-    assert "it did not end" in files[0].read_text()
-    (tmp_path / "results" / "bad.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"bad\.json"):
-        read_results(tmp_path)
 
 
 @pytest.mark.system

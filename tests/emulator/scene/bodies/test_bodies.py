@@ -203,6 +203,11 @@ def test_nonsense_is_refused(make, message):
         make()
 
 
+def test_a_path_that_cannot_be_used_is_a_scene_error(shapes):
+    with pytest.raises(SceneError, match="scene: an empty trajectory"):
+        drawn([ball(shapes)], camera=KeyframePath())
+
+
 def test_a_flat_box_s_faces_are_each_of_one_light(shapes):
     turned = SpinPath((0, 0, 12.0), (1, 1, 0), start_deg=30.0)
     box = BodyTable(shape=str(shapes / "plate.obj"), path=turned, reflectance=Lambert(0.5), smooth=False)

@@ -245,6 +245,12 @@ def test_a_model_bomb_is_refused_before_its_parts_are_made(tmp_path, monkeypatch
     assert not added
 
 
+def test_vertices_that_are_not_finite_are_refused(tmp_path):
+    made, data = document()
+    with pytest.raises(SceneError, match="not finite"):
+        read_gltf(write(tmp_path, made, struct.pack("<f", np.nan) + data[4:]))
+
+
 def test_octets_may_be_text_or_beside_the_file(tmp_path):
     made, data = document(TURNS)
     expected = read_gltf(write(tmp_path, made, data))

@@ -233,6 +233,13 @@ def test_a_live_path_is_counted_and_its_port_closed_with_the_scene():
     assert is_free(port)
 
 
+def test_the_port_of_a_live_path_is_closed_where_no_renderer_connects():
+    port = free_udp_port()
+    with pytest.raises(SceneError, match="no renderer connected"):
+        open_external(ExternalParameters(port=free_port(), wait_s=0.1, camera=LivePath(port=port)), PINHOLE)
+    assert is_free(port)
+
+
 def test_no_renderer_is_an_error_that_says_what_to_do():
     p = ExternalParameters(port=free_port(), wait_s=0.1)
     with pytest.raises(SceneError, match=r"no renderer connected to 127.0.0.1 port \d+ within 0.1 s"):

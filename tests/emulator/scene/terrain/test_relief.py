@@ -11,6 +11,7 @@ from scipy import integrate, special
 
 from emulator.scene import files
 from emulator.scene.files import cached_array
+from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.relief import (
     DEPTH,
     HURST,
@@ -175,6 +176,14 @@ def test_a_map_is_the_same_for_a_seed_and_another_for_another():
     np.testing.assert_array_equal(first, again)
     other = make_ridge(Ridge(size_m=2048.0, finest_m=4.0, posts=128, ridge_m=300.0, seed=2)).heights_m
     assert np.abs(first - other).max() > 1
+
+
+def test_heights_between_posts_are_linear():
+    rows, columns = np.mgrid[:9, :13].astype(float)
+    ground = nested(2.0, [3 * rows + columns])
+    assert ground.first(0) == (-6, -4)
+    assert ground.height_m(3.0, -5.0) == pytest.approx(3 * (-2.5) + 1.5)
+    assert ground.half_m == 8.0
 
 
 def test_what_was_made_is_kept(tmp_path, monkeypatch):

@@ -244,6 +244,11 @@ def test_a_camera_below_the_ground_is_told_when_and_where():
         RasterTerrain(parameters(camera=path), CAMERA)
 
 
+def test_a_path_that_cannot_be_used_is_a_scene_error():
+    with pytest.raises(SceneError, match=r"scene\.camera: an empty trajectory"):
+        RasterTerrain(parameters(camera=KeyframePath()), CAMERA)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
