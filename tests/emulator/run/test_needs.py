@@ -76,13 +76,6 @@ def test_the_needs_of_each_kind(text, needed):
     assert names(text) == needed
 
 
-def test_the_environment_may_add_gl(monkeypatch):
-    assert "OpenGL 4.3 by EGL" not in [need.name for need in needs_of(load_rig("eros"))]
-    monkeypatch.setenv(WANTED, "gl")
-    assert "OpenGL 4.3 by EGL" in [need.name for need in needs_of(load_rig("eros"))]
-    assert names(BOARD) == [], "no GL painter draws it"
-
-
 def test_each_package_is_in_the_extra_that_brings_it():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for name, of in needs.PYTHON_PACKAGES.items():
