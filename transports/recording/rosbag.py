@@ -3,7 +3,9 @@
 Of `event_camera_msgs`, packets of the encodings "evt3" and "mono" are read, and "evt3" is written: each message
 begins with its time and row, so that a reader may start anywhere. Its times are those of the camera; the stamp of its
 header is Unix time. The times of `dvs_msgs` are Unix time themselves. Frames and samples of the inertial unit have
-topics of their own beside that of the events.
+topics of their own beside that of the events; t = 0 is that of the camera, or the first sample where that is earlier.
+
+A ROS 1 bag that was cut or not closed has no index: `_CutBag` finds the messages in the chunks that are there.
 
 Messages of ROS with events: `event_camera_msgs/EventPacket`, and `dvs_msgs/EventArray` as bytes. That of
 `prophesee_event_msgs` is the same.
@@ -27,15 +29,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import struct
+from bz2 import BZ2Decompressor
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from io import BytesIO
+from pathlib import Path, PosixPath
+from typing import Any, BinaryIO, Final
 
 import numpy as np
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader as IndexedBag
+from rosbags.rosbag1 import ReaderError
 from rosbags.rosbag1 import Writer as Bag1
+from rosbags.rosbag1.reader import Chunk, Header, IndexData, RecordType, decompressors, read_uint32
 from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -300,6 +309,80 @@ class Ros2DvsWriter(Ros1DvsWriter):
     _store = Stores.ROS2_HUMBLE
 
 
+class _Bag1Path(PosixPath):
+    """Path of a ROS 1 bag of any name, such as a.bag.active: rosbags goes by the suffix alone."""
+
+    suffix = ".bag"
+
+
+class _CutBag(IndexedBag):
+    """Reader of a ROS 1 bag without a sound index, up to its first record that is damaged; `damage` names its place."""
+
+    damage = "it is cut or was not closed: its index is missing, and every message before it is read"
+
+    def open(self) -> None:
+        """Find the connections and the messages in the chunks of the file."""
+        self.bio = file = self.path.open("rb")
+        size, at = self.path.stat().st_size, len(file.readline())
+        connections, indexes = dict[int, Connection](), dict[int, list[IndexData]]()
+        try:
+            while at < size:
+                header, length = _head(file, size)
+                start = file.tell()
+                end = start + length
+                if header.get_uint8("op") == RecordType.CHUNK:
+                    name = header.get_string("compression")
+                    unpack = decompressors[name] if end <= size else _UNPACK_PART[name]
+                    self.chunks[at] = Chunk(min(length, size - start), start, unpack)
+                    with suppress(*() if end <= size else (ReaderError,)):
+                        self._find(BytesIO(unpack(file.read(length))), at, connections, indexes)
+                if end > size:
+                    raise ReaderError(f"its last {end - size} octets are missing")
+                at = file.seek(end)
+        except (ReaderError, LookupError, OSError, ValueError, EOFError, RuntimeError, MemoryError) as error:
+            self.damage = f"it is cut or damaged in its record at octet {at} of {size}: {error}"
+        self.bio = file
+        self.indexes = {number: sorted(indexes.get(number, [])) for number in connections}
+        self.connections = [c._replace(msgcount=len(self.indexes[number])) for number, c in connections.items()]
+
+    def _find(
+        self, chunk: BytesIO, place: int, connections: dict[int, Connection], indexes: dict[int, list[IndexData]]
+    ) -> None:
+        """Add the connections and the messages of a chunk; raises ReaderError behind the last that is not cut."""
+        self.bio, size, at = chunk, len(chunk.getbuffer()), 0
+        while at < size:
+            header, length = _head(chunk, size)
+            end, kind = chunk.tell() + length, header.get_uint8("op")
+            if end > size:
+                raise ReaderError("a record in it is cut")
+            if kind == RecordType.CONNECTION:
+                chunk.seek(at)
+                connection = self.read_connection()
+                connections.setdefault(connection.id, connection)
+            elif kind == RecordType.MSGDATA:
+                message = IndexData(header.get_time("time"), place, at)
+                indexes.setdefault(header.get_uint32("conn"), []).append(message)
+            at = chunk.seek(end)
+
+
+def _head(file: BinaryIO, size: int) -> tuple[Header, int]:
+    """Return the header of the next record of a file of `size` octets, and the length of its data, by its own word."""
+    at = file.tell()
+    start = file.read(4)
+    if len(start) < 4 or int.from_bytes(start, "little") > size - at - 8:
+        raise ReaderError("its header is cut")
+    file.seek(at)
+    return Header.read(file), read_uint32(file)
+
+
+_UNPACK_PART: dict[str, Callable[[bytes], bytes]] = {
+    "none": bytes,
+    "bz2": lambda data: BZ2Decompressor().decompress(data),
+    "lz4": lambda data: LZ4FrameDecompressor().decompress(data),
+}
+"""Decompressors of the first octets of a chunk, by the name of its compression."""
+
+
 class BagReader:
     """Reads a topic with events of a ROS 1 bag or of a folder with a ROS 2 bag, and the frames and samples beside it.
 
@@ -307,14 +390,25 @@ class BagReader:
     """
 
     def __init__(self, path: Path, size: Size | None, topic: str = "") -> None:
-        self._bag = AnyReader([path], default_typestore=_typestore(Stores.ROS2_HUMBLE))
-        self._bag.open()
+        named = path if path.is_dir() else _Bag1Path(path)
+        self._bag = AnyReader([named], default_typestore=_typestore(Stores.ROS2_HUMBLE))
+        self._damage = ""
+        try:
+            self._bag.open()
+        except Exception:  # rosbags raises errors of any type for an index that is cut
+            if self._bag.is2:
+                raise
+            bag = _CutBag(path)
+            self._bag.readers = [bag]
+            self._bag.open()
+            self._damage = bag.damage
         counts: Counter[str] = Counter()
         for connection in self._bag.connections:
             if connection.msgtype in (_PACKET, *_ARRAYS):
                 counts[connection.topic] += connection.msgcount
         if not counts:
-            raise RecordingError("it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray")
+            before = f"{self._damage}; before that " if self._damage else ""
+            raise RecordingError(f"{before}it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray")
         if topic and topic not in counts:
             raise RecordingError(f"it has no events of the topic {topic}, but of {', '.join(counts)}")
         topic = topic or next(iter(counts))
@@ -324,7 +418,7 @@ class BagReader:
         self._is_array = any(c.topic == topic and c.msgtype in _ARRAYS for c in self._connections)
         self._seen_size: Size | None = None
         self._decoder = Evt3Decoder()
-        self._start_us = self._first_us()
+        self._zero_us, self._start_us = self._first_us()
         self._decoder = Evt3Decoder()
         streams = frozenset(beside) if self._is_array else frozenset({"edges", *beside})
         self.facts = Facts(self._seen_size or size, topic, self._start_us, streams, topics=dict(counts))
@@ -335,31 +429,43 @@ class BagReader:
         name_space = topic.rpartition("/")[0]
         return next((candidate for candidate in topics if candidate.rpartition("/")[0] == name_space), None)
 
-    def _first_us(self) -> int:
-        """Return the Unix time of t = 0, us, or 0, by the messages up to the first one with events."""
-        earliest_us = _FOREVER_US
+    def _first_us(self) -> tuple[int, int]:
+        """Return the Unix times of an event of time 0 and of t = 0, us, or 0, by the messages up to the first events.
+
+        They differ where samples are earlier than the camera's zero: all times count from the first one then.
+        """
+        earliest_us = sample_us = _FOREVER_US
         for part, stamp_us in self._stamped():
             times = [int(t[0]) for t in (part.events["t"], part.edges["t"]) if len(t)]
+            sample_us = min(sample_us, stamp_us) if len(part.imu) else sample_us
             if self._is_array:  # Unix time counts from the first message on
                 earliest_us = min([earliest_us, *(times or [stamp_us])])
                 if times:
-                    return earliest_us if earliest_us > _UNIX_US else 0
+                    return 0, earliest_us if earliest_us > _UNIX_US else 0
             elif times:
-                return max(0, stamp_us - min(times)) if stamp_us else 0
-        return 0
+                zero_us = max(0, stamp_us - min(times)) if stamp_us else 0
+                return zero_us, min(zero_us, sample_us)
+        return 0, 0
 
     def parts(self) -> Iterator[Part]:
         """Yield what each message holds."""
+        start_us, early = self._start_us, 0
+        later_us = np.int64(self._zero_us - start_us)
         for part, _ in self._stamped():
-            start_us = np.uint64(self._start_us if self._is_array else 0)
-            sound = int(np.append(part.events["t"] < start_us, True).argmax())
-            events = part.events[:sound]
-            events["t"] -= start_us
-            yield _later(dataclasses.replace(part, events=events), -self._start_us)
+            sound = int(np.append(part.events["t"] < np.uint64(max(0, -later_us)), True).argmax())
+            events, edges, imu = part.events[:sound], part.edges, part.imu[part.imu["t"] >= start_us]
+            for records, by_us in ((events, later_us), (edges, later_us), (imu, np.int64(-start_us))):
+                records["t"] += by_us.view(np.uint64)
+            early += len(part.imu) - len(imu)
+            yield Part(events, edges, imu, tuple(_later(frame, -start_us) for frame in part.frames))
             if sound < len(part.events):
                 time_us = part.events["t"][sound]
                 raise RecordingError(f"it is damaged: an event at {time_us} us is before its first message")
         self._bag.close()
+        if self._damage:
+            raise RecordingError(self._damage)
+        if early:
+            raise RecordingError(f"{early} samples of its inertial unit are before its first events, and are left out")
 
     def _stamped(self) -> Iterator[tuple[Part, int]]:
         """Yield what each message holds, and its stamp, us: frames and samples in Unix time, events as they are."""
@@ -395,17 +501,9 @@ class BagReader:
         raise RecordingError(f'its events are encoded as "{message.encoding}"; "evt3" and "mono" are read')
 
 
-def _later(part: Part, by_us: int) -> Part:
-    """Return the part with frames and samples later by `by_us`, none before zero."""
-    if not by_us or not (len(part.imu) or part.frames):
-        return part
-    imu = part.imu.copy()
-    imu["t"] = np.maximum(imu["t"].astype(np.int64) + by_us, 0)
+def _later(frame: Frame, by_us: int) -> Frame:
     times = ("t_us", "exposure_begin_us", "exposure_end_us")
-    frames = (
-        dataclasses.replace(frame, **{name: getattr(frame, name) + by_us for name in times}) for frame in part.frames
-    )
-    return Part(part.events, part.edges, imu, tuple(frames))
+    return dataclasses.replace(frame, **{name: getattr(frame, name) + by_us for name in times})
 
 
 def _mono(data: bytes, base_ns: int) -> Events:
