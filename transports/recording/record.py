@@ -21,6 +21,7 @@ compressed member of an `.npz` may grow to 100 times its size in the file, or to
 Source of the format: NEP 1, `numpy.lib.format`.
 
 `NpzWriter` and `NpzReader` are those of the format "npz": a record is read in pieces, so that memory stays constant.
+The directory of an archive is at its end: of one that was cut, `_CutArchive` finds the members by their local headers.
 `RawEvents` recovers the raw events of a run that was killed.
 """
 
@@ -29,10 +30,11 @@ from __future__ import annotations
 import math
 import os
 import re
+import struct
 import warnings
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
@@ -68,12 +70,20 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, _Array]:
     _require_regular(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            members = set(archive.namelist())
-            return {name: _member(archive, f"{name}.npy") for name in names if f"{name}.npy" in members}
+            return _members(archive, names)
     except (ArrayFileError, OSError):
         raise
     except Exception as error:  # zipfile raises errors of any type for a damaged archive
-        raise ArrayFileError(f"it is no sound .npz archive: {_text_of(error)}") from error
+        raise ArrayFileError(_UNSOUND + _text_of(error)) from error
+
+
+_UNSOUND = "it is no sound .npz archive: "
+
+
+def _members(archive: zipfile.ZipFile, names: Iterable[str]) -> dict[str, _Array]:
+    """Read those of the named arrays that an archive has."""
+    members = set(archive.namelist())
+    return {name: _member(archive, f"{name}.npy") for name in names if f"{name}.npy" in members}
 
 
 def _require_regular(path: Path) -> None:
@@ -335,30 +345,73 @@ _SEQUENCE = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
 """Arrays of the events of a sequence of `evstim dataset`, below "events/"."""
 
 
+_LOCAL = struct.Struct("<4s2xHH4xIIIHH")
+_SIZES = struct.Struct("<4xQQ")  # extra field, where sizes have 64 bits
+
+
+class _CutArchive(zipfile.ZipFile):
+    """Archive by the local headers of its members; `cut` is the name of the last one where that is not whole."""
+
+    cut = ""
+
+    def _RealGetContents(self) -> None:  # noqa: N802 ZipFile reads its directory by it
+        file: Any = self.fp
+        at, size = 0, os.fstat(file.fileno()).st_size
+        while not self.cut and len(head := file.read(_LOCAL.size)) == _LOCAL.size and head.startswith(b"PK\x03\x04"):
+            _, flags, method, crc, packed, unpacked, name_size, extra_size = _LOCAL.unpack(head)
+            info = zipfile.ZipInfo(file.read(name_size).decode("utf-8" if flags & 0x800 else "cp437"))
+            extra, there = file.read(extra_size), max(0, size - file.tell())
+            if packed == 0xFFFFFFFF and len(extra) >= _SIZES.size:
+                unpacked, packed = _SIZES.unpack_from(extra)
+            if 0 < packed <= there:
+                info.CRC = crc
+            else:  # 0: it was not closed
+                self.cut, packed, unpacked = info.filename.removesuffix(".npy"), there, 1 << 62
+            info.header_offset, info.flag_bits, info.compress_type = at, flags, method
+            info.compress_size, info.file_size = packed, unpacked
+            if info.filename:
+                self.filelist.append(info)
+                self.NameToInfo[info.filename] = info
+            at = file.seek(packed, os.SEEK_CUR)
+        if not self.filelist:
+            raise zipfile.BadZipFile("it has neither a directory nor a member")
+
+
 class NpzReader:
     """Reader of a record, each stream from the last restart of the camera's clock on, or of a data set's sequence."""
 
     def __init__(self, path: Path, size: Size | None) -> None:
-        self._path = path
+        self._damage, cut = "", ""
         try:
-            arrays = load_arrays(path, (*_RESTARTS.values(), "size"))
+            try:
+                self._archive = archive = zipfile.ZipFile(path)
+            except Exception:  # of any type for a damaged directory
+                self._archive = archive = _CutArchive(path)
+                cut = archive.cut
+                self._damage = f"it is cut at octet {path.stat().st_size}, {f'in {cut}' if cut else 'in its directory'}"
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+            arrays = _members(archive, {*_RESTARTS.values(), "size"} - {cut})
             self._starts = {name: _last(arrays.get(key, _NONE)) for name, key in _RESTARTS.items()}
-        except (ArrayFileError, ValueError, TypeError) as error:
+            pictures = {name for name in names if re.fullmatch("pictures/(light|depth|flow|labels)", name)} - {cut}
+            if pictures:
+                with archive.open(f"{min(pictures)}.npy") as file:
+                    _, height, width = (*_header(file)[0], 0, 0, 0)[:3]
+                size = (width, height) if width and height else size
+        except (ArrayFileError, OSError) as error:
             raise RecordingError(str(error)) from error
+        except Exception as error:
+            raise RecordingError(_UNSOUND + _text_of(error)) from error
         stored = arrays.get("size", np.zeros(0))
         if stored.shape == (2,):
             size = int(stored[0]), int(stored[1])
-        with zipfile.ZipFile(path) as archive:
-            names = {name.removesuffix(".npy") for name in archive.namelist()}
-            if pictures := sorted(name for name in names if re.fullmatch("pictures/(light|depth|flow|labels)", name)):
-                with archive.open(f"{pictures[0]}.npy") as file:
-                    _, height, width = (*_header(file)[0], 0, 0, 0)[:3]
-                size = (width, height) if width and height else size
         missing = [f"events/{name}" for name in _SEQUENCE if f"events/{name}" not in names]
         self._is_sequence = "events" not in names
         if self._is_sequence and missing:
             parts = f"a record has events; a sequence of `evstim dataset` lacks {', '.join(missing)}"
-            raise RecordingError(f"it holds no events, only {', '.join(sorted(names)[:9]) or 'nothing'}: {parts}")
+            only = f"it holds no events, only {', '.join(sorted(names)[:9]) or 'nothing'}: {parts}"
+            raise RecordingError(f"{self._damage}; before that {only}" if self._damage else only)
+        if self._damage and "resets" not in arrays:
+            self._damage += "; where its clock was restarted is behind the cut"
         self.facts = Facts(size, "npz", streams=frozenset({"edges", "imu", "frames"} & names))
 
     def parts(self) -> Iterator[Part]:
@@ -375,11 +428,13 @@ class NpzReader:
             yield Part(due, edges.until(until_us), imu.until(until_us), _frames(frames.until(until_us)))
         if any(queue.left for queue in queues):
             raise RecordingError("it holds times beyond 2^63 us")
+        if self._damage:
+            raise RecordingError(self._damage)
 
     def _sequence(self) -> Iterator[Events]:
         """Yield the events of a sequence."""
-        with zipfile.ZipFile(self._path) as archive, ExitStack() as stack:
-            files = {name: stack.enter_context(archive.open(f"events/{name}.npy")) for name in _SEQUENCE}
+        with ExitStack() as stack:
+            files = {name: stack.enter_context(self._archive.open(f"events/{name}.npy")) for name in _SEQUENCE}
             counts = {_count(files[name], np.dtype(dtype)) for name, dtype in _SEQUENCE.items()}
             if len(counts) != 1:
                 raise RecordingError("its events/t, x, y and p are not of the same length")
@@ -392,22 +447,26 @@ class NpzReader:
                     raise RecordingError("its events are cut short")
 
     def _pieces(self, name: str, dtype: np.dtype[np.void]) -> Iterator[npt.NDArray[Any]]:
-        if name == "events" and self._is_sequence:
-            yield from self._sequence()
+        """Yield the records of a stream, in a file that is cut those before the cut."""
+        try:
+            yield from self._sequence() if name == "events" and self._is_sequence else self._records(name, dtype)
+        except Exception:  # zipfile raises errors of any type
+            if not self._damage:
+                raise
+
+    def _records(self, name: str, dtype: np.dtype[np.void]) -> Iterator[npt.NDArray[Any]]:
+        if f"{name}.npy" not in self._archive.namelist():
             return
-        with zipfile.ZipFile(self._path) as archive:
-            if f"{name}.npy" not in archive.namelist():
-                return
-            with archive.open(f"{name}.npy") as file:
-                count = _count(file, dtype)
-                for n in _piece_counts(self._starts[name], dtype):
-                    file.read(n * dtype.itemsize)
-                for n in _piece_counts(count - self._starts[name], dtype):
-                    data = file.read(n * dtype.itemsize)
-                    whole_records = len(data) // dtype.itemsize
-                    yield np.frombuffer(data, dtype, whole_records)
-                    if whole_records < n:
-                        raise RecordingError(f"its {name} are cut short")
+        with self._archive.open(f"{name}.npy") as file:
+            count = _count(file, dtype)
+            for n in _piece_counts(self._starts[name], dtype):
+                file.read(n * dtype.itemsize)
+            for n in _piece_counts(count - self._starts[name], dtype):
+                data = file.read(n * dtype.itemsize)
+                whole_records = len(data) // dtype.itemsize
+                yield np.frombuffer(data, dtype, whole_records)
+                if whole_records < n:
+                    raise RecordingError(f"its {name} are cut short")
 
 
 class _Waiting:
