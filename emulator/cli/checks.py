@@ -15,7 +15,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from emulator.cli.output import LACKING, WRONG_USE, Failure, failing, status
+from emulator.cli.output import BAD_VERDICT, LACKING, WRONG_USE, Failure, failing, status
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import Rig, RigError
 from emulator.run.kernels import Part, Preparation, prepare, uncompiled
@@ -23,7 +23,7 @@ from emulator.run.link_process import LinkFailed
 from firmware_protocol.recordings.event_table import TableForm
 from transports.recording.files import OpenRecording
 from transports.recording.format import Format, format_to_write, reason
-from transports.recording.part import LibraryMissing, RecordingError
+from transports.recording.part import DamagedRecording, LibraryMissing, RecordingError
 from transports.registry import PluginError
 
 Table = Annotated[TableForm, Parameter(name="*")]
@@ -105,7 +105,11 @@ def parsed_size(text: str | None) -> tuple[int, int] | None:
 def reading(path: Path) -> Iterator[None]:
     """Turn errors of a recording that is read into Failure."""
     at = str(path)
-    with failing(WRONG_USE, RecordingError, OSError, at=at), failing(LACKING, LibraryMissing, at=at):
+    with (
+        failing(WRONG_USE, RecordingError, OSError, at=at),
+        failing(LACKING, LibraryMissing, at=at),
+        failing(BAD_VERDICT, DamagedRecording, at=at),
+    ):
         yield
 
 

@@ -3,20 +3,27 @@
 Element k of `ms_to_idx` is the index of the first event at or after k milliseconds. `t_offset` is the Unix time of t =
 0, us, or 0. The size of the sensor is in the attributes `width` and `height` of /events, which DSEC does not have.
 
+HDF5 refuses a file that was cut. Followed by zeros it is opened if its lists of arrays are before the cut, and events are
+read as long as the chunks of all four arrays, and the lists of these, are before it.
+
 Source: github.com/uzh-rpg/DSEC, "Data format".
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
+import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from firmware_protocol.events import make_events
-from transports.recording.part import Facts, Part, RecordingError, Size
+from transports.recording.part import DamagedRecording, Facts, Part, RecordingError, Size
 
 _CHUNK = 1 << 16
 _MS = 1000
@@ -71,7 +78,19 @@ class DsecReader:
     def __init__(self, path: Path, size: Size | None) -> None:
         with contextlib.suppress(ImportError):
             __import__("hdf5plugin")  # the files of the data set itself are compressed by Blosc
-        self._file = h5py.File(path, "r")
+        self._end, whole = path.stat().st_size, _whole_size(path)
+        self._cut = f"it is cut at octet {self._end} of {whole}" if whole > self._end else ""
+        try:
+            self._file = h5py.File(_Padded(path, whole) if self._cut else path, "r")
+            self.facts = self._facts(size)
+        except Exception as error:  # of any type where lists are missing
+            if not self._cut:
+                raise
+            help_ = "copy the file again, or record in a format that is read up to a cut, such as .aedat4 or .raw"
+            raise DamagedRecording(f"{self._cut}: no array of HDF5 is known by what is before that; {help_}") from error
+
+    def _facts(self, size: Size | None) -> Facts:
+        """Find the arrays and return the facts; raises RecordingError."""
         group = self._file.get("events")
         if not isinstance(group, h5py.Group) or not all(name in group for name in _FIELDS):
             raise RecordingError("it has no /events with x, y, t and p: HDF5 is read as the DSEC data set has it")
@@ -80,22 +99,75 @@ class DsecReader:
             raise RecordingError("its x, y, t and p are no lists of the same length")
         if any(data.dtype.kind not in "iu" for data in self._sets[:3]):
             raise RecordingError("its x, y and t are no integers: t is read in us")
-        stored = [data.id.get_storage_size() for data in self._sets]
-        if sum(data.nbytes for data in self._sets) > _MOST_GROWTH * sum(stored):
-            raise RecordingError(f"it is damaged: it claims {self._sets[0].size} events in {sum(stored)} bytes")
+        if not self._cut:
+            stored = sum(data.id.get_storage_size() for data in self._sets)
+            if sum(data.nbytes for data in self._sets) > _MOST_GROWTH * stored:
+                raise RecordingError(f"it is damaged: it claims {self._sets[0].size} events in {stored} bytes")
         size_in_file = (int(group.attrs.get("width", 0)), int(group.attrs.get("height", 0)))
         offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
         camera = str(group.attrs.get("camera", "dsec"))
-        self.facts = Facts(size_in_file if all(size_in_file) else size, camera, max(0, offset), frozenset())
+        return Facts(size_in_file if all(size_in_file) else size, camera, max(0, offset), frozenset())
 
     def parts(self) -> Iterator[Part]:
         """Yield events."""
+        count = self._sets[0].shape[0]
+        there = min(_rows_before(data, self._end) for data in self._sets) if self._cut else count
         with self._file:
-            for start in range(0, self._sets[0].shape[0], _CHUNK):
-                x, y, t, p = (data[start : start + _CHUNK] for data in self._sets)
+            for start in range(0, there, _CHUNK):
+                x, y, t, p = (data[start : min(start + _CHUNK, there)] for data in self._sets)
                 is_wrong = (t < 0) | (x < 0) | (y < 0) | (np.maximum(x, y) > np.iinfo(np.uint16).max)
                 sound = int(np.append(is_wrong, True).argmax())
                 yield Part(make_events(t[:sound], x[:sound], y[:sound], p[:sound] > 0))
                 if sound < len(t):
                     event = f"event {start + sound} at {t[sound]} us, ({x[sound]}, {y[sound]})"
                     raise RecordingError(f"it is damaged: {event}, cannot be")
+        if self._cut:
+            raise RecordingError(f"{self._cut}: the first {there} of its {count} events are before that")
+
+
+def _whole_size(path: Path) -> int:
+    """Return the size that the file has by its header; raises OSError."""
+    try:
+        h5py.File(path, "r").close()
+    except OSError as error:
+        if whole := re.search(r"stored_eof = (\d+)", str(error)):
+            return int(whole[1])
+        raise
+    return 0
+
+
+def _rows_before(data: h5py.Dataset, end: int) -> int:
+    """Return the number of first elements of a list that are stored before octet `end`."""
+    count = data.shape[0]
+    if data.chunks is None:
+        start = data.id.get_offset()
+        return 0 if start is None else min(count, max(0, end - start) // data.dtype.itemsize)
+    for first in range(0, count, data.chunks[0]):
+        try:
+            chunk = data.id.get_chunk_info_by_coord((first,))
+        except (OSError, RuntimeError, ValueError):  # its list is cut
+            return first
+        if chunk.byte_offset is None or chunk.byte_offset + chunk.size > end:
+            return first
+    return count
+
+
+class _Padded(io.RawIOBase):
+    """File of `size` octets: those of a file, and zeros."""
+
+    def __init__(self, path: Path, size: int) -> None:
+        self._file, self._size, self._at = path.open("rb"), size, 0
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        self._file.seek(self._at)
+        read = self._file.readinto(buffer)
+        buffer[read:] = bytes(len(buffer) - read)
+        self._at += len(buffer)
+        return len(buffer)

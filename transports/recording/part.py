@@ -22,6 +22,7 @@ from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, Recording
 __all__ = [
     "IMU",
     "MOST_PIXELS",
+    "DamagedRecording",
     "Facts",
     "Frame",
     "LibraryMissing",
@@ -55,6 +56,10 @@ MOST_PIXELS = 1 << 24
 
 class RecordingError(Exception):
     """Error: a recording cannot be read or written; the message gives the reason, without the file's name."""
+
+
+class DamagedRecording(RecordingError):
+    """Error: a recording is cut or damaged before the first of its events."""
 
 
 class LibraryMissing(RecordingError, ImportError):

@@ -35,7 +35,7 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -45,7 +45,7 @@ from numpy.lib import format as npy
 
 from firmware_protocol.events import EDGE, EVENT, Events, make_events
 from transports.output_file import OutputFile
-from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, RecordingSummary, Size
+from transports.recording.part import IMU, DamagedRecording, Facts, Frame, Part, RecordingError, RecordingSummary, Size
 
 _MOST_GROWTH = 100
 _ALWAYS_BYTES = 1 << 26
@@ -354,7 +354,7 @@ class _CutArchive(zipfile.ZipFile):
 
     cut = ""
 
-    def _RealGetContents(self) -> None:  # noqa: N802 ZipFile reads its directory by it
+    def _RealGetContents(self) -> None:  # by which ZipFile reads its directory
         file: Any = self.fp
         at, size = 0, os.fstat(file.fileno()).st_size
         while not self.cut and len(head := file.read(_LOCAL.size)) == _LOCAL.size and head.startswith(b"PK\x03\x04"):
@@ -382,13 +382,14 @@ class NpzReader:
 
     def __init__(self, path: Path, size: Size | None) -> None:
         self._damage, cut = "", ""
+        archive: zipfile.ZipFile | None = None
         try:
-            try:
+            with suppress(Exception):  # of any type for a damaged directory
                 self._archive = archive = zipfile.ZipFile(path)
-            except Exception:  # of any type for a damaged directory
+            if archive is None:
                 self._archive = archive = _CutArchive(path)
                 cut = archive.cut
-                self._damage = f"it is cut at octet {path.stat().st_size}, {f'in {cut}' if cut else 'in its directory'}"
+                self._damage = f"it is cut at octet {path.stat().st_size}, in {cut or 'its directory'}"
             names = {name.removesuffix(".npy") for name in archive.namelist()}
             arrays = _members(archive, {*_RESTARTS.values(), "size"} - {cut})
             self._starts = {name: _last(arrays.get(key, _NONE)) for name, key in _RESTARTS.items()}
@@ -409,7 +410,9 @@ class NpzReader:
         if self._is_sequence and missing:
             parts = f"a record has events; a sequence of `evstim dataset` lacks {', '.join(missing)}"
             only = f"it holds no events, only {', '.join(sorted(names)[:9]) or 'nothing'}: {parts}"
-            raise RecordingError(f"{self._damage}; before that {only}" if self._damage else only)
+            if self._damage:
+                raise DamagedRecording(f"{self._damage}; before that {only}")
+            raise RecordingError(only)
         if self._damage and "resets" not in arrays:
             self._damage += "; where its clock was restarted is behind the cut"
         self.facts = Facts(size, "npz", streams=frozenset({"edges", "imu", "frames"} & names))

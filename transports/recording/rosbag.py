@@ -51,7 +51,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from firmware_protocol.events import EVENT, Events, make_events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
-from transports.recording.part import Facts, Part, RecordingError, Size
+from transports.recording.part import DamagedRecording, Facts, Part, RecordingError, Size
 
 _HEADER = "std_msgs/Header header\nuint32 height\nuint32 width\n"
 EVENT_PACKET = f"{_HEADER}uint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n"
@@ -407,8 +407,10 @@ class BagReader:
             if connection.msgtype in (_PACKET, *_ARRAYS):
                 counts[connection.topic] += connection.msgcount
         if not counts:
-            before = f"{self._damage}; before that " if self._damage else ""
-            raise RecordingError(f"{before}it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray")
+            lacking = "it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray"
+            if self._damage:
+                raise DamagedRecording(f"{self._damage}; before that {lacking}")
+            raise RecordingError(lacking)
         if topic and topic not in counts:
             raise RecordingError(f"it has no events of the topic {topic}, but of {', '.join(counts)}")
         topic = topic or next(iter(counts))

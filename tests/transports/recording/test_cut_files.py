@@ -1,11 +1,13 @@
 """Files that were cut: everything before the cut is read, then an error names the place."""
 
+import h5py
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Bag1
 
+from emulator.cli.app import _main
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events, write
-from transports.recording import rosbag
+from transports.recording import dsec, rosbag
 from transports.recording.files import OpenRecording, iter_events, read_events
 from transports.recording.part import IMU, RecordingError
 
@@ -134,3 +136,46 @@ def test_streams_beside_the_cut_are_whole(tmp_path):
     np.testing.assert_array_equal(np.concatenate([part.events for part in parts]), EVENTS)
     assert sum(len(part.edges) for part in parts) == len(edges)
     assert 50 < sum(len(part.imu) for part in parts) < 100
+
+
+@pytest.fixture(scope="module", params=["chunks", "raw chunks", "contiguous", "new lists"])
+def hdf5(request, tmp_path_factory):
+    """Return the layout of an HDF5 file with EVENTS, and its bytes."""
+    path = tmp_path_factory.mktemp("hdf5") / "a.h5"
+    events = EVENTS
+    if request.param == "chunks":
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(dsec, "_CHUNK", 1 << 10)
+            write(path, "dsec", events)
+    else:
+        options = {"raw chunks": {"chunks": (1000,)}, "new lists": {"chunks": (100,), "compression": "lzf"}}
+        version = "latest" if request.param == "new lists" else "earliest"
+        with h5py.File(path, "w", libver=version) as file:
+            for name, of in zip("pxyt", ("on", "x", "y", "t"), strict=True):
+                values = events[of].astype({"p": "u1", "t": "u4"}.get(name, "u2"))
+                file.create_dataset(f"events/{name}", data=values, **options.get(request.param, {}))
+    return request.param, path.read_bytes()
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.85])
+def test_events_of_hdf5_before_a_cut_are_read(hdf5, share, tmp_path):
+    layout, content = hdf5
+    path = tmp_path / "a.h5"
+    path.write_bytes(content[: int(share * len(content))])
+    events, text = read_up_to_damage(path)
+    np.testing.assert_array_equal(events, EVENTS[: len(events)])
+    assert f"it is cut at octet {path.stat().st_size} of {len(content)}" in text
+    assert len(events) < len(EVENTS)
+    if share == 0.85:  # without chunks t comes last
+        assert len(events) > 0.5 * len(EVENTS)
+    if layout == "chunks" and share == 0.5:
+        assert len(events) > 0.3 * len(EVENTS)
+
+
+def test_commands_name_damage_of_a_file_by_their_exit_code(hdf5, tmp_path, capsys):
+    """Without a list of arrays nothing can be read: the file is damaged all the same, and no other option helps."""
+    path = tmp_path / "a.h5"
+    for size, words in ((200, "no array of HDF5 is known by what is before that; copy the file again"), (-1000, "")):
+        path.write_bytes(hdf5[1][:size])
+        assert _main(["info", str(path)]) == 1
+        assert words in "".join(capsys.readouterr()).replace("\n", " ")
