@@ -23,6 +23,7 @@ from transports.needs import Need, package
 from transports.recording.files import OpenRecording
 from transports.recording.format import format_to_read, format_to_write
 from transports.recording.part import Frame, LibraryMissing, RecordingError, wrong_event
+from transports.registry import imported
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class RecordingParameters:
 def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
     path = Path(parameters.path)
     try:
-        needed = (format_to_read(path) if path.exists() else format_to_write(path)).needs
+        needed = (format_to_read(path) if path.exists() else format_to_write(path)).reader_needs
+        needed = imported(needed)(path) if ":" in needed else needed
     except (OSError, RecordingError):  # reported when it is opened
         return ()
     return (package(needed),) if needed else ()

@@ -134,7 +134,14 @@ def _decompressor_of(compression: int) -> Any:
     for path in _DECOMPRESSORS[compression]:
         with suppress(ImportError):
             return imported(path)
-    raise LibraryMissing(f"its packets are compressed: {install_command('files')}")
+    missing = install_command("files") if compression < 3 else "pip install backports.zstd"
+    raise LibraryMissing(f"its packets are compressed: {missing}")
+
+
+def needed_by(path: Path) -> str:
+    """Return the optional package that reading an AEDAT 4.0 file needs, "" for none or if there is no file yet."""
+    head = opened(Aedat4Head, path, _AEDAT4_HEAD_BYTES) if path.exists() else None
+    return "lz4" if head is not None and head.compression in (1, 2) else ""
 
 
 _COPY_BYTES = 1 << 20
