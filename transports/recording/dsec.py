@@ -3,8 +3,8 @@
 Element k of `ms_to_idx` is the index of the first event at or after k milliseconds. `t_offset` is the Unix time of t =
 0, us, or 0. The size of the sensor is in the attributes `width` and `height` of /events, which DSEC does not have.
 
-HDF5 refuses a file that was cut. Followed by zeros it is opened if its lists of arrays are before the cut, and events are
-read as long as the chunks of all four arrays, and the lists of these, are before it.
+HDF5 refuses a file that was cut. Followed by zeros it is opened if its lists of arrays and chunks are before the cut;
+events are read as far as the chunks of all four arrays are.
 
 Source: github.com/uzh-rpg/DSEC, "Data format".
 """

@@ -138,10 +138,11 @@ def _decompressor_of(compression: int) -> Any:
     raise LibraryMissing(f"its packets are compressed: {missing}")
 
 
-def needed_by(path: Path) -> str:
-    """Return the optional package that reading an AEDAT 4.0 file needs, "" for none or if there is no file yet."""
-    head = opened(Aedat4Head, path, _AEDAT4_HEAD_BYTES) if path.exists() else None
-    return "lz4" if head is not None and head.compression in (1, 2) else ""
+def library_of(path: Path) -> str:
+    """Return the optional package that decompresses an AEDAT 4.0 file; "" for none, as for each other file."""
+    with suppress(OSError, RecordingError):
+        return "lz4" if opened(Aedat4Head, path, _AEDAT4_HEAD_BYTES).compression in (1, 2) else ""
+    return ""
 
 
 _COPY_BYTES = 1 << 20

@@ -38,8 +38,7 @@ class Format:
     holds : streams that are written with it: "events", "edges", "imu", "frames".
     ordered : streams that share one order of time; each of the others has its own packets or list.
     readers : programs that open it, for people.
-    needs : the optional package that writes it, of the extra `files`; "" for none.
-    reader_needs : the one that reads it; or "module:name" of a function of the path that returns it.
+    needs : the optional package that it needs, of the extra `files`; "" for none. faery writes files, and reads none.
     size_px : largest (width, height) that it can number.
     until_us : first time that it cannot represent.
     is_folder : True if it is a folder of files.
@@ -60,7 +59,6 @@ class Format:
     ordered: tuple[str, ...] = ()
     readers: str = ""
     needs: str = ""
-    reader_needs: str = ""
     size_px: tuple[int, int] = (1 << 16, 1 << 16)
     until_us: int = 1 << 62
     is_folder: bool = False
@@ -131,7 +129,7 @@ _FORMATS = (
     Format(
         "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.faery_files:Aedat4Writer", f"{_HERE}.event_files:Aedat4Reader",
         signature=b"#!AER-DAT4.0", holds=_ALL, readers="DV, dv-processing, aedat, faery, jAER", needs="faery",
-        reader_needs=f"{_HERE}.event_files:needed_by", size_px=(1 << 15, 1 << 15),
+        size_px=(1 << 15, 1 << 15),
     ),
     Format(
         "aedat2", "AEDAT 2.0", (".aedat2", ".aedat"), f"{_HERE}.word_files:Aedat2Writer",
@@ -173,27 +171,27 @@ _FORMATS = (
     ),
     Format(
         "dsec", "HDF5 as DSEC has it", (".h5", ".hdf5"), f"{_HERE}.dsec:DsecWriter", f"{_HERE}.dsec:DsecReader",
-        signature=b"\x89HDF\r\n\x1a\n", readers="h5py, evlib, the DSEC tools", needs="h5py", reader_needs="h5py", until_us=1 << 32,
+        signature=b"\x89HDF\r\n\x1a\n", readers="h5py, evlib, the DSEC tools", needs="h5py", until_us=1 << 32,
         piece_us=1_000_000,
     ),
     Format(
         "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader",
-        signature=b"#ROSBAG V2.0", holds=_ALL, ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags", reader_needs="rosbags",
+        signature=b"#ROSBAG V2.0", holds=_ALL, ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags",
         size_px=(1 << 11, 1 << 11), live=False, is_evt=True, has_topics=True,
     ),
     Format(
         "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
-        f"{_HERE}.rosbag:BagReader", holds=_PICTURED, readers="dvs_msgs: rpg_dvs_ros, rpg_esim", needs="rosbags", reader_needs="rosbags",
+        f"{_HERE}.rosbag:BagReader", holds=_PICTURED, readers="dvs_msgs: rpg_dvs_ros, rpg_esim", needs="rosbags",
         live=False,
     ),
     Format(
         "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", holds=_ALL,
-        ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags", reader_needs="rosbags", size_px=(1 << 11, 1 << 11),
+        ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags", size_px=(1 << 11, 1 << 11),
         is_folder=True, live=False, is_evt=True, has_topics=True,
     ),
     Format(
         "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",
-        f"{_HERE}.rosbag:BagReader", holds=_PICTURED, readers="dvs_msgs", needs="rosbags", reader_needs="rosbags", is_folder=True, live=False,
+        f"{_HERE}.rosbag:BagReader", holds=_PICTURED, readers="dvs_msgs", needs="rosbags", is_folder=True, live=False,
     ),
     Format(
         "npz", "NumPy", (".npz",), f"{_HERE}.record:NpzWriter", f"{_HERE}.record:NpzReader", signature=b"PK\x03\x04",

@@ -18,6 +18,7 @@ from emulator.plan.scene_probe import Probe, probe
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.rig.remarks import remarks
+from emulator.run.assembly import is_drawn_here
 
 _LENSES = {
     "none": "not modelled: the scene gives the light on the sensor",
@@ -77,11 +78,6 @@ class Modelled:
     def as_json(self) -> dict[str, Any]:
         """Return the object `modelled` of report.json."""
         return asdict(self)
-
-
-def is_drawn_here(rig: Rig) -> bool:
-    """Return whether the light of a rig is drawn by evstim, not by another program or played from a recording."""
-    return rig.scene.kind != "external" and not SCENES[rig.scene.kind].events
 
 
 def modelled(rig: Rig, scene: Scene | None, *, is_driven: bool = False) -> Modelled:

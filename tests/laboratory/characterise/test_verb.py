@@ -1,7 +1,8 @@
-"""`evstim characterise --recording`: its columns have a header."""
+"""`evstim characterise --recording`: its columns have a header, and options that need it are refused without."""
 
 import pytest
 
+from emulator.cli.app import _main
 from laboratory.characterise.recordings import Compared
 from laboratory.verbs import characterise
 
@@ -30,3 +31,13 @@ def test_each_column_has_its_name_above(monkeypatch, capsys, name):
     assert rate[: header.index(name) + len(name)].endswith("1.25")
     assert rate[: header.index("davis346") + len("davis346")].endswith("2.5")
     assert {len(line) for line in lines[1:]} == {len(header)}
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [(["--still", "0"], "--still"), (["--light", "0"], "--light"), (["--fit", "--light", "1"], "--light and --fit")],
+)
+def test_options_without_effect_are_refused(options, named, tmp_path, capsys):
+    assert _main(["characterise", "davis346", "--out", str(tmp_path / "out"), *options]) == 2
+    assert f"{named}: only beside a recording: name it by --recording" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
