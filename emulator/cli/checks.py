@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -104,12 +105,8 @@ def parsed_size(text: str | None) -> tuple[int, int] | None:
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn errors of a recording that is read into Failure."""
-    at = str(path)
-    with (
-        failing(WRONG_USE, RecordingError, OSError, at=at),
-        failing(LACKING, LibraryMissing, at=at),
-        failing(BAD_VERDICT, DamagedRecording, at=at),
-    ):
+    ends = partial(failing, at=str(path))
+    with ends(WRONG_USE, RecordingError, OSError), ends(LACKING, LibraryMissing), ends(BAD_VERDICT, DamagedRecording):
         yield
 
 

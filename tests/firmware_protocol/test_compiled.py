@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from llvmlite.binding import get_host_cpu_features
 from numba import njit
+from numba.extending import overload
 
-from firmware_protocol.compiled import KernelCompiler
+from firmware_protocol.compiled import KernelCompiler, _EntryCompiler
 from tests.test_kernel_sources import kernels, name_of
 
 RIGS = """
@@ -103,6 +104,45 @@ def used_twice(a, b, c, d):
 
 def plain(a, b, c, d):
     return a + b - c
+
+
+def product_and_sum(a, b, c):
+    return a * b + c
+
+
+@overload(product_and_sum)
+def _(a, b, c):
+    return product_and_sum
+
+
+def calls(callee):
+    def caller(a, b, c):
+        return callee(a, b, c)
+
+    return caller
+
+
+RULED = {"error_model": "numpy", "pipeline_class": KernelCompiler}
+
+
+@pytest.mark.parametrize("is_overload", [False, True])
+@pytest.mark.parametrize("first", [{}, {"fastmath": {"contract"}}])
+def test_a_callee_does_not_inherit_the_permission_of_its_first_caller(first, is_overload):
+    callee = product_and_sum if is_overload else njit(error_model="numpy")(product_and_sum)
+    results = [njit(**RULED, **options)(calls(callee))(A, A, C) for options in (first, {"fastmath": {"contract"}})]
+    assert results == [A * A + C] * 2
+    assert A * A + C != exact(a * a + c)
+
+
+def test_no_entry_keeps_a_permission_of_the_functions_in_it():
+    """numba's function for a sum is compiled in the context of its caller."""
+
+    def mean(values):
+        return np.hypot(values.mean(), values.std() * values[0] + values[1])
+
+    compiled = njit(fastmath={"contract"}, error_model="numpy", pipeline_class=_EntryCompiler)(mean)
+    compiled(np.arange(4.0))
+    assert " contract " not in "".join(compiled.inspect_llvm().values())
 
 
 @pytest.mark.parametrize(

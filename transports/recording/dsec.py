@@ -78,16 +78,24 @@ class DsecReader:
     def __init__(self, path: Path, size: Size | None) -> None:
         with contextlib.suppress(ImportError):
             __import__("hdf5plugin")  # the files of the data set itself are compressed by Blosc
-        self._end, whole = path.stat().st_size, _whole_size(path)
-        self._cut = f"it is cut at octet {self._end} of {whole}" if whole > self._end else ""
+        self._end, self._cut = path.stat().st_size, ""
         try:
-            self._file = h5py.File(_Padded(path, whole) if self._cut else path, "r")
+            self._file = self._opened(path)
             self.facts = self._facts(size)
         except Exception as error:  # of any type where lists are missing
             if not self._cut:
                 raise
-            help_ = "copy the file again, or record in a format that is read up to a cut, such as .aedat4 or .raw"
-            raise DamagedRecording(f"{self._cut}: no array of HDF5 is known by what is before that; {help_}") from error
+            advice = "copy the file again, or record in a format that is read up to a cut, such as .aedat4 or .raw"
+            raise DamagedRecording(f"{self._cut}: no array is known by what is before that; {advice}") from error
+
+    def _opened(self, path: Path) -> h5py.File:
+        try:
+            return h5py.File(path, "r")
+        except OSError as error:
+            if (stored := re.search(r"stored_eof = (\d+)", str(error))) is None:
+                raise
+            self._cut = f"it is cut at octet {self._end} of {stored[1]}"
+            return h5py.File(_Padded(path, int(stored[1])), "r")
 
     def _facts(self, size: Size | None) -> Facts:
         """Find the arrays and return the facts; raises RecordingError."""
@@ -111,10 +119,10 @@ class DsecReader:
     def parts(self) -> Iterator[Part]:
         """Yield events."""
         count = self._sets[0].shape[0]
-        there = min(_rows_before(data, self._end) for data in self._sets) if self._cut else count
+        stop = min(_rows_before(data, self._end) for data in self._sets) if self._cut else count
         with self._file:
-            for start in range(0, there, _CHUNK):
-                x, y, t, p = (data[start : min(start + _CHUNK, there)] for data in self._sets)
+            for start in range(0, stop, _CHUNK):
+                x, y, t, p = (data[start : min(start + _CHUNK, stop)] for data in self._sets)
                 is_wrong = (t < 0) | (x < 0) | (y < 0) | (np.maximum(x, y) > np.iinfo(np.uint16).max)
                 sound = int(np.append(is_wrong, True).argmax())
                 yield Part(make_events(t[:sound], x[:sound], y[:sound], p[:sound] > 0))
@@ -122,18 +130,7 @@ class DsecReader:
                     event = f"event {start + sound} at {t[sound]} us, ({x[sound]}, {y[sound]})"
                     raise RecordingError(f"it is damaged: {event}, cannot be")
         if self._cut:
-            raise RecordingError(f"{self._cut}: the first {there} of its {count} events are before that")
-
-
-def _whole_size(path: Path) -> int:
-    """Return the size that the file has by its header; raises OSError."""
-    try:
-        h5py.File(path, "r").close()
-    except OSError as error:
-        if whole := re.search(r"stored_eof = (\d+)", str(error)):
-            return int(whole[1])
-        raise
-    return 0
+            raise RecordingError(f"{self._cut}: the first {stop} of its {count} events are before that")
 
 
 def _rows_before(data: h5py.Dataset, end: int) -> int:
@@ -156,7 +153,8 @@ class _Padded(io.RawIOBase):
     """File of `size` octets: those of a file, and zeros."""
 
     def __init__(self, path: Path, size: int) -> None:
-        self._file, self._size, self._at = path.open("rb"), size, 0
+        self._file = path.open("rb")
+        self._size, self._at = size, 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]

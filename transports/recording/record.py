@@ -345,35 +345,34 @@ _SEQUENCE = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
 """Arrays of the events of a sequence of `evstim dataset`, below "events/"."""
 
 
-_LOCAL = struct.Struct("<4s2xHH4xIIIHH")
-_SIZES = struct.Struct("<4xQQ")  # extra field, where sizes have 64 bits
+_LOCAL = struct.Struct("<4s4xH8xIIHH")
+_SIZES = struct.Struct("<4xQQ")  # of the extra field, where sizes have 64 bits
 
 
 class _CutArchive(zipfile.ZipFile):
-    """Archive by the local headers of its members; `cut` is the name of the last one where that is not whole."""
+    """Archive by the local headers of its members; `cut` is the name of the last one where its end is missing."""
 
     cut = ""
 
     def _RealGetContents(self) -> None:  # by which ZipFile reads its directory
         file: Any = self.fp
-        at, size = 0, os.fstat(file.fileno()).st_size
+        end, at = file.seek(0, os.SEEK_END), file.seek(0)
         while not self.cut and len(head := file.read(_LOCAL.size)) == _LOCAL.size and head.startswith(b"PK\x03\x04"):
-            _, flags, method, crc, packed, unpacked, name_size, extra_size = _LOCAL.unpack(head)
-            info = zipfile.ZipInfo(file.read(name_size).decode("utf-8" if flags & 0x800 else "cp437"))
-            extra, there = file.read(extra_size), max(0, size - file.tell())
+            _, method, packed, size, name_length, extra_length = _LOCAL.unpack(head)
+            member = zipfile.ZipInfo(file.read(name_length).decode())
+            extra = file.read(extra_length)
             if packed == 0xFFFFFFFF and len(extra) >= _SIZES.size:
-                unpacked, packed = _SIZES.unpack_from(extra)
-            if 0 < packed <= there:
-                info.CRC = crc
-            else:  # 0: it was not closed
-                self.cut, packed, unpacked = info.filename.removesuffix(".npy"), there, 1 << 62
-            info.header_offset, info.flag_bits, info.compress_type = at, flags, method
-            info.compress_size, info.file_size = packed, unpacked
-            if info.filename:
-                self.filelist.append(info)
-                self.NameToInfo[info.filename] = info
+                size, packed = _SIZES.unpack_from(extra)
+            left = max(0, end - file.tell())
+            if not 0 < packed <= left:  # 0: it was not closed
+                self.cut = member.filename.removesuffix(".npy")
+                packed, size = left, 1 << 62
+            member.header_offset, member.compress_type = at, method
+            member.compress_size, member.file_size = packed, size
+            self.filelist.append(member)
             at = file.seek(packed, os.SEEK_CUR)
-        if not self.filelist:
+        self.NameToInfo = {member.filename: member for member in self.filelist if member.filename}
+        if not self.NameToInfo:
             raise zipfile.BadZipFile("it has neither a directory nor a member")
 
 

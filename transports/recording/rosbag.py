@@ -30,12 +30,12 @@ import dataclasses
 import math
 import struct
 from bz2 import BZ2Decompressor
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from io import BytesIO
 from pathlib import Path, PosixPath
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 import numpy as np
 from lz4.frame import LZ4FrameDecompressor
@@ -44,7 +44,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as IndexedBag
 from rosbags.rosbag1 import ReaderError
 from rosbags.rosbag1 import Writer as Bag1
-from rosbags.rosbag1.reader import Chunk, Header, IndexData, RecordType, decompressors, read_uint32
+from rosbags.rosbag1.reader import Chunk, Header, IndexData, RecordType, read_uint32
 from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -324,63 +324,51 @@ class _CutBag(IndexedBag):
         """Find the connections and the messages in the chunks of the file."""
         self.bio = file = self.path.open("rb")
         size, at = self.path.stat().st_size, len(file.readline())
-        connections, indexes = dict[int, Connection](), dict[int, list[IndexData]]()
+        connections, indexes = dict[int, Connection](), defaultdict[int, list[IndexData]](list)
         try:
             while at < size:
-                header, length = _head(file, size)
+                header, length = Header.read(file), read_uint32(file)
                 start = file.tell()
-                end = start + length
+                missing = max(0, start + length - size)
                 if header.get_uint8("op") == RecordType.CHUNK:
-                    name = header.get_string("compression")
-                    unpack = decompressors[name] if end <= size else _UNPACK_PART[name]
-                    self.chunks[at] = Chunk(min(length, size - start), start, unpack)
-                    with suppress(*() if end <= size else (ReaderError,)):
-                        self._find(BytesIO(unpack(file.read(length))), at, connections, indexes)
-                if end > size:
-                    raise ReaderError(f"its last {end - size} octets are missing")
-                at = file.seek(end)
+                    unpack = _UNPACK[header.get_string("compression")]
+                    self.chunks[at] = Chunk(length - missing, start, unpack)
+                    with suppress(*[ReaderError] if missing else ()):
+                        self._find(BytesIO(unpack(file.read(length - missing))), at, connections, indexes)
+                if missing:
+                    raise ReaderError(f"its last {missing} octets are missing")
+                at = file.seek(start + length)
         except (ReaderError, LookupError, OSError, ValueError, EOFError, RuntimeError, MemoryError) as error:
             self.damage = f"it is cut or damaged in its record at octet {at} of {size}: {error}"
         self.bio = file
-        self.indexes = {number: sorted(indexes.get(number, [])) for number in connections}
+        self.indexes = {number: sorted(indexes[number]) for number in connections}
         self.connections = [c._replace(msgcount=len(self.indexes[number])) for number, c in connections.items()]
 
     def _find(
         self, chunk: BytesIO, place: int, connections: dict[int, Connection], indexes: dict[int, list[IndexData]]
     ) -> None:
         """Add the connections and the messages of a chunk; raises ReaderError behind the last that is not cut."""
-        self.bio, size, at = chunk, len(chunk.getbuffer()), 0
-        while at < size:
-            header, length = _head(chunk, size)
+        self.bio, at = chunk, 0
+        while at < len(chunk.getbuffer()):
+            header, length = Header.read(chunk), read_uint32(chunk)
             end, kind = chunk.tell() + length, header.get_uint8("op")
-            if end > size:
+            if end > len(chunk.getbuffer()):
                 raise ReaderError("a record in it is cut")
             if kind == RecordType.CONNECTION:
                 chunk.seek(at)
                 connection = self.read_connection()
                 connections.setdefault(connection.id, connection)
             elif kind == RecordType.MSGDATA:
-                message = IndexData(header.get_time("time"), place, at)
-                indexes.setdefault(header.get_uint32("conn"), []).append(message)
+                indexes[header.get_uint32("conn")].append(IndexData(header.get_time("time"), place, at))
             at = chunk.seek(end)
 
 
-def _head(file: BinaryIO, size: int) -> tuple[Header, int]:
-    """Return the header of the next record of a file of `size` octets, and the length of its data, by its own word."""
-    at = file.tell()
-    start = file.read(4)
-    if len(start) < 4 or int.from_bytes(start, "little") > size - at - 8:
-        raise ReaderError("its header is cut")
-    file.seek(at)
-    return Header.read(file), read_uint32(file)
-
-
-_UNPACK_PART: dict[str, Callable[[bytes], bytes]] = {
+_UNPACK: dict[str, Callable[[bytes], bytes]] = {
     "none": bytes,
     "bz2": lambda data: BZ2Decompressor().decompress(data),
     "lz4": lambda data: LZ4FrameDecompressor().decompress(data),
 }
-"""Decompressors of the first octets of a chunk, by the name of its compression."""
+"""Decompressors of a chunk, or of its first octets, by the name of its compression."""
 
 
 class BagReader:

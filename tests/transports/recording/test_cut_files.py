@@ -175,7 +175,7 @@ def test_events_of_hdf5_before_a_cut_are_read(hdf5, share, tmp_path):
 def test_commands_name_damage_of_a_file_by_their_exit_code(hdf5, tmp_path, capsys):
     """Without a list of arrays nothing can be read: the file is damaged all the same, and no other option helps."""
     path = tmp_path / "a.h5"
-    for size, words in ((200, "no array of HDF5 is known by what is before that; copy the file again"), (-1000, "")):
+    for size, words in ((200, "no array is known by what is before that; copy the file again"), (-1000, "")):
         path.write_bytes(hdf5[1][:size])
         assert _main(["info", str(path)]) == 1
         assert words in "".join(capsys.readouterr()).replace("\n", " ")
