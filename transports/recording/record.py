@@ -345,7 +345,7 @@ _SEQUENCE = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
 """Arrays of the events of a sequence of `evstim dataset`, below "events/"."""
 
 
-_LOCAL = struct.Struct("<4s4xH8xIIHH")
+_LOCAL = struct.Struct("<4s4xH4xIIIHH")
 _SIZES = struct.Struct("<4xQQ")  # of the extra field, where sizes have 64 bits
 
 
@@ -358,13 +358,15 @@ class _CutArchive(zipfile.ZipFile):
         file: Any = self.fp
         end, at = file.seek(0, os.SEEK_END), file.seek(0)
         while not self.cut and len(head := file.read(_LOCAL.size)) == _LOCAL.size and head.startswith(b"PK\x03\x04"):
-            _, method, packed, size, name_length, extra_length = _LOCAL.unpack(head)
+            _, method, crc, packed, size, name_length, extra_length = _LOCAL.unpack(head)
             member = zipfile.ZipInfo(file.read(name_length).decode())
             extra = file.read(extra_length)
             if packed == 0xFFFFFFFF and len(extra) >= _SIZES.size:
                 size, packed = _SIZES.unpack_from(extra)
             left = max(0, end - file.tell())
-            if not 0 < packed <= left:  # 0: it was not closed
+            if 0 < packed <= left:
+                member.CRC = crc
+            else:  # 0: it was not closed
                 self.cut = member.filename.removesuffix(".npy")
                 packed, size = left, 1 << 62
             member.header_offset, member.compress_type = at, method
