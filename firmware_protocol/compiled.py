@@ -25,8 +25,8 @@ of a vector loop the choice of AVX2 differs from that of AVX-512, and event time
 code that is the same for every processor, and takes the permission away. What is left is IEEE arithmetic, which LLVM
 keeps to the bit, whatever it widens or moves. A processor without such an instruction calls fmaf: slow, the same bits.
 
-numba lets a function without fastmath inherit that of the caller for which it is compiled first, so that its results
-differed with the order of compilation. Here callees inherit none, and what numba's own functions got is taken from them.
+numba lets a function without fastmath inherit that of the caller for which it is compiled first, so that results differed
+with the order of compilation. Here callees inherit none, and what numba's own functions get is taken from them.
 """
 
 from __future__ import annotations
@@ -153,12 +153,8 @@ _Compiler: Any = compiler.Compiler
 _VALUE = r"%(?:[\w.$-]+|\"[^\"]*\")"
 _PRODUCT = re.compile(rf"({_VALUE}) = fmul contract \w+ (\S+), (\S+)")
 _SUM = re.compile(rf"({_VALUE}) = f(add|sub) contract (float|double) (\S+), ([^\s,]+)")
+_PERMISSION = re.compile(r"(?m)^(  .*) contract ")
 _WIDTHS = {"float": "f32", "double": "f64"}
-
-
-def without_permission(code: str) -> str:
-    """Return a module of LLVM in which nothing may be rounded once."""
-    return re.sub(r"(?m)^(  .*) contract ", r"\1 ", code)
 
 
 def fused(code: str) -> str:
@@ -185,7 +181,7 @@ def fused(code: str) -> str:
             return f"{negation}{name} = call {width} @llvm.fma.{_WIDTHS[width]}({operands})"
 
         functions[number] = _SUM.sub(fuse, function)
-    code = without_permission("\ndefine ".join(functions))
+    code = _PERMISSION.sub(r"\1 ", "\ndefine ".join(functions))
     needed = [width for width, name in _WIDTHS.items() if f"@llvm.fma.{name}(" in code]
     return "\n".join([code, *(f"declare {w} @llvm.fma.{_WIDTHS[w]}({w}, {w}, {w})" for w in needed)])
 
@@ -216,7 +212,7 @@ class _EntryLibrary(_KernelLibrary):
     def _optimize_final_module(self) -> None:
         code, name = str(self._final_module), self._final_module.name
         if " contract " in code:
-            self._final_module = llvm.parse_assembly(without_permission(code))
+            self._final_module = llvm.parse_assembly(_PERMISSION.sub(r"\1 ", code))
             self._final_module.name = name
         super()._optimize_final_module()
         self._shared_module = self._final_module.clone()

@@ -105,10 +105,7 @@ _OWN = ("evstim", "emulator", "transports", "firmware_protocol")
 
 
 class ForeignFileError(Exception):
-    """Error: a file cannot be read, with the reason, not its name.
-
-    `lacks`: this machine lacks the library for it; `kind`: type of the child's error, by name.
-    """
+    """Error: why a file cannot be read, without its name; `lacks`: a library is missing; `kind`: of the child's one."""
 
     def __init__(self, text: str, *, lacks: bool = False, kind: str = "") -> None:
         super().__init__(text)

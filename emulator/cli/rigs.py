@@ -92,14 +92,12 @@ def check(rig: RigName, /, *, draw: Flag = False, json: Json = False) -> int:
     with failures():
         loaded = load_rig(rig)
         files = [dataclasses.replace(file, is_read=file.is_read or draw) for file in open_files(loaded)]
-        notes = remarks(loaded)
+        notes, loads = remarks(loaded), loads_of(loaded)
         if draw:  # the files of the scene are read, each within the bounds of its reader
             with build_scene(loaded) as scene:
                 loads = loads_of(loaded, scene)
             if SCENES[loaded.scene.kind].events:
                 build_sensor(loaded, loaded.camera.sensor)
-        else:
-            loads = loads_of(loaded)
     lines = [
         f"{loaded.name}: good. {_sentence(loaded)}",
         *_unread(files),

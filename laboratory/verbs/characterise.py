@@ -52,8 +52,8 @@ def characterise(
     with failures():
         parameters = _sensor(camera)
     if recording is None:
-        given = {"--still": still is not None, "--light": light is not None, "--fit": fit}
-        if options := " and ".join(option for option, is_given in given.items() if is_given):
+        values = {"--still": still, "--light": light, "--fit": fit or None}
+        if options := " and ".join(name for name, value in values.items() if value is not None):
             raise Failure(f"{options}: only beside a recording: name it by --recording, or leave it out", WRONG_USE)
         check_drawing()
     make_folder(out)
