@@ -25,8 +25,8 @@ of a vector loop the choice of AVX2 differs from that of AVX-512, and event time
 code that is the same for every processor, and takes the permission away. What is left is IEEE arithmetic, which LLVM
 keeps to the bit, whatever it widens or moves. A processor without such an instruction calls fmaf: slow, the same bits.
 
-numba lets a function without fastmath inherit that of the caller for which it is compiled first: results differed with the
-order of compilation. Here callees inherit none, and what numba's own functions get is taken from them.
+numba lets a function without fastmath inherit that of the caller for which it is compiled first: results differed with
+the order of compilation. Here callees inherit none, and what numba's own functions get is taken from them.
 """
 
 from __future__ import annotations
