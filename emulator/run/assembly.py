@@ -231,6 +231,8 @@ def is_drawn_here(rig: Rig) -> bool:
 
 def loads_of(rig: Rig, scene: Scene | None = None) -> list[LineLoad]:
     """Return the loads of the lines that have a limit, with the share that they carry of a scene that is drawn here."""
+    if all(type(link).carries_hz is LinkParameters.carries_hz for link in rig.links):  # no line has a limit
+        return []
     from emulator.plan.plan import line_loads
 
     loads = line_loads(rig)

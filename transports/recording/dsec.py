@@ -149,23 +149,18 @@ def _rows_before(data: h5py.Dataset, end: int) -> int:
     return count
 
 
-class _Padded(io.RawIOBase):
+class _Padded(io.FileIO):
     """File of `size` octets: those of a file, and zeros."""
 
     def __init__(self, path: Path, size: int) -> None:
-        self._file = path.open("rb")
-        self._size, self._at = size, 0
+        super().__init__(path)
+        self._size = size
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]
-        return self._at
-
-    def tell(self) -> int:
-        return self._at
+        return super().seek(self._size + offset) if whence == os.SEEK_END else super().seek(offset, whence)
 
     def readinto(self, buffer: Any) -> int:
-        self._file.seek(self._at)
-        read = self._file.readinto(buffer)
+        read = super().readinto(buffer) or 0
         buffer[read:] = bytes(len(buffer) - read)
-        self._at += len(buffer)
+        self.seek(len(buffer) - read, os.SEEK_CUR)
         return len(buffer)
