@@ -443,11 +443,11 @@ class BagReader:
         later_us = np.int64(self._zero_us - start_us)
         for part, _ in self._stamped():
             sound = int(np.append(part.events["t"] < np.uint64(max(0, -later_us)), True).argmax())
-            events, edges, imu = part.events[:sound], part.edges, part.imu[part.imu["t"] >= start_us]
-            for records, by_us in ((events, later_us), (edges, later_us), (imu, np.int64(-start_us))):
+            events, imu = part.events[:sound], part.imu[part.imu["t"] >= start_us]
+            for records, by_us in ((events, later_us), (part.edges, later_us), (imu, np.int64(-start_us))):
                 records["t"] += by_us.view(np.uint64)
             early += len(part.imu) - len(imu)
-            yield Part(events, edges, imu, tuple(_later(frame, -start_us) for frame in part.frames))
+            yield Part(events, part.edges, imu, tuple(_later(frame, -start_us) for frame in part.frames))
             if sound < len(part.events):
                 time_us = part.events["t"][sound]
                 raise RecordingError(f"it is damaged: an event at {time_us} us is before its first message")
