@@ -209,6 +209,8 @@ class _KernelLibrary(_Library):  # type: ignore[misc]
 class _EntryLibrary(_KernelLibrary):
     """Code of an entry; the functions that it calls are local to its machine code, not to the module for callers."""
 
+    _final_module: Any
+
     def _optimize_final_module(self) -> None:
         code, name = str(self._final_module), self._final_module.name
         if " contract " in code:
