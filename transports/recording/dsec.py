@@ -135,7 +135,7 @@ class DsecReader:
 
 def _rows_before(data: h5py.Dataset, end: int) -> int:
     """Return the number of first elements of a list that are stored before octet `end`."""
-    count = data.shape[0]
+    count = int(data.shape[0])
     if data.chunks is None:
         start = data.id.get_offset()
         return 0 if start is None else min(count, max(0, end - start) // data.dtype.itemsize)

@@ -440,12 +440,12 @@ class BagReader:
     def parts(self) -> Iterator[Part]:
         """Yield what each message holds."""
         start_us, early = self._start_us, 0
-        later_us = np.int64(self._zero_us - start_us)
+        later_us = self._zero_us - start_us
         for part, _ in self._stamped():
             sound = int(np.append(part.events["t"] < np.uint64(max(0, -later_us)), True).argmax())
             events, imu = part.events[:sound], part.imu[part.imu["t"] >= start_us]
-            for records, by_us in ((events, later_us), (part.edges, later_us), (imu, np.int64(-start_us))):
-                records["t"] += by_us.view(np.uint64)
+            for records, by_us in ((events, later_us), (part.edges, later_us), (imu, -start_us)):
+                records["t"] += np.int64(by_us).view(np.uint64)
             early += len(part.imu) - len(imu)
             yield Part(events, part.edges, imu, tuple(_later(frame, -start_us) for frame in part.frames))
             if sound < len(part.events):
