@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, JSON, and messages that say what to do."""
 
 import json
+import re
 import socket
 import sys
 
@@ -44,6 +45,17 @@ def rig(tmp_path):
         '[run]\nstep_us = 2000\nseconds = 0.2\nmax_late_ms = 0\n[[links]]\nkind = "loopback"\n'
     )
     return path
+
+
+@pytest.mark.parametrize(("is_json", "noted"), [(False, ["serial"]), (True, [])])
+def test_the_first_notes_of_a_run_show_which_lines_are_too_slow(is_json, noted, rig, capsys):
+    """A line of 9600 baud carries few of the events of a fast board; one of 200 Mbit/s carries all."""
+    links = '[[links]]\nkind = "serial"\nbaud = 9600\n[[links]]\nkind = "udp_packets"\ncommand_port = 0\n'
+    text = rig.read_text().replace("20.0", "200.0").replace('[[links]]\nkind = "loopback"\n', links)
+    rig.write_text(text)
+    _main(["run", str(rig), "--pace", "free", "--seconds", "0.01", *(["--json"] if is_json else [])])
+    printed = "".join(capsys.readouterr()).replace("\n", " ")
+    assert re.findall(r"link (\w+): its line carries about \d+ events/s, 0\.\d+ % of the \d+ that", printed) == noted
 
 
 def test_every_command_loads_and_has_help(capsys):
