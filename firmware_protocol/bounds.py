@@ -56,6 +56,13 @@ def check_bounds(owner: Any) -> None:
             raise ValueError(f"{name} must be {range_text(bounds)}, got {value!r}")
 
 
+class Bounded:
+    """Base of a dataclass that is held to the bounds of its fields when it is made; see `check_bounds`."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
 def unshared(value: Any, of_array: Callable[[Any], Any] = lambda array: unshared(array.tolist())) -> Any:
     """Return a value that its giver cannot change: tuples for lists, copies of mappings, and what `of_array` returns.
 

@@ -24,6 +24,9 @@ it chooses instructions, by the target: of two products in a sum, of a product w
 of a vector loop the choice of AVX2 differs from that of AVX-512, and event times by 1 us. So here `fused` chooses, in
 code that is the same for every processor, and takes the permission away. What is left is IEEE arithmetic, which LLVM
 keeps to the bit, whatever it widens or moves. A processor without such an instruction calls fmaf: slow, the same bits.
+
+numba lets a function without fastmath inherit that of the caller for which it is compiled first: results differed with
+the order of compilation. Here callees inherit none, and what numba's own functions get is taken from them.
 """
 
 from __future__ import annotations
@@ -150,6 +153,7 @@ _Compiler: Any = compiler.Compiler
 _VALUE = r"%(?:[\w.$-]+|\"[^\"]*\")"
 _PRODUCT = re.compile(rf"({_VALUE}) = fmul contract \w+ (\S+), (\S+)")
 _SUM = re.compile(rf"({_VALUE}) = f(add|sub) contract (float|double) (\S+), ([^\s,]+)")
+_PERMISSION = re.compile(r"(?m)^(  .*) contract ")
 _WIDTHS = {"float": "f32", "double": "f64"}
 
 
@@ -177,7 +181,7 @@ def fused(code: str) -> str:
             return f"{negation}{name} = call {width} @llvm.fma.{_WIDTHS[width]}({operands})"
 
         functions[number] = _SUM.sub(fuse, function)
-    code = re.sub(r"(?m)^(  .*) contract ", r"\1 ", "\ndefine ".join(functions))
+    code = _PERMISSION.sub(r"\1 ", "\ndefine ".join(functions))
     needed = [width for width, name in _WIDTHS.items() if f"@llvm.fma.{name}(" in code]
     return "\n".join([code, *(f"declare {w} @llvm.fma.{_WIDTHS[w]}({w}, {w}, {w})" for w in needed)])
 
@@ -205,7 +209,13 @@ class _KernelLibrary(_Library):  # type: ignore[misc]
 class _EntryLibrary(_KernelLibrary):
     """Code of an entry; the functions that it calls are local to its machine code, not to the module for callers."""
 
+    _final_module: Any
+
     def _optimize_final_module(self) -> None:
+        code, name = str(self._final_module), self._final_module.name
+        if " contract " in code:
+            self._final_module = llvm.parse_assembly(_PERMISSION.sub(r"\1 ", code))
+            self._final_module.name = name
         super()._optimize_final_module()
         self._shared_module = self._final_module.clone()
         for function in self.get_defined_functions():
@@ -224,6 +234,7 @@ class KernelCompiler(_Compiler):  # type: ignore[misc]
         """Compile a function."""
         self.state.library = self.library(self.state.targetctx.codegen(), function.__qualname__)
         self.state.library.enable_object_caching()
+        self.state.flags.discard("fastmath")  # the context has it, for this function alone
         return super().compile_extra(function)
 
 

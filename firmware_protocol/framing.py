@@ -114,6 +114,22 @@ class StreamDeframer(ABC):
         self.counters = FrameCounters()
         self._max_payload = max_payload
 
+    def decode(self, piece: bytes) -> bytes:
+        """Return the payload of the bytes of a frame (not empty). Raises FrameError if it is damaged."""
+        return piece
+
+    def _decoded(self, piece: bytes, length: int) -> bytes | None:
+        """Return the payload of a frame that took `length` bytes on the line, counted; None if it is damaged."""
+        try:
+            payload = self.decode(piece)
+            if len(payload) > self._max_payload:
+                raise FrameError("too long")
+        except FrameError as error:
+            self.counters.bad(str(error), length)
+            return None
+        self.counters.good(length)
+        return payload
+
     @abstractmethod
     def push(self, data: bytes) -> list[bytes]:
         """Process the next bytes of the stream; return the payloads of the frames that they complete, in order."""
@@ -135,10 +151,6 @@ class DelimitedDeframer(StreamDeframer, ABC):
         self._max_frame = max_frame
         self._begun = b""
         self._skipping = False
-
-    @abstractmethod
-    def decode(self, piece: bytes) -> bytes:
-        """Return the payload of a piece between delimiters (not empty). Raises FrameError if it is damaged."""
 
     def push(self, data: bytes) -> list[bytes]:
         """Process the next bytes of the stream; return the payloads of the frames that they complete, in order."""
@@ -173,17 +185,10 @@ class DelimitedDeframer(StreamDeframer, ABC):
         if not piece:
             self.counters.bytes_framed += 1
             return None
-        try:
-            if len(piece) > self._max_frame:
-                raise FrameError("too long")
-            payload = self.decode(piece)
-            if len(payload) > self._max_payload:
-                raise FrameError("too long")
-        except FrameError as error:
-            self.counters.bad(str(error), len(piece) + 1)
+        if len(piece) > self._max_frame:
+            self.counters.bad("too long", len(piece) + 1)
             return None
-        self.counters.good(len(piece) + 1)
-        return payload
+        return self._decoded(piece, len(piece) + 1)
 
 
 _COBS_DELIMITER = 0x00
@@ -436,18 +441,8 @@ class PacketDeframer(StreamDeframer):
     def push(self, data: bytes) -> list[bytes]:
         """Process one packet."""
         self.counters.bytes_received += len(data)
-        try:
-            payload = self._decode(data)
-            if len(payload) > self._max_payload:
-                raise FrameError("too long")
-        except FrameError as error:
-            self.counters.bad(str(error), len(data))
-            return []
-        self.counters.good(len(data))
-        return [payload]
-
-    def _decode(self, data: bytes) -> bytes:
-        return data
+        payload = self._decoded(data, len(data))
+        return [] if payload is None else [payload]
 
 
 class SealedPacketDeframer(PacketDeframer):
@@ -457,5 +452,6 @@ class SealedPacketDeframer(PacketDeframer):
         super().__init__(max_payload)
         self._header_bytes = header_bytes
 
-    def _decode(self, data: bytes) -> bytes:
-        return checked(data, self._header_bytes)
+    def decode(self, piece: bytes) -> bytes:
+        """Check one packet."""
+        return checked(piece, self._header_bytes)

@@ -75,7 +75,7 @@ import math
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar
+from typing import Any, ClassVar
 
 
 class MessageError(ValueError):
@@ -112,7 +112,7 @@ class Levels(IntEnum):
     @property
     def octets(self) -> int:
         """Size of one number."""
-        return (4, 1, 2)[self]
+        return int(_LIGHT[self][-1])
 
 
 class Response(IntEnum):
@@ -132,6 +132,7 @@ _IMAGE = struct.Struct("<Qqd")
 _ALIGNED = 64
 _MOST_REASON = 1000
 _NO_POSE = (math.nan,) * 7
+_LIGHT = ("<f4", "u1", "<u2")  # by the value of Levels
 
 HEADER_OCTETS = _HEADER.size
 ANY_TIME = -(1 << 63)
@@ -151,13 +152,14 @@ def parse_header(octets: bytes) -> tuple[Type, int]:
         raise MessageError(f"there is no message of type {number}") from None
 
 
-def _message(kind: Type, body: bytes) -> bytes:
-    return _HEADER.pack(_MAGIC, kind, _VERSION, len(body)) + body
+def _message(kind: Type, body: bytes, more_octets: int = 0) -> bytes:
+    return _HEADER.pack(_MAGIC, kind, _VERSION, len(body) + more_octets) + body
 
 
-def _require_length(name: str, octets: bytes, length: int) -> None:
-    if len(octets) != length:
-        raise MessageError(f"{name} has {len(octets)} octets, not {length}")
+def _unpacked(kind: Type, form: struct.Struct, octets: bytes) -> tuple[Any, ...]:
+    if len(octets) != form.size:
+        raise MessageError(f"{kind.name} has {len(octets)} octets, not {form.size}")
+    return form.unpack(octets)
 
 
 @dataclass(frozen=True)
@@ -197,8 +199,7 @@ class Hello:
     @classmethod
     def parse(cls, octets: bytes) -> Hello:
         """Return the value of the octets after the header; raises MessageError."""
-        _require_length("HELLO", octets, _HELLO.size)
-        layers, levels, response, white, carrier, zero, name = _HELLO.unpack(octets)
+        layers, levels, response, white, carrier, zero, name = _unpacked(Type.HELLO, _HELLO, octets)
         if layers > 7 or levels > 2 or response > 1 or carrier > 1 or zero:
             raise MessageError(
                 f"HELLO has layers {layers} (0 to 7), levels {levels} (0 to 2), response {response} (0 or 1), carrier "
@@ -264,8 +265,7 @@ class Draw:
     @classmethod
     def parse(cls, octets: bytes) -> Draw:
         """Return the value of the octets after the header; raises MessageError."""
-        _require_length("DRAW", octets, _DRAW.size)
-        number, t_ns, slot, _, *pose = _DRAW.unpack(octets)
+        number, t_ns, slot, _, *pose = _unpacked(Type.DRAW, _DRAW, octets)
         return cls(number, t_ns, slot, tuple(pose))
 
 
@@ -288,14 +288,12 @@ class Image:
 
     def pack(self, pixel_octets: int = 0) -> bytes:
         """Return the message, up to the `pixel_octets` that follow it."""
-        head = _HEADER.pack(_MAGIC, Type.IMAGE, _VERSION, _IMAGE.size + pixel_octets)
-        return head + _IMAGE.pack(self.number, self.t_ns, self.motion_bound_px_s)
+        return _message(Type.IMAGE, _IMAGE.pack(self.number, self.t_ns, self.motion_bound_px_s), pixel_octets)
 
     @classmethod
     def parse(cls, octets: bytes) -> Image:
         """Return the value of the first 24 octets after the header; raises MessageError."""
-        _require_length("IMAGE", octets, _IMAGE.size)
-        number, t_ns, bound = _IMAGE.unpack(octets)
+        number, t_ns, bound = _unpacked(Type.IMAGE, _IMAGE, octets)
         if bound < 0:
             raise MessageError(f"the bound on motion is {bound:g} px/s: it must be 0 or above, or NaN")
         return cls(number, t_ns, bound)
@@ -332,11 +330,10 @@ class Plane:
 
 def planes_of(hello: Hello, size: tuple[int, int]) -> tuple[Plane, ...]:
     """Return the planes of the images of `size` = (width, height) px that a renderer gives, light first."""
-    light = ("<f4", "u1", "<u2")[hello.levels]
-    extra = (("motion", 2, Layers.MOTION), ("depth", 1, Layers.DEPTH), ("rate", 1, Layers.RATE))
-    kinds = [("light", light, 1), *((name, "<f4", count) for name, count, layer in extra if hello.layers & layer)]
+    beside = (("motion", 2, Layers.MOTION), ("depth", 1, Layers.DEPTH), ("rate", 1, Layers.RATE))
+    extra = [(name, "<f4", channels) for name, channels, layer in beside if hello.layers & layer]
     planes, offset = [], 0
-    for name, dtype, channels in kinds:
+    for name, dtype, channels in (("light", _LIGHT[hello.levels], 1), *extra):
         planes.append(Plane(name, dtype, channels, offset))
         offset += _aligned(size[0] * size[1] * channels * int(dtype[-1]))
     return tuple(planes)

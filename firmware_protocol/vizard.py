@@ -68,23 +68,20 @@ def message_class(name: str) -> Any:
 def _pool() -> Any:
     from google.protobuf import descriptor_pb2, descriptor_pool
 
+    description = descriptor_pb2.FieldDescriptorProto
     file = descriptor_pb2.FileDescriptorProto(name="vizMessage.proto", package=_PACKAGE, syntax="proto3")
     for message, fields in _FIELDS.items():
         described = file.message_type.add(name=message)
         for field, (number, kind) in fields.items():
-            described.field.add(name=field, number=number, **_type(kind, descriptor_pb2.FieldDescriptorProto))
+            of = kind.removesuffix("*")
+            added = described.field.add(name=field, number=number)
+            added.label = description.LABEL_REPEATED if kind.endswith("*") else description.LABEL_OPTIONAL
+            added.type = getattr(description, "TYPE_MESSAGE" if of in _FIELDS else f"TYPE_{of.upper()}")
+            if of in _FIELDS:
+                added.type_name = f".{_PACKAGE}.{of}"
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     return pool
-
-
-def _type(kind: str, description: Any) -> dict[str, Any]:
-    """Return a field's label and type, as in its description."""
-    of = kind.removesuffix("*")
-    label = description.LABEL_REPEATED if kind.endswith("*") else description.LABEL_OPTIONAL
-    if of in _FIELDS:
-        return {"label": label, "type": description.TYPE_MESSAGE, "type_name": f".{_PACKAGE}.{of}"}
-    return {"label": label, "type": getattr(description, f"TYPE_{of.upper()}")}
 
 
 _LATEST_NS = 1 << 53  # a double counts single nanoseconds up to here, 104 days

@@ -1,10 +1,13 @@
 """What holds for all tests: they judge the code, not how busy the machine is."""
 
+import itertools
 import os
+import re
 import signal
 import sys
 
 import pytest
+from _pytest.mark.expression import Expression
 from hypothesis import HealthCheck, settings
 
 from tests.shown import pytest_itemcollected, pytest_runtest_logreport, pytest_sessionfinish
@@ -15,6 +18,18 @@ __all__ = ["pytest_configure", "pytest_itemcollected", "pytest_runtest_logreport
 settings.register_profile("quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("deep", settings.get_profile("quick"), max_examples=1000)
 settings.load_profile(os.environ.get("EVSTIM_HYPOTHESIS", "quick"))
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Import no file whose tests the option -m leaves out whichever of the markers in its text each of them has."""
+    if collection_path.suffix != ".py" or not config.option.markexpr or not collection_path.name.startswith("test_"):
+        return None
+    expression = Expression.compile(config.option.markexpr)
+    text = collection_path.read_text(encoding="utf-8")
+    names = {"long"} if "mark.sampled" in text else set()
+    names |= {name for name in re.findall(r"\bmark\.(\w+)", text) if name in config.option.markexpr}
+    sets = itertools.chain.from_iterable(itertools.combinations(names, count) for count in range(len(names) + 1))
+    return None if any(expression.evaluate(lambda name, **_: name in some) for some in sets) else True  # noqa: B023
 
 
 @pytest.hookimpl(tryfirst=True)

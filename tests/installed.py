@@ -1,15 +1,30 @@
 """A package of one module as pip installs it, in a folder for PYTHONPATH: its module and its entry points."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
-__all__ = ["environment", "evstim", "install"]
+__all__ = ["environment", "evstim_in_turn", "install"]
 
 ROOT = Path(__file__).parents[1]
+
+IN_TURN = """
+import contextlib, io, json, sys
+from emulator.cli.app import _main
+
+if __name__ == "__main__":
+    ends = []
+    for command in json.loads(sys.argv[1]):
+        with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+            code = _main(command)
+        ends.append({"code": code, "out": out.getvalue(), "err": err.getvalue()})
+    print(json.dumps(ends))
+"""
 
 
 def install(project, site, **changes):
@@ -33,9 +48,13 @@ def environment(site):
     return {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
 
 
-def evstim(site, *arguments):
-    """Run a command with the packages of a folder."""
-    return subprocess.run(
-        [sys.executable, "-c", "from emulator.cli import main; main()", *map(str, arguments)],
+def evstim_in_turn(site, *commands):
+    """Run commands with the packages of a folder, one after another in one process; return `code`, `out`, `err`."""
+    (site / "in_turn.py").write_text(IN_TURN)
+    words = json.dumps([[str(word) for word in command] for command in commands])
+    done = subprocess.run(
+        [sys.executable, "in_turn.py", words],
         cwd=site, env=environment(site), capture_output=True, text=True, timeout=300,
     )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return [SimpleNamespace(**end) for end in json.loads(done.stdout.splitlines()[-1])]

@@ -1,18 +1,15 @@
 """Every kernel on disk declares the modules that it is made of: no change of ours leaves stale code in numba's cache.
 
 From each cached function a walk follows all names that it uses, in the syntax trees of the modules: functions that it
-calls, constants that are frozen in it, and what those are computed from. The globals of the compiled functions
-themselves, as they are when the program runs, are a second source of the same answer.
+calls, constants that are frozen in it, and what those are computed from.
 """
 
 import ast
-import builtins
 import gc
 import importlib
 import re
 from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType
 
 import pytest
 from numba.core.caching import NullCache
@@ -141,33 +138,9 @@ def modules_of(function):
     return {module for module, *_ in seen}
 
 
-def code_names(code):
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from code_names(constant)
-
-
-def modules_at_run_time(dispatcher, seen):
-    """Add the modules of all functions of ours that a compiled one refers to by its globals and closures."""
-    function = dispatcher.py_func
-    if function in seen:
-        return
-    seen.add(function)
-    values = [function.__globals__.get(name) for name in code_names(function.__code__)]
-    values += [cell.cell_contents for cell in function.__closure__ or ()]
-    for value in values:
-        if isinstance(value, Dispatcher) and is_ours(value.py_func.__module__):
-            modules_at_run_time(value, seen)
-        elif isinstance(value, FunctionType) and is_ours(value.__module__):
-            seen.add(value)
-
-
 def undeclared(dispatcher):
     """Return the modules that a cached function is made of and does not declare."""
-    functions = set()
-    modules_at_run_time(dispatcher, functions)
-    made_of = {function.__module__ for function in functions}.union(*map(modules_of, functions))
+    made_of = modules_of(dispatcher.py_func)
     places = [place_of(name) for name in (*dispatcher.sources, *RULE)]
     return {module for module in made_of if not any(is_within(place_of(module), place) for place in places)}
 
@@ -212,7 +185,3 @@ def test_the_walk_finds_what_kernels_call_and_freeze(cached):
 def test_a_source_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match=r"'emulator\.rastr' is no module"):
         entry_of("emulator.rastr")
-
-
-def test_builtins_are_no_modules_of_ours():
-    assert not is_ours(builtins.__name__)

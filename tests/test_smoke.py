@@ -68,6 +68,7 @@ def wait_for(condition, process):
     return value
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", LINKS)
 def test_events_are_received_as_they_were_sent(kind, tmp_path):
     model, more, listen = LINKS[kind]
@@ -96,6 +97,7 @@ def test_events_are_received_as_they_were_sent(kind, tmp_path):
     assert np.array_equal(arrived, delivered[first : first + len(arrived)])
 
 
+@pytest.mark.long
 def test_a_recording_is_read_back(tmp_path):
     rig, file = tmp_path / "rig.toml", tmp_path / "events.raw"
     rig.write_text(RIG.format(model="evk4", kind="loopback", more=""))
@@ -105,6 +107,7 @@ def test_a_recording_is_read_back(tmp_path):
     assert len(evstim.read_events(file)) > EVENTS
 
 
+@pytest.mark.long
 def test_the_live_page_is_served(tmp_path):
     rig, log = tmp_path / "rig.toml", tmp_path / "log"
     rig.write_text(RIG.format(model="davis346", kind="loopback", more=""))

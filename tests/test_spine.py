@@ -4,8 +4,6 @@ import ast
 import tomllib
 from pathlib import Path
 
-import pytest
-
 from firmware_protocol.device.event_device import EventDevice
 from transports.link.endpoint import Endpoint
 from transports.link.kind import LinkKind
@@ -72,49 +70,3 @@ def test_the_interfaces_are_small():
     assert len(members(EventDevice)) <= 14, members(EventDevice)
     assert len(members(LinkKind)) <= 10, members(LinkKind)
     assert len(members(Endpoint)) <= 12, members(Endpoint)
-
-
-FEATURES = {  # folders of what only some users need, and the modules that may import them: each is loaded by a registry
-    "campaigns": (["emulator.campaign"], ["emulator.cli.campaign"]),
-    "the live page": (["emulator.live_page"], ["emulator.cli.run", "emulator.cli.run_display"]),
-    "Basilisk": (
-        ["firmware_protocol.vizard", "transports.vizard"],
-        ["emulator.cli.vizard", "emulator.run.basilisk"],
-    ),
-    "ROS 2": (["firmware_protocol.ros2", "transports.ros2"], ["emulator.scene.video.ros2_images"]),
-    "streams": (
-        ["firmware_protocol.network_streams", "transports.network_streams"],
-        [f"transports.{link}.{part}" for link in ("ros2", "serial_line") for part in ("endpoint", "kind")],
-    ),
-    "ground systems": (["firmware_protocol.ground"], ["emulator.cli.export"]),
-    "FMUs": (["emulator.dynamics"], ["emulator.cli.dynamics"]),
-    "PTP": (
-        ["firmware_protocol.ptp", "transports.gige.ptp_port"],
-        ["firmware_protocol.imx636.triton2_control", "transports.gige.answering", "transports.gige.endpoint"],
-    ),
-    "external renderers": (["firmware_protocol.renderer", "transports.renderer"], ["emulator.scene.external.external"]),
-    "formats of files": (
-        [f"transports.recording.{name}" for name in ("dsec", "rosbag", "faery_files")],
-        [],
-    ),
-    "files of models": (
-        [f"emulator.scene.bodies.{name}" for name in ("gltf", "models", "textures", "usd")],
-        ["emulator.rig.remarks", "emulator.scene.bodies.albedo", "emulator.scene.bodies.world"],
-    ),
-    "files of paths": (
-        ["emulator.trajectory.ccsds_file", "emulator.trajectory.spice"],
-        ["emulator.rig.remarks", "emulator.trajectory.building"],
-    ),
-    "the laboratory": (["laboratory"], []),
-}
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize("feature", FEATURES)
-def test_a_feature_is_imported_by_its_records_alone(feature):
-    folders, may_import = FEATURES[feature]
-    inside = {module for module in PATHS if any(module == name or module.startswith(f"{name}.") for name in folders)}
-    assert inside
-    importers = {module for module in PATHS if inside & set(imports_of(module))} - inside
-    importers.discard("evstim")  # it names them for type checkers alone
-    assert {module for module in importers if not module.startswith("laboratory.")} == set(may_import)

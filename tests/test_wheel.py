@@ -8,7 +8,6 @@ Then the commands of the first pages are typed in this environment, in a copy of
 
 import json
 import os
-import pickle
 import re
 import shutil
 import subprocess
@@ -16,7 +15,6 @@ import sys
 import zipfile
 from collections import defaultdict
 from pathlib import Path
-from struct import unpack_from
 from types import SimpleNamespace
 
 import pytest
@@ -218,39 +216,6 @@ def test_no_kernel_is_compiled_for_two_sets_of_types(runs):
     assert len(types) > 100
     most = {kernel: 2 if ".parts_writer." in kernel else 1 for kernel in types}  # it makes those of EVT2 and of EVT3
     assert {kernel: found for kernel, found in types.items() if len(found) > most[kernel]} == {}
-
-
-def weak_functions(file):
-    """Return the names of the weak functions that an object file in ELF-64 defines."""
-    sections_at, size, count = *unpack_from("<Q", file, 0x28), *unpack_from("<HH", file, 0x3A)
-    sections = [unpack_from("<IIQQQQI", file, sections_at + size * k) for k in range(count)]
-    symbols = next(one for one in sections if one[1] == 2)
-    names = sections[symbols[6]]
-    for at in range(symbols[4], symbols[4] + symbols[5], 24):
-        name, information, _, section = unpack_from("<IBBH", file, at)
-        if information == 0x22 and section:
-            start = names[4] + name
-            yield file[start : file.index(b"\0", start)].decode()
-
-
-def object_code(stored):
-    """Return the object file in the data that numba stores for a function."""
-    if isinstance(stored, tuple) and len(stored) == 3 and stored[1] == "object":
-        return stored[2][0]
-    return next(filter(None, map(object_code, stored)), None) if isinstance(stored, tuple) else None
-
-
-@pytest.mark.anew
-@pytest.mark.timeout(3600)
-def test_functions_that_an_entry_calls_are_local_to_its_machine_code(run_installed, runs):
-    """No process replaces them by functions of the same name in the code of another entry."""
-    weak = {}
-    for path in run_installed.kernels.rglob("*.nbc"):
-        code = object_code(pickle.loads(path.read_bytes()))
-        assert code.startswith(b"\x7fELF"), path
-        weak[path.name] = list(weak_functions(code))
-    assert len(weak) > 20
-    assert {name: functions for name, functions in weak.items() if functions} == {}
 
 
 @pytest.mark.anew

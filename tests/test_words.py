@@ -35,8 +35,3 @@ class Box:
         return depth
 '''
     assert sorted(lines_of(tmp_path, source)) == [1, 4, 8, 11, 14, 16]
-
-
-def test_other_strings_may_begin_with_any_word(tmp_path):
-    source = '"""Table of words."""\n\nLIMIT = 3\n"""Limit of the table."""\nprint()\n"""What stands alone."""\n'
-    assert lines_of(tmp_path, source) == []

@@ -105,11 +105,11 @@ _OWN = ("evstim", "emulator", "transports", "firmware_protocol")
 
 
 class ForeignFileError(Exception):
-    """Error: a file cannot be read, with the reason, not its name; `lacks`: this machine lacks the library for it."""
+    """Error: why a file cannot be read, without its name; `lacks`: a library is missing; `kind`: of the child's one."""
 
-    def __init__(self, text: str, *, lacks: bool = False) -> None:
+    def __init__(self, text: str, *, lacks: bool = False, kind: str = "") -> None:
         super().__init__(text)
-        self.lacks = lacks
+        self.lacks, self.kind = lacks, kind
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class GuardedReader:
             if "@end" in values:
                 return
             if "@error" in values:
-                raise ForeignFileError(values["@error"], lacks=values["lacks"])
+                raise ForeignFileError(values["@error"], lacks=values["lacks"], kind=values["kind"])
             yield values
 
     def _read(self, size: int) -> bytearray:
@@ -273,7 +273,7 @@ def _error_of(error: BaseException, order: Mapping[str, Any]) -> dict[str, Any]:
         text = f"reading {Path(order['path']).suffix or 'it'} needs {needs}"
     elif not is_own:
         text = f"cannot be read: {text if len(text) <= _MOST_TEXT else f'{text[:_MOST_TEXT]} ...'}"
-    return {"@error": text, "lacks": isinstance(error, ImportError)}
+    return {"@error": text, "lacks": isinstance(error, ImportError), "kind": type(error).__name__}
 
 
 def _limit(memory_bytes: int, cpu_s: int) -> None:

@@ -114,21 +114,31 @@ class ByteBudget:
         self._now_ns = now_ns
 
 
-class DatagramOutlet:
+class _DatagramSocket:
+    def __init__(self, host: str, port: int) -> None:
+        self._host, self._port = host, port
+        self._socket: socket.socket | None = None
+
+    @property
+    def address(self) -> str:
+        """Host and port."""
+        return f"{self._host}:{self._port}"
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+
+
+class DatagramOutlet(_DatagramSocket):
     """Socket that sends to one address.
 
     `counts`: datagrams sent, refused by the receiver's machine because no program listens, and not sendable.
     """
 
     def __init__(self, host: str, port: int) -> None:
-        self._host, self._port = host, port
-        self._socket: socket.socket | None = None
+        super().__init__(host, port)
         self.counts: Counter[str] = Counter()
-
-    @property
-    def address(self) -> str:
-        """Host and port of the receiver."""
-        return f"{self._host}:{self._port}"
 
     def open(self) -> None:
         """Open the socket; raises OSError, with the remedy, when the address cannot be used."""
@@ -160,25 +170,14 @@ class DatagramOutlet:
         self.counts["datagrams that could not be sent"] += 1
         return False
 
-    def close(self) -> None:
-        """Close the socket."""
-        if self._socket is not None:
-            self._socket.close()
 
-
-class DatagramInlet:
+class DatagramInlet(_DatagramSocket):
     """Socket that receives datagrams on one address from allowed senders only; `refused`: number of the others."""
 
     def __init__(self, host: str, port: int, allow: Iterable[str] = ()) -> None:
-        self._host, self._port = host, port
+        super().__init__(host, port)
         self._allow = AllowList(allow)
-        self._socket: socket.socket | None = None
         self.refused = 0
-
-    @property
-    def address(self) -> str:
-        """Host and port that it listens on."""
-        return f"{self._host}:{self._port}"
 
     @property
     def descriptors(self) -> tuple[int, ...]:
@@ -212,11 +211,6 @@ class DatagramInlet:
                 yield data
             else:
                 self.refused += 1
-
-    def close(self) -> None:
-        """Close the socket."""
-        if self._socket is not None:
-            self._socket.close()
 
 
 def _resolved(host: str, port: int) -> tuple[int, Any]:

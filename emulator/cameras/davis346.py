@@ -22,17 +22,13 @@ _IMU_UNITS = ("mpu_9250", "mpu_6050")
 
 def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = Davis346Settings(
-        serial=camera.serial,
+        **usb.of_device(camera),
         size=camera.size,
-        speed=Speed[camera.speed.upper()],
         layout=Layout[camera.layout.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
         system=SystemInfo(timestamp_master=usb.is_master),
         imu_unit=IMU_UNITS[camera.imu.unit] if camera.imu is not None and camera.imu.unit in _IMU_UNITS else 0,
         frames=camera.frames is not None,
         activity_filter=camera.activity_filter,
-        pulse_us=usb.pulse_us,
     )
     return partial(Davis346, settings)
 
@@ -53,15 +49,12 @@ _USB = UsbModel((346, 260), _device, kernels=_kernels, imu_units=_IMU_UNITS)
 
 def _device_240c(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = Davis240cSettings(
-        serial=camera.serial,
+        **(usb.of_device(camera) | {"speed": Speed.HIGH}),
         size=camera.size,
         layout=Layout[camera.layout.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
         frames=camera.frames is not None,
         activity_filter=camera.activity_filter,
-        pulse_us=usb.pulse_us,
     )
     system = dataclasses.replace(settings.system, timestamp_master=usb.is_master)
     return partial(Davis240c, dataclasses.replace(settings, system=system))

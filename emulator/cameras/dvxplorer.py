@@ -20,30 +20,22 @@ from firmware_protocol.dvxplorer import (
     GroupEncoder,
 )
 from firmware_protocol.dvxplorer.registers import SYSTEM
-from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
 
 def _large(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = DvxplorerSettings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **usb.of_device(camera),
         system=dataclasses.replace(SYSTEM, timestamp_master=usb.is_master),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
-        pulse_us=usb.pulse_us,
     )
     return partial(Dvxplorer, settings)
 
 
 def _micro(bcd_device: int, camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = DvxplorerMicroSettings(
-        serial=camera.serial,
+        **usb.of_device(camera),
         bcd_device=bcd_device,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
     )
     return partial(DvxplorerMicro, settings)

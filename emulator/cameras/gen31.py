@@ -10,20 +10,15 @@ from emulator.rig.kinds import CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.gen31.device import BOARDS, SLOPES, Gen31, Gen31Settings
-from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
 
 def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = Gen31Settings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **usb.of_device(camera),
         celsius=camera.sensor.temperature.celsius,
         biases=camera.bias_model,
         board=BOARDS[camera.model],
-        pulse_us=usb.pulse_us,
     )
     return partial(Gen31, settings)
 

@@ -11,19 +11,14 @@ from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.genx320.device import SLOPES, Genx320, Genx320Settings
 from firmware_protocol.genx320.registers import Surroundings
-from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
 
 def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Genx320Settings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **usb.of_device(camera),
         surroundings=Surroundings(sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
-        pulse_us=usb.pulse_us,
         biases=camera.bias_model,
     )
     return partial(Genx320, settings)

@@ -14,21 +14,16 @@ from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.imx636.evk4 import BOARDS, Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
 from firmware_protocol.prophesee.biases import BiasSlopes
-from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
 
 def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Evk4Settings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **usb.of_device(camera),
         surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
         biases=camera.bias_model,
         board=BOARDS[camera.model],
-        pulse_us=usb.pulse_us,
     )
     return partial(Evk4, settings)
 

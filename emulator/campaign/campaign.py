@@ -146,20 +146,15 @@ def check_placeholders(rig: Rig, settings: Settings, folder: Path) -> None:
     if settings.program.start == "with":
         names += addresses_as_placeholders({link.name: "" for link in rig.links})
         names += [POSE_PORT] if pose_port(rig) is not None else []
-    _check_program(settings.program.argv[0], folder)
+    program = settings.program.argv[0]
+    can_run = os.access(folder / program, os.X_OK) if "/" in program else shutil.which(program)
+    if not can_run and not _PLACEHOLDER.search(program):
+        raise TableError(f"there is no program {program!r} that can be run", ("program", "argv"))
     for name in (name for argument in settings.program.argv for name in _PLACEHOLDER.findall(argument)):
         if name == "record" and not settings.record:
             raise TableError('{record} needs record = ".npz", or another suffix', ("program", "argv"))
         if name not in names:
             raise TableError(f"placeholder {unknown(name, names)}", ("program", "argv"))
-
-
-def _check_program(name: str, folder: Path) -> None:
-    if _PLACEHOLDER.search(name):
-        return
-    program = os.access(folder / name, os.X_OK) if "/" in name else shutil.which(name)
-    if not program:
-        raise TableError(f"there is no program {name!r} that can be run", ("program", "argv"))
 
 
 _NOT_OF_THE_RUNS = ("title", "rig", "min_success", "timeout_s", "report")

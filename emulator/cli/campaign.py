@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from cyclopts import App, Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
@@ -251,6 +251,7 @@ def report(file: Path, /, *, folder: Path | None = None, to: Path | None = None,
         )
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Share:
     """Selection of runs for job arrays; the folder is shared, and a last call without these options completes it.
@@ -267,6 +268,7 @@ class Share:
     part: str | None = None
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Placement:
     """Workers or scheduler that do the runs, and folders of the results.
@@ -290,18 +292,7 @@ class Placement:
     report: Path | None = None
 
 
-_ALL = Share()
-_HERE = Placement()
-
-
-def campaign(
-    file: Path,
-    /,
-    *,
-    share: Annotated[Share, Parameter(name="*")] = _ALL,
-    where: Annotated[Placement, Parameter(name="*")] = _HERE,
-    json: Json = False,
-) -> int:
+def campaign(file: Path, /, *, share: Share = Share(), where: Placement = Placement(), json: Json = False) -> int:
     """Run a campaign, or the rest of it. Ctrl-C ends it with its summary; the same command continues it.
 
     Parameters
@@ -387,6 +378,7 @@ def _workers(loaded: Campaign, folder: Path, runs: int, where: Placement) -> Wor
     return LocalWorkers([WarmWorker(loaded, folder, threads) for _ in range(count)])
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Content:
     """Content of the sequences.
@@ -421,15 +413,12 @@ class Content:
     format: Literal["h5", "npz", "dsec"] = "h5"
 
 
-_CONTENT = Content()
-
-
 def dataset(
     rig: RigName,
     /,
     *,
     out: Path,
-    content: Annotated[Content, Parameter(name="*")] = _CONTENT,
+    content: Content = Content(),
     workers: int | None = None,
     scheduler: str | None = None,
     json: Json = False,

@@ -9,13 +9,14 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from emulator.cli.output import LACKING, WRONG_USE, Failure, failing, status
+from emulator.cli.output import BAD_VERDICT, LACKING, WRONG_USE, Failure, failing, status
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import Rig, RigError
 from emulator.run.kernels import Part, Preparation, prepare, uncompiled
@@ -23,7 +24,7 @@ from emulator.run.link_process import LinkFailed
 from firmware_protocol.recordings.event_table import TableForm
 from transports.recording.files import OpenRecording
 from transports.recording.format import Format, format_to_write, reason
-from transports.recording.part import LibraryMissing, RecordingError
+from transports.recording.part import DamagedRecording, LibraryMissing, RecordingError
 from transports.registry import PluginError
 
 Table = Annotated[TableForm, Parameter(name="*")]
@@ -104,8 +105,8 @@ def parsed_size(text: str | None) -> tuple[int, int] | None:
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn errors of a recording that is read into Failure."""
-    at = str(path)
-    with failing(WRONG_USE, RecordingError, OSError, at=at), failing(LACKING, LibraryMissing, at=at):
+    ends = partial(failing, at=str(path))
+    with ends(WRONG_USE, RecordingError, OSError), ends(LACKING, LibraryMissing), ends(BAD_VERDICT, DamagedRecording):
         yield
 
 

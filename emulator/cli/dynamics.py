@@ -9,7 +9,6 @@ import threading
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from cyclopts import Parameter
@@ -48,6 +47,7 @@ class _Lockstep:
             self.simulation.close()
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Target:
     """Receiver of the poses.
@@ -67,19 +67,10 @@ class Target:
     rig: str | None = None
 
 
-_RUNNING_RIG = Target()
 _TO = "127.0.0.1:10364"
 
 
-def dynamics(
-    fmu: Path,
-    /,
-    *,
-    map: Path,
-    seconds: float,
-    target: Annotated[Target, Parameter(name="*")] = _RUNNING_RIG,
-    json: Json = False,
-) -> int:
+def dynamics(fmu: Path, /, *, map: Path, seconds: float, target: Target = Target(), json: Json = False) -> int:
     """Fly an FMU in real time, and send its poses to a rig with a path of kind "live"; or run a rig in lockstep.
 
     See docs/loops.md.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pwd
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 from cyclopts import App, Parameter
 
@@ -15,6 +15,7 @@ from firmware_protocol.usb.descriptors import DescriptorSet
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class UsbCameraOptions:
     """Camera that USB hosts find, as in the rig's table [camera].
@@ -34,15 +35,12 @@ class UsbCameraOptions:
     speed: Literal["super", "high"] = Camera.speed
 
 
-_DEFAULTS = UsbCameraOptions()
-
-
 def up(
     *,
     name: str = "evstim",
     udc: str = "",
     user: str | None = None,
-    plug: Annotated[UsbCameraOptions, Parameter(name="*")] = _DEFAULTS,
+    plug: UsbCameraOptions = UsbCameraOptions(),
     json: Json = False,
 ) -> int:
     """Make the gadget, so that `evstim run` need not be root; hosts find it when a rig with a link usb_gadget runs.

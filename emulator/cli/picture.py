@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -50,6 +50,7 @@ _ALLOWED = {
 }
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class PictureOptions:
     """Content of the picture.
@@ -102,6 +103,7 @@ class PictureOptions:
         return self.speed / self.fps
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class PlayOptions(PictureOptions):
     """Content of the pictures in the terminal or window.
@@ -118,9 +120,6 @@ class PlayOptions(PictureOptions):
     seconds: float = math.inf
 
 
-_DEFAULTS, _PLAYED = PictureOptions(), PlayOptions()
-
-
 Look = tuple[float, Light, Events]
 """Stream time in seconds, the light then, and the events of the window before it."""
 _Looks = Callable[[PictureOptions, float], Iterator[Look]]
@@ -133,9 +132,7 @@ _TICK_NS = 10_000_000  # from one look at the window's keys to the next
 _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"
 
 
-def picture(
-    source: str, file: Path, /, *, show: Annotated[PictureOptions, Parameter(name="*")] = _DEFAULTS, json: Json = False
-) -> int:
+def picture(source: str, file: Path, /, *, show: PictureOptions = PictureOptions(), json: Json = False) -> int:
     """Write a picture (.png) or movie (.gif, .mp4): the light, ON events in orange, OFF events in blue.
 
     The light of a recording is that of its frames, where it has any.
@@ -169,7 +166,7 @@ def play(
     *,
     out: Path | None = None,
     window: Flag = False,
-    show: Annotated[PlayOptions, Parameter(name="*")] = _PLAYED,
+    show: PlayOptions = PlayOptions(),
     json: Json = False,
 ) -> int:
     """Show the events of a rig or a recording in the terminal: ON events in orange, OFF events in blue, over the light.

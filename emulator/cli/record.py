@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from cyclopts import Parameter
 
@@ -15,10 +15,11 @@ from emulator.cli.run import rig_with_options, run_rig, summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import parts_of
-from emulator.run.outcome import RunResult, good, judge
+from emulator.run.outcome import good, judge
 from transports.file import FileLink
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class RunOptions:
     """Options of the run.
@@ -38,18 +39,7 @@ class RunOptions:
     pace: Literal["realtime", "free"] = "free"
 
 
-_DEFAULTS = RunOptions()
-
-
-def record(
-    rig: RigName,
-    file: Path,
-    /,
-    *,
-    to: str = "",
-    course: Annotated[RunOptions, Parameter(name="*")] = _DEFAULTS,
-    json: Json = False,
-) -> int:
+def record(rig: RigName, file: Path, /, *, to: str = "", course: RunOptions = RunOptions(), json: Json = False) -> int:
     """Record all that a rig's camera sends and the format can hold, without its links: no host is needed.
 
     Events, triggers, and frames and IMU samples where the rig has them, with the settings that drivers make by default.
@@ -74,18 +64,14 @@ def record(
         prepared(parts_of(loaded))
         result = run_rig(loaded, show=not json)
     ignore_stop_signals()
-    lines = [*summary_lines(loaded, result), *(f"not recorded: {part}" for part in absent), _outcome(file, result)]
+    recorded = result.links[FileLink.name]
+    troubles = [*([] if recorded.error is None else [recorded.error]), *recorded.file_troubles]
+    outcome = f"written to {file}; `evstim info {file}` shows its content"
+    if troubles:
+        outcome = f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows the content of {file}"
+    lines = [*summary_lines(loaded, result), *(f"not recorded: {part}" for part in absent), outcome]
     print_result(json, {**summary(loaded, result), "not_recorded": absent}, lines)
     return GOOD if good(judge(loaded.verdict, result)) else BAD_VERDICT
-
-
-def _outcome(file: Path, result: RunResult) -> str:
-    """Return the last line for people."""
-    link = result.links[FileLink.name]
-    troubles = [*([] if link.error is None else [link.error]), *link.file_troubles]
-    if troubles:
-        return f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows the content of {file}"
-    return f"written to {file}; `evstim info {file}` shows its content"
 
 
 def _not_recorded(rig: Rig) -> list[str]:

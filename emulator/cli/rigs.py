@@ -12,15 +12,13 @@ from typing import Literal
 
 from emulator.cli.checks import failures
 from emulator.cli.output import GOOD, Flag, Json, RigName, print_json, print_result
-from emulator.plan.plan import line_loads
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.rig.remarks import OpenedFile, open_files, remarks
 from emulator.rig.top_level import rig_schema
-from emulator.run.assembly import build_scene, build_sensor, plan_of
+from emulator.run.assembly import build_scene, build_sensor, loads_of
 from emulator.run.machine import needs_of
 from emulator.run.report.content import report_schema
-from emulator.run.report.modelled import is_drawn_here
 from transports.needs import By, Finding
 
 _WORDS = {"run": "needs", "driver": "drivers on this machine need"}
@@ -94,15 +92,12 @@ def check(rig: RigName, /, *, draw: Flag = False, json: Json = False) -> int:
     with failures():
         loaded = load_rig(rig)
         files = [dataclasses.replace(file, is_read=file.is_read or draw) for file in open_files(loaded)]
-        notes = remarks(loaded)
-        expected_hz = None
+        notes, loads = remarks(loaded), loads_of(loaded)
         if draw:  # the files of the scene are read, each within the bounds of its reader
             with build_scene(loaded) as scene:
-                is_drawn = is_drawn_here(loaded)
-                expected_hz = plan_of(loaded, scene).probe.events_per_s if is_drawn and loaded.links else None
+                loads = loads_of(loaded, scene)
             if SCENES[loaded.scene.kind].events:
                 build_sensor(loaded, loaded.camera.sensor)
-    loads = line_loads(loaded, expected_hz)
     lines = [
         f"{loaded.name}: good. {_sentence(loaded)}",
         *_unread(files),

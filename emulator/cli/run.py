@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Parameter
 
@@ -35,7 +35,7 @@ from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals,
 from emulator.light import Scene
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.rig.remarks import remarks
-from emulator.run.assembly import build_scene, build_session, link_setups, schedule
+from emulator.run.assembly import build_scene, build_session, link_setups, loads_of, schedule
 from emulator.run.control import ReadySignal, fault_injection
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from emulator.run.report.files import RunReporter
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Files:
     """Files that a run writes.
@@ -99,7 +100,7 @@ def run(
     seconds: float | None = None,
     seed: int | None = None,
     pace: Literal["realtime", "free"] | None = None,
-    files: Annotated[Files, Parameter(name="*")] = NO_FILES,
+    files: Files = NO_FILES,
     json: Json = False,
 ) -> int:
     """Run a rig: render its scene, simulate its sensor, serve its links. Ctrl-C ends the run with its summary.
@@ -200,7 +201,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
     with build_scene(rig) as scene, truth.begin() as truth_file:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
-        for note in [*remarks(rig), *scene.notes] if show else ():
+        for note in _notes(rig, scene, is_driven=simulation is not None) if show else ():
             console.print(f"note: {note}", markup=False)
         if reporting:
             reporting.plan(scene, is_driven=simulation is not None)
@@ -243,6 +244,14 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
 
             restore_collection()
             return session.run(dataclasses.replace(schedule(rig), simulation=simulation), report, take)
+
+
+def _notes(rig: Rig, scene: Scene, *, is_driven: bool) -> Iterator[str]:
+    """Yield remarks on a rig and its scene, and the load of each line that carries less than all expected events."""
+    yield from (*remarks(rig), *scene.notes)
+    for load in loads_of(rig, None if is_driven else scene):
+        if load.share is not None and load.share < 1:
+            yield load.line
 
 
 def _stop(session: Session, repeats: Repeats | None) -> None:

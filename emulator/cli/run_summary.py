@@ -103,9 +103,13 @@ def verdict_line(rules: Sequence[Judgement]) -> str:
 
 def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
     """Return no line for a run that kept up, else its lateness and the remedies."""
-    late = result.lateness
+    late, run = result.lateness, rig.run
     if result.too_late:
-        return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig, late.processor_share)}"]
+        worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late, and run.max_late_ms is {run.max_late_ms:g}"
+        often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
+        often = f"{often}, and run.max_late_share is {run.max_late_share:g}"
+        broken = "; ".join([worst] * result.step_too_late + [often] * result.late_too_often)
+        return [f"NOT IN REAL TIME: {broken}. {_remedies(rig, late.processor_share)}"]
     if late.worst_gap_us > _REPORTED_LATENESS_US or result.often_stretched:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
@@ -125,45 +129,26 @@ def _remedies(rig: Rig, processor_share: float) -> str:
     return f"Take {longer}, fewer scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
 
 
-def _broken(rig: Rig, result: RunResult) -> str:
-    """Return which limits the run has broken, and by how much."""
-    late, run = result.lateness, rig.run
-    worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late, and run.max_late_ms is {run.max_late_ms:g}"
-    often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
-    often = f"{often}, and run.max_late_share is {run.max_late_share:g}"
-    return "; ".join([worst] * result.step_too_late + [often] * result.late_too_often)
-
-
 def timing_json(report: LinkReport) -> dict[str, object]:
     """Return the `edges`, `clock` and `readings` of a link for the JSON summary."""
-    on_the_way = dataclasses.asdict(report.edges)
-    fates = {} if report.camera is None else _edge_fates(report.camera.edges)
-    counted = {} if report.camera is None else report.camera.readings
-    balanced = {"balanced": report.readings_balanced}
+    edges = dataclasses.asdict(report.edges)
+    if report.camera is not None:
+        c = report.camera.edges
+        edges |= {"offered": c.offered, "ignored": c.ignored, "dropped": c.dropped_for_room, "delivered": c.delivered}
+        edges |= {"queued": c.queued, "lost_on_link": c.lost_on_link, "added": c.added}
+    readings = {}
+    for kind, reading in report.readings.items():
+        c = Counts() if report.camera is None else report.camera.readings.get(kind, Counts())
+        readings[kind] = dataclasses.asdict(reading) | {
+            "offered": c.offered, "not_running": c.not_running, "dropped": c.dropped_fifo, "flushed": c.flushed,
+            "delivered": c.delivered, "lost_on_link": c.lost_on_link, "queued": c.queued,
+            "balanced": report.readings_balanced,
+        }  # fmt: skip
     return {
-        "edges": {**on_the_way, **fates, "balanced": report.edges_balanced},
+        "edges": {**edges, "balanced": report.edges_balanced},
         "clock": None if report.clock is None else dataclasses.asdict(report.clock),
-        "readings": {
-            kind: {**dataclasses.asdict(reading), **_reading_fates(counted.get(kind, Counts())), **balanced}
-            for kind, reading in report.readings.items()
-        },
+        "readings": readings,
     }
-
-
-def _edge_fates(c: Counts) -> dict[str, int]:
-    """Return the fates of edges by the names of the JSON summary."""
-    return {
-        "offered": c.offered, "ignored": c.ignored, "dropped": c.dropped_for_room, "delivered": c.delivered,
-        "queued": c.queued, "lost_on_link": c.lost_on_link, "added": c.added,
-    }  # fmt: skip
-
-
-def _reading_fates(c: Counts) -> dict[str, int]:
-    """Return the fates of readings by the names of the JSON summary."""
-    return {
-        "offered": c.offered, "not_running": c.not_running, "dropped": c.dropped_fifo, "flushed": c.flushed,
-        "delivered": c.delivered, "lost_on_link": c.lost_on_link, "queued": c.queued,
-    }  # fmt: skip
 
 
 def timing_lines(name: str, report: LinkReport) -> Iterator[str]:

@@ -40,6 +40,7 @@ from transports.network import check_allow
 from transports.vizard import ForwardingServer, Other, Server, VizardServer
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class ConnectionOptions:
     """Address that the simulation connects to, and options of its images.
@@ -62,17 +63,14 @@ class ConnectionOptions:
     white: float = 1.0
 
 
-_DEFAULTS = ConnectionOptions()
-
-
 def vizard(
     rig: str,
     /,
     *,
     seconds: float | None = None,
     seed: int | None = None,
-    connection: Annotated[ConnectionOptions, Parameter(name="*")] = _DEFAULTS,
-    files: Annotated[Files, Parameter(name="*")] = NO_FILES,
+    connection: ConnectionOptions = ConnectionOptions(),
+    files: Files = NO_FILES,
     json: Json = False,
 ) -> int:
     """Run a rig in step with a Basilisk simulation: it gives poses and time, and gets images; the links get events.

@@ -39,7 +39,7 @@ from msgspec import Meta
 from emulator.light import MachineLacks
 from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
 from emulator.tables.typed_table import TableError, convert
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded
 from firmware_protocol.pose_message import NOW, PoseMessage, PoseMessageError
 
 
@@ -102,7 +102,7 @@ class InputFile:
 
 
 @dataclass(frozen=True)
-class Mapping:
+class Mapping(Bounded):
     """Mapping of an FMU's variables to a pose and inputs.
 
     Attributes
@@ -121,9 +121,6 @@ class Mapping:
     start: dict[str, float] = field(default_factory=dict)
     file: InputFile | None = None
     can: Bus | None = None
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def outputs(self) -> tuple[str, ...]:

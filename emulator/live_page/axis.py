@@ -83,7 +83,10 @@ class TimeAxis:
         dt_s = status.sim_seconds - before.sim_seconds
         if dt_s <= 0:
             return
-        count, mean = self._mean_rates()
+        taken, self._samples = self._samples, []
+        samples, mean = np.concatenate([no_samples(), *taken]), None
+        if self._unit is not None and len(samples):  # deg/s
+            mean = physical(samples, self._unit)["rate_deg_s"].mean(axis=0).round(3).tolist()
         latencies = [report.latency for report in status.links.values() if report.latency.p99 is not None]
         slowest = max(latencies, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
         self._points.append(
@@ -93,18 +96,10 @@ class TimeAxis:
                 "p50": slowest.p50,
                 "p99": slowest.p99,
                 "edges": max(0, _edges(status.links) - _edges(before.links)),
-                "imu_hz": count / dt_s,
+                "imu_hz": len(samples) / dt_s,
                 "imu": mean,
             }
         )
-
-    def _mean_rates(self) -> tuple[int, list[float] | None]:
-        """Return the number of samples since the last call, and the mean of their rates, deg/s."""
-        taken, self._samples = self._samples, []
-        samples = np.concatenate([no_samples(), *taken])
-        if self._unit is None or not len(samples):
-            return len(samples), None
-        return len(samples), physical(samples, self._unit)["rate_deg_s"].mean(axis=0).round(3).tolist()
 
 
 def _edges(links: Mapping[str, LinkReport]) -> int:

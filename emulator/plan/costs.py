@@ -1,14 +1,15 @@
 """Costs of leaving out effects of the pixel and of the chip, from which `decide` makes its decisions.
 
-Each cost is a decision without its verdict; None where the effect is off. Effects of the chip are temperature, imager,
-defects and radiation. `dim` is dark current over the photocurrent of the darkest active pixels: a change of the dark
-current, or of the light alone, by a share changes contrasts there by that share of `dim`, and time constants by that
-share.
+Each cost is a decision without its verdict; an effect that is off has none. Effects of the chip are temperature,
+imager, defects and radiation. `dim` is dark current over the photocurrent of the darkest active pixels: a change of the
+dark current, or of the light alone, by a share changes contrasts there by that share of `dim`, and time constants by
+that share.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -105,168 +106,112 @@ def tau_us(p: SensorParameters, current: float) -> float:
     return 1e6 / (2 * math.pi * corner_hz)
 
 
-def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
-    """Return the cost of each effect of the pixel."""
-    return [
-        _low_pass(p, scene),
-        _bandwidth(p, scene),
-        _large_signals(p, scene),
-        _source_follower(p),
-        _high_pass(p, scene),
-        *_leaks(p, scene, tolerance),
-        _mismatch(p, scene),
-        _refractory(p, scene),
-        _noise(p, scene),
-        _jitter(p),
-        _comparator(p, scene),
-        *_resets(p, scene),
-        _acknowledge(p, scene),
-    ]
+def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Iterator[Decision]:
+    """Yield the cost of each effect of the pixel that is switched on, in the order of the signal."""
+    yield from _receptor_costs(p, scene)
+    yield from _comparator_costs(p, scene, tolerance)
+    yield from _reset_costs(p, scene)
 
 
-def _low_pass(p: SensorParameters, scene: Probe) -> Decision | None:
-    if math.isinf(p.corner_hz_at_reference):
-        return None
-    lag_us = tau_us(p, least_current(p, scene))
-    if p.photoreceptor == "circuit":
-        return Decision("low-pass", "longest time constant; of the circuit, kept", lag_us, None, choice=False)
-    return Decision("low-pass", "longest time constant", lag_us, None, {"corner_hz_at_reference": math.inf})
+def _receptor_costs(p: SensorParameters, scene: Probe) -> Iterator[Decision]:
+    """Yield the costs up to the high-pass.
 
-
-def _bandwidth(p: SensorParameters, scene: Probe) -> Decision | None:
-    if math.isinf(p.corner_hz_at_reference) or p.corner_min_hz == p.corner_max_hz:
-        return None
-    least, largest = least_current(p, scene), max(_largest(scene), least_current(p, scene))
-    longest_us, shortest_us = tau_us(p, least), tau_us(p, largest)
-    fixed_hz = 1e6 / (2 * math.pi * math.sqrt(longest_us * shortest_us))
-    frozen = {"corner_min_hz": fixed_hz, "corner_max_hz": fixed_hz}
-    bound = "time constants of the darkest and the brightest light"
-    return Decision("bandwidth following the light", bound, longest_us - shortest_us, None, frozen)
-
-
-def _large_signals(p: SensorParameters, scene: Probe) -> Decision | None:
-    """Return the cost of a photoreceptor without the circuit's second pole, and its slew over the range of light.
-
-    The law of large signals costs no more than one pole, so it is not for choice.
+    The second pole and the slew of the circuit cost no more than one pole as the law of large signals, which is
+    therefore not for choice.
     """
-    if p.photoreceptor == "large_signal":
-        return None
-    if math.isinf(p.corner_hz_at_reference) or math.isinf(p.corner_max_hz):
-        return None
-    least = least_current(p, scene)
-    range_ln = math.log(max(_largest(scene) / least, 1.0))
-    late_us = 1e6 * (1 + range_ln) / (2 * math.pi * p.corner_max_hz)
-    is_circuit = p.photoreceptor == "circuit"
-    changes = {"photoreceptor": "large_signal"} if is_circuit else {}
-    return Decision(
-        "large signals", "second pole, and slew over the range", late_us, None, changes, is_circuit, is_circuit
-    )
+    least, largest = least_current(p, scene), max(_largest(scene), least_current(p, scene))
+    is_circuit, has_low_pass = p.photoreceptor == "circuit", not math.isinf(p.corner_hz_at_reference)
+    if has_low_pass and is_circuit:
+        bound = "longest time constant; of the circuit, kept"
+        yield Decision("low-pass", bound, tau_us(p, least), None, choice=False)
+    elif has_low_pass:
+        off: dict[str, Any] = {"corner_hz_at_reference": math.inf}
+        yield Decision("low-pass", "longest time constant", tau_us(p, least), None, off)
+    if has_low_pass and p.corner_min_hz != p.corner_max_hz:
+        longest_us, shortest_us = tau_us(p, least), tau_us(p, largest)
+        fixed_hz = 1e6 / (2 * math.pi * math.sqrt(longest_us * shortest_us))
+        off = {"corner_min_hz": fixed_hz, "corner_max_hz": fixed_hz}
+        bound = "time constants of the darkest and the brightest light"
+        yield Decision("bandwidth following the light", bound, longest_us - shortest_us, None, off)
+    if has_low_pass and p.photoreceptor != "large_signal" and not math.isinf(p.corner_max_hz):
+        range_ln = math.log(max(_largest(scene) / least, 1.0))
+        late_us = 1e6 * (1 + range_ln) / (2 * math.pi * p.corner_max_hz)
+        off = {"photoreceptor": "large_signal"} if is_circuit else {}
+        bound = "second pole, and slew over the range"
+        yield Decision("large signals", bound, late_us, None, off, is_circuit, is_circuit)
+    if p.source_follower_hz:
+        off = {"noise": {"corner_hz": fixed_corner_hz(p)}} if p.noise.rms else {}  # noise, which keeps its band
+        lag_us = 1e6 / (2 * math.pi * p.source_follower_hz)
+        yield Decision("source follower", "its time constant", lag_us, None, {**off, "source_follower_hz": 0.0})
+    if p.highpass_hz:
+        time_constants = 2 * math.pi * p.highpass_hz * run_events(p, scene) * interval_s(p, scene)
+        share = 1 + math.expm1(-time_constants) / time_constants  # 1 in a still scene
+        yield Decision("high-pass", "events that a monotone run loses", None, share, {"highpass_hz": 0.0})
 
 
-def _source_follower(p: SensorParameters) -> Decision | None:
-    if not p.source_follower_hz:
-        return None
-    lag_us = 1e6 / (2 * math.pi * p.source_follower_hz)
-    noise: dict[str, Any] = {"noise": {"corner_hz": fixed_corner_hz(p)}} if p.noise.rms else {}  # which keeps its band
-    return Decision("source follower", "its time constant", lag_us, None, {**noise, "source_follower_hz": 0.0})
+def _comparator_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Iterator[Decision]:
+    """Yield the costs of leaks, thresholds, noise and delays.
 
-
-def _high_pass(p: SensorParameters, scene: Probe) -> Decision | None:
-    if not p.highpass_hz:
-        return None
-    time_constants = 2 * math.pi * p.highpass_hz * run_events(p, scene) * interval_s(p, scene)
-    share = 1 + math.expm1(-time_constants) / time_constants  # 1 in a still scene
-    return Decision("high-pass", "events that a monotone run loses", None, share, {"highpass_hz": 0.0})
-
-
-def _leaks(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
+    That of comparators without delay is an upper bound of the later one's, at the mean contrast rate.
+    """
     largest = _largest(scene) if math.isfinite(scene.largest_current) else 0.0
-    off: tuple[tuple[str, float, dict[str, Any]], ...] = (
+    leaks: tuple[tuple[str, float, dict[str, Any]], ...] = (
         ("leak", p.leak_hz, {"leak_hz": 0.0}),
         ("leak spread", p.leak_hz * p.leak_spread, {"leak_spread": 0.0}),
         ("leak jitter", p.leak_hz * p.jitter.leak_share, {"jitter": {"leak_share": 0.0}}),
         ("parasitic", p.parasitic_hz_at_reference * largest, {"parasitic_hz_at_reference": 0.0}),
     )
-    decisions: list[Decision | None] = []
-    for name, rate_hz, changes in off:
+    for name, rate_hz, off in leaks:
         if rate_hz:
             slope = rate_hz * threshold(p)
             drift_us = min(over(slope * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6
-            bound = "drift of the stamps, and its share of the events"
-            decisions.append(Decision(name, bound, drift_us, over(slope, scene), changes))
-    return decisions
-
-
-def _mismatch(p: SensorParameters, scene: Probe) -> Decision | None:
-    if not p.mismatch:
-        return None
-    off_us = over(run_events(p, scene) * p.mismatch * threshold(p), scene) * 1e6
-    return Decision("mismatch", "stamps at the end of a monotone run", off_us, None, {"mismatch": 0.0})
-
-
-def _refractory(p: SensorParameters, scene: Probe) -> Decision | None:
-    if not p.refractory_us:
-        return None
-    share = p.refractory_us * 1e-6 / interval_s(p, scene)
-    late_us = run_events(p, scene) * p.refractory_us
-    return Decision("refractory period", "stamps in a run, and events lost", late_us, share, {"refractory_us": 0.0})
-
-
-def _noise(p: SensorParameters, scene: Probe) -> Decision | None:
-    if not p.noise.rms:
-        return None
-    darkest, brightest = _corner_hz(p, p.dark_current_relative), _corner_hz(p, _largest(scene))
-    f = np.geomspace(darkest, brightest, 20) if math.isfinite(brightest) else np.full(1, math.inf)
-    share = over(max(0.0, *(sum(still_hz(p, float(hz))) - p.leak_hz for hz in np.unique(f))) * threshold(p), scene)
-    jitter_us = over(p.noise.rms, scene) * 1e6
-    return Decision("noise", "jitter of events, and noise events", jitter_us, share, {"noise": {"rms": 0.0}})
-
-
-def _jitter(p: SensorParameters) -> Decision | None:
-    if not p.jitter.latency_us:
-        return None
-    late_us = p.jitter.latency_us + 2 * p.jitter.deviation_us
-    off = {"jitter": {"latency_us": 0.0, "deviation_us": 0.0, "off_latency_us": 0.0, "late_share": 0.0}}
-    return Decision("jitter", "latency and two deviations", late_us, None, off)
-
-
-def _comparator(p: SensorParameters, scene: Probe) -> Decision | None:
-    """Return the cost of comparators without delay: an upper bound of the later one's, at the mean contrast rate."""
+            yield Decision(name, "drift of the stamps, and its share of the events", drift_us, over(slope, scene), off)
+    if p.mismatch:
+        off_us = over(run_events(p, scene) * p.mismatch * threshold(p), scene) * 1e6
+        yield Decision("mismatch", "stamps at the end of a monotone run", off_us, None, {"mismatch": 0.0})
+    if p.refractory_us:
+        late_us, share = run_events(p, scene) * p.refractory_us, p.refractory_us * 1e-6 / interval_s(p, scene)
+        yield Decision("refractory period", "stamps in a run, and events lost", late_us, share, {"refractory_us": 0.0})
+    if p.noise.rms:
+        darkest, brightest = _corner_hz(p, p.dark_current_relative), _corner_hz(p, _largest(scene))
+        f = np.geomspace(darkest, brightest, 20) if math.isfinite(brightest) else np.full(1, math.inf)
+        share = over(max(0.0, *(sum(still_hz(p, float(hz))) - p.leak_hz for hz in np.unique(f))) * threshold(p), scene)
+        jitter_us = over(p.noise.rms, scene) * 1e6
+        yield Decision("noise", "jitter of events, and noise events", jitter_us, share, {"noise": {"rms": 0.0}})
+    if p.jitter.latency_us:
+        late_us = p.jitter.latency_us + 2 * p.jitter.deviation_us
+        off = {"jitter": {"latency_us": 0.0, "deviation_us": 0.0, "off_latency_us": 0.0, "late_share": 0.0}}
+        yield Decision("jitter", "latency and two deviations", late_us, None, off)
     c = p.comparator
-    if not max(c.on_us, c.off_us):
-        return None
-    late_us, unit_us = math.inf, over(c.contrast_per_e, scene) * 1e6
-    if math.isfinite(unit_us):
-        on, off = c.on_us / unit_us, c.off_us / unit_us  # see `sensor.pixels.event_time`
-        late_us = unit_us * max(math.log1p(on + math.sqrt(2 * on)), off + min(1.0, math.sqrt(2 * off)))
-    none = {"comparator": {"on_us": 0.0, "off_us": 0.0}}
-    share = late_us * 1e-6 / interval_s(p, scene) if math.isfinite(late_us) else math.inf
-    return Decision("comparator", "delay at the mean contrast rate, and events lost in it", late_us, share, none)
+    if max(c.on_us, c.off_us):
+        late_us, unit_us = math.inf, over(c.contrast_per_e, scene) * 1e6
+        if math.isfinite(unit_us):
+            on, off_e = c.on_us / unit_us, c.off_us / unit_us  # see `sensor.pixels.event_time`
+            late_us = unit_us * max(math.log1p(on + math.sqrt(2 * on)), off_e + min(1.0, math.sqrt(2 * off_e)))
+        share = late_us * 1e-6 / interval_s(p, scene) if math.isfinite(late_us) else math.inf
+        bound, off = (
+            "delay at the mean contrast rate, and events lost in it",
+            {"comparator": {"on_us": 0.0, "off_us": 0.0}},
+        )
+        yield Decision("comparator", bound, late_us, share, off)
 
 
-def _resets(p: SensorParameters, scene: Probe) -> list[Decision | None]:
-    n, decisions = run_events(p, scene), list[Decision | None]()
+def _reset_costs(p: SensorParameters, scene: Probe) -> Iterator[Decision]:
+    """Yield the costs of the reset; without the acknowledge, pixels would not wait for the read-out."""
+    n = run_events(p, scene)
     offset, noise = abs(p.reset.offset), p.reset.noise
     if offset:
-        bound, share = "stamps in a run, and its share of a threshold", offset / min(p.threshold_on, p.threshold_off)
-        off_us = over(n * offset, scene) * 1e6
-        decisions.append(Decision("reset offset", bound, off_us, share, {"reset": {"offset": 0.0}}))
+        off_us, share = over(n * offset, scene) * 1e6, offset / min(p.threshold_on, p.threshold_off)
+        bound = "stamps in a run, and its share of a threshold"
+        yield Decision("reset offset", bound, off_us, share, {"reset": {"offset": 0.0}})
     if noise:
         off_us = over(2 * math.sqrt(n) * noise, scene) * 1e6
-        bound = "two deviations of the stamps in a run"
-        decisions.append(Decision("reset noise", bound, off_us, None, {"reset": {"noise": 0.0}}))
-    return decisions
-
-
-def _acknowledge(p: SensorParameters, scene: Probe) -> Decision | None:
-    """Return the cost of a refractory period from the crossing: pixels would not wait for the read-out."""
-    if not p.reset.at_acknowledge:
-        return None
-    wait_us = _mean_wait_us(p, scene.events_per_s)
-    late_us, interval_us = run_events(p, scene) * wait_us, interval_s(p, scene) * 1e6
-    share = wait_us / interval_us if math.isfinite(wait_us) else math.inf
-    bound = "mean wait at the read-out: stamps in a run, and events lost"
-    return Decision("acknowledge", bound, late_us, share, {"reset": {"at_acknowledge": False}})
+        yield Decision("reset noise", "two deviations of the stamps in a run", off_us, None, {"reset": {"noise": 0.0}})
+    if p.reset.at_acknowledge:
+        wait_us = _mean_wait_us(p, scene.events_per_s)
+        share = wait_us / (interval_s(p, scene) * 1e6) if math.isfinite(wait_us) else math.inf
+        bound = "mean wait at the read-out: stamps in a run, and events lost"
+        yield Decision("acknowledge", bound, n * wait_us, share, {"reset": {"at_acknowledge": False}})
 
 
 def _mean_wait_us(p: SensorParameters, events_per_s: float) -> float:
@@ -296,103 +241,64 @@ def _corner_hz(p: SensorParameters, current: float) -> float:
     return 1e6 / (2 * math.pi * tau) if tau else math.inf
 
 
-def chip_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
-    """Return the cost of each effect of the chip."""
-    imager = p.imager
-    return [
-        Decision("dark current", "its share of the darkest light; never left out", None, _dim(p, scene), choice=False),
-        _temperature(p, scene, tolerance),
-        _of_light("system efficiency", abs(1 / imager.system_efficiency - 1), {"system_efficiency": 1.0}, p, scene),
-        _of_light("quantum efficiency", abs(1 / imager.quantum_efficiency - 1), {"quantum_efficiency": 1.0}, p, scene),
-        _of_light("PRNU", 2 * imager.prnu, {"prnu": 0.0}, p, scene),
-        _of_light("DCNU", 2 * imager.dcnu, {"dcnu": 0.0}, p, scene, of_dark=True),
-        *_shot_noise(p, scene),
-        _hot_pixels(p, scene),
-        _dead_pixels(p),
-        _radiation(p, scene),
-        _dose(p, scene, tolerance),
-    ]
+def chip_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Iterator[Decision]:
+    """Yield the cost of each effect of the chip that is switched on."""
+    imager, t = p.imager, p.temperature
+    dim = min(1.0, p.dark_current_relative / least_current(p, scene))
+    yield Decision("dark current", "its share of the darkest light; never left out", None, dim, choice=False)
+    if t.warmer_k:
+        more_leak = abs(t.leak_factor - 1) * p.leak_hz * threshold(p)
+        drift_us = min(over(more_leak * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6 if more_leak else 0.0
+        share = (over(more_leak, scene) if more_leak else 0.0) + abs(t.dark_factor - 1) * dim
+        off: dict[str, Any] = {"temperature": {"celsius": REFERENCE_CELSIUS}}
+        yield Decision("temperature", "change of leak and of dark current", drift_us, share, off)
+    of_light: tuple[tuple[str, float, float, dict[str, Any]], ...] = (  # a change of light, or of dark current
+        ("system efficiency", abs(1 / imager.system_efficiency - 1), 1 - dim, {"system_efficiency": 1.0}),
+        ("quantum efficiency", abs(1 / imager.quantum_efficiency - 1), 1 - dim, {"quantum_efficiency": 1.0}),
+        ("PRNU", 2 * imager.prnu, 1 - dim, {"prnu": 0.0}),
+        ("DCNU", 2 * imager.dcnu, dim, {"dcnu": 0.0}),
+    )
+    for name, change, changed_share, off in of_light:
+        if change:
+            lag_us = tau_us(p, least_current(p, scene)) * change * changed_share
+            bound = "time constants and contrasts in the darkest light"
+            yield Decision(name, bound, lag_us, change * dim, {"imager": off})
+    yield from _shot_noise_costs(p, scene)
+    yield from _defect_costs(p, scene, tolerance)
 
 
-def _dim(p: SensorParameters, scene: Probe) -> float:
-    return min(1.0, p.dark_current_relative / least_current(p, scene))
-
-
-def _temperature(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Decision | None:
-    t = p.temperature
-    if not t.warmer_k:
-        return None
-    more_leak = abs(t.leak_factor - 1) * p.leak_hz * threshold(p)
-    more_dark = abs(t.dark_factor - 1)
-    drift_us = min(over(more_leak * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6 if more_leak else 0.0
-    share = (over(more_leak, scene) if more_leak else 0.0) + more_dark * _dim(p, scene)
-    off = {"temperature": {"celsius": REFERENCE_CELSIUS}}
-    return Decision("temperature", "change of leak and of dark current", drift_us, share, off)
-
-
-def _of_light(
-    name: str, change: float, off: dict[str, Any], p: SensorParameters, scene: Probe, *, of_dark: bool = False
-) -> Decision | None:
-    """Return the cost of an effect that changes light, or dark current, by a share."""
-    if not change:
-        return None
-    dim = _dim(p, scene)
-    lag_us = tau_us(p, least_current(p, scene)) * change * (dim if of_dark else 1 - dim)
-    return Decision(name, "time constants and contrasts in the darkest light", lag_us, change * dim, {"imager": off})
-
-
-def _shot_noise(p: SensorParameters, scene: Probe) -> list[Decision | None]:
+def _shot_noise_costs(p: SensorParameters, scene: Probe) -> Iterator[Decision]:
     least = least_current(p, scene)
     dark = min(p.dark_current_relative, least)
-    return [
-        _counting("photon shot noise", p.imager.photon_shot_noise, least - dark, p, scene),
-        _counting("dark shot noise", p.imager.dark_shot_noise, dark, p, scene),
-    ]
+    of_photons = "photon shot noise", p.imager.photon_shot_noise, least - dark
+    for name, on, counted in (of_photons, ("dark shot noise", p.imager.dark_shot_noise, dark)):
+        if on:
+            grid_s = p.imager.shot_grid_us * 1e-6
+            deviation = math.sqrt(counted / (p.imager.electrons_per_s_at_reference * grid_s)) / least
+            events_hz = math.erfc(threshold(p) / (2 * deviation)) / grid_s if deviation else 0.0
+            jitter_us = over(deviation, scene) * 1e6 if deviation else 0.0
+            share = over(events_hz * threshold(p), scene) if events_hz else 0.0
+            off = {"imager": {name.replace(" ", "_"): False}}
+            yield Decision(name, "jitter of events, and events of its own", jitter_us, share, off)
 
 
-def _counting(name: str, on: bool, counted: float, p: SensorParameters, scene: Probe) -> Decision | None:
-    if not on:
-        return None
-    grid_s = p.imager.shot_grid_us * 1e-6
-    deviation = math.sqrt(counted / (p.imager.electrons_per_s_at_reference * grid_s)) / least_current(p, scene)
-    events_hz = math.erfc(threshold(p) / (2 * deviation)) / grid_s if deviation else 0.0
-    jitter_us = over(deviation, scene) * 1e6 if deviation else 0.0
-    share = over(events_hz * threshold(p), scene) if events_hz else 0.0
-    off = {"imager": {name.replace(" ", "_"): False}}
-    return Decision(name, "jitter of events, and events of its own", jitter_us, share, off)
-
-
-def _hot_pixels(p: SensorParameters, scene: Probe) -> Decision | None:
-    count = p.defects.hot_share * p.width * p.height + len(p.defects.hot_pixels)
-    if not count:
-        return None
-    off = {"defects": {"hot_share": 0.0, "hot_pixels": ()}}
-    return Decision("hot pixels", "their share of the stream", None, _of_stream(count * p.defects.hot_hz, scene), off)
-
-
-def _dead_pixels(p: SensorParameters) -> Decision | None:
-    share = p.defects.dead_share + len(p.defects.dead_pixels) / (p.width * p.height)
-    off = {"defects": {"dead_share": 0.0, "dead_pixels": ()}}
-    return Decision("dead pixels", "their share of the pixels", None, share, off) if share else None
-
-
-def _radiation(p: SensorParameters, scene: Probe) -> Decision | None:
-    r = p.radiation
-    if not r.hits_per_cm2_s:
-        return None
-    pixels = 1 + 2 * r.depth_um / r.pixel_pitch_um  # mean length of an isotropic track, and the pixel it begins in
-    share = _of_stream(hits_per_second(p) * pixels * (1 + r.off_share), scene)
-    return Decision("radiation", "its share of the stream", None, share, {"radiation": {"hits_per_cm2_s": 0.0}})
-
-
-def _dose(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Decision | None:
-    r = p.radiation
+def _defect_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Iterator[Decision]:
+    d, r = p.defects, p.radiation
+    if count := d.hot_share * p.width * p.height + len(d.hot_pixels):
+        off: dict[str, Any] = {"defects": {"hot_share": 0.0, "hot_pixels": ()}}
+        yield Decision("hot pixels", "their share of the stream", None, _of_stream(count * d.hot_hz, scene), off)
+    if share := d.dead_share + len(d.dead_pixels) / (p.width * p.height):
+        off = {"defects": {"dead_share": 0.0, "dead_pixels": ()}}
+        yield Decision("dead pixels", "their share of the pixels", None, share, off)
+    if r.hits_per_cm2_s:
+        track = 1 + 2 * r.depth_um / r.pixel_pitch_um  # mean length of an isotropic track, and the pixel it begins in
+        share = _of_stream(hits_per_second(p) * track * (1 + r.off_share), scene)
+        yield Decision("radiation", "its share of the stream", None, share, {"radiation": {"hits_per_cm2_s": 0.0}})
     dose_krad = r.dose_krad + r.dose_krad_per_day * tolerance.duration_s / 86_400
-    if not dose_krad * r.hot_share_per_krad:
-        return None
-    turned = -math.expm1(-dose_krad * r.hot_share_per_krad) * p.width * p.height
-    off = {"radiation": {"dose_krad": 0.0, "dose_krad_per_day": 0.0}}
-    return Decision("dose", "pixels it turns hot by the end", None, _of_stream(turned * p.defects.hot_hz, scene), off)
+    if dose_krad * r.hot_share_per_krad:
+        turned = -math.expm1(-dose_krad * r.hot_share_per_krad) * p.width * p.height
+        off = {"radiation": {"dose_krad": 0.0, "dose_krad_per_day": 0.0}}
+        yield Decision("dose", "pixels it turns hot by the end", None, _of_stream(turned * d.hot_hz, scene), off)
 
 
 def _of_stream(events_per_s: float, scene: Probe) -> float:

@@ -62,7 +62,7 @@ __all__ = ["Decision", "Plan", "Steps", "Tolerance", "decide", "limits", "line_l
 def decide(sensor: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision]:
     """Return a decision for each effect that `sensor` has switched on."""
     costs = [*pixel_costs(sensor, scene, tolerance), *chip_costs(sensor, scene, tolerance)]
-    decisions = [_judge(cost, tolerance) for cost in costs if cost is not None]
+    decisions = [_judge(cost, tolerance) for cost in costs]
     if not any(decision.effect == "noise" and decision.kept for decision in decisions):
         return decisions
     return [_kept_with_noise(decision) for decision in decisions]

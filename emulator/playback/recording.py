@@ -20,6 +20,7 @@ from emulator.tables.typed_table import NO_FILE, RigFile
 from firmware_protocol.bounds import check_bounds
 from firmware_protocol.events import Events, join_events
 from transports.needs import Need, package
+from transports.recording.event_files import library_of
 from transports.recording.files import OpenRecording
 from transports.recording.format import format_to_read, format_to_write
 from transports.recording.part import Frame, LibraryMissing, RecordingError, wrong_event
@@ -54,6 +55,7 @@ def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
     path = Path(parameters.path)
     try:
         needed = (format_to_read(path) if path.exists() else format_to_write(path)).needs
+        needed = library_of(path) if needed == "faery" else needed
     except (OSError, RecordingError):  # reported when it is opened
         return ()
     return (package(needed),) if needed else ()

@@ -20,6 +20,7 @@ from emulator.tables.typed_table import KeyPath, TableError, convert_kind
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.imu_samples import BMI160
 from firmware_protocol.prophesee.biases import BiasSlopes
+from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.kinds import FAULTS, Fault
 from transports.link.kind import LinkKind, LinkParameters, possible_faults
@@ -100,6 +101,12 @@ class UsbSettings:
     start_delay_ms: float
     pulse_us: int = 100
     is_master: bool = True
+
+    def of_device(self, camera: Camera) -> dict[str, Any]:
+        """Return what settings of all devices have alike, by their names there."""
+        speed, delay_us = Speed[camera.speed.upper()], round(self.start_delay_ms * 1000)
+        common = {"serial": camera.serial, "speed": speed, "fifo_bytes": camera.fifo_bytes}
+        return {**common, "start_delay_us": delay_us, "pulse_us": self.pulse_us}
 
 
 class CameraKernels(NamedTuple):

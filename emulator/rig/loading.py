@@ -29,7 +29,7 @@ from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
 from emulator.tables.toml_text import TextFileError, TomlError, dotted, line_of, read_text, read_toml, shortened
 from emulator.tables.typed_table import TableError, beside, convert
-from firmware_protocol.bounds import check_bounds, unshared
+from firmware_protocol.bounds import Bounded, unshared
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
 from transports.registry import unknown
@@ -86,7 +86,7 @@ class RigSource:
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(Bounded):
     """One bench set-up; `source` is its file, None for a rig that a program made."""
 
     name: str
@@ -100,9 +100,6 @@ class Rig:
     verdict: Verdict = field(default_factory=Verdict)
     second_camera: SecondCamera | None = None
     source: RigSource | None = field(default=None, compare=False, repr=False)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 def shipped_rigs() -> dict[str, Path]:

@@ -175,19 +175,14 @@ def _second_camera(table: object, rig: Mapping[str, Any]) -> SecondCamera:
     if set(second.links) == set(names):
         raise TableError("the first camera needs a link too", ("second_camera", "links"))
     if second.model:
-        _check_second_model(second, rig)
+        try:
+            _camera({"model": second.model, "serial": second.serial}, rig)
+        except TableError as error:
+            raise TableError(str(error), ("second_camera", *error.path[1:])) from error
+        if rig["run"].tolerance_us and second.model != rig["camera"].model:
+            message = "with run.tolerance_us, which selects steps for one sensor, both cameras need the same model"
+            raise TableError(message, ("second_camera", "model"))
     return second
-
-
-def _check_second_model(second: SecondCamera, rig: Mapping[str, Any]) -> None:
-    """Raise TableError for a model that does not exist, does not take the serial number, or has steps of its own."""
-    try:
-        _camera({"model": second.model, "serial": second.serial}, rig)
-    except TableError as error:
-        raise TableError(str(error), ("second_camera", *error.path[1:])) from error
-    if rig["run"].tolerance_us and second.model != rig["camera"].model:
-        message = "with run.tolerance_us, which selects steps for one sensor, both cameras need the same model"
-        raise TableError(message, ("second_camera", "model"))
 
 
 def _trigger(table: object, rig: Mapping[str, Any]) -> Trigger:
@@ -336,11 +331,7 @@ def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, An
     types, bounds = field_types(cls), bounds_of(cls)
     bounded = {name: Annotated[types[name], limits] for name, limits in bounds.items()}
     properties = {f.name: _field(f, {**types, **bounded}[f.name], definitions) for f in dataclasses.fields(cls)}
-    required = [
-        f.name
-        for f in dataclasses.fields(cls)
-        if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
-    ]
+    required = [f.name for f in dataclasses.fields(cls) if f.default is f.default_factory is dataclasses.MISSING]
     if kind:
         properties, required = {"kind": {"const": kind}, **properties}, ["kind", *required]
     return {

@@ -60,7 +60,7 @@ from transports.recording.part import Facts
 from transports.registry import imported
 
 if TYPE_CHECKING:
-    from emulator.plan.plan import Plan
+    from emulator.plan.plan import LineLoad, Plan
     from emulator.run.truth.source import RunTruth
     from emulator.sensor.imu import Carried, Gravity, ImuSource
     from emulator.sensor.parameters import ImuParameters
@@ -222,6 +222,23 @@ def plan_of(rig: Rig, scene: Scene) -> Plan:
     from emulator.plan.scene_probe import probe
 
     return make_plan(rig, probe(scene, rig.camera.sensor, rig.run.step_us * 1000, rig.run.seconds or 10.0))
+
+
+def is_drawn_here(rig: Rig) -> bool:
+    """Return whether the light of a rig is drawn by evstim, not by another program or played from a recording."""
+    return rig.scene.kind != "external" and not SCENES[rig.scene.kind].events
+
+
+def loads_of(rig: Rig, scene: Scene | None = None) -> list[LineLoad]:
+    """Return the loads of the lines that have a limit, with the share that they carry of a scene that is drawn here."""
+    if all(type(link).carries_hz is LinkParameters.carries_hz for link in rig.links):  # no line has a limit
+        return []
+    from emulator.plan.plan import line_loads
+
+    loads = line_loads(rig)
+    if not loads or scene is None or not is_drawn_here(rig):
+        return loads
+    return line_loads(rig, plan_of(rig, scene).probe.events_per_s)
 
 
 def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> StepSource:

@@ -300,7 +300,11 @@ class Session:
         schedule = self._schedule
         self._may_interrupt = False
         start_ns = self._clock.now_ns()
-        self._lockstep = self._locked()
+        if schedule.lockstep_ns:
+            rings = [setup.timing.syncs for setup in self._setups if setup.timing.syncs is not None]
+            if not rings:
+                raise ValueError("no link's bus drives this run")
+            self._lockstep = Lockstep(rings[0], schedule.lockstep_ns, self._clock)
         self._drive = schedule.simulation or self._lockstep
         origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
         for link in self._links:
@@ -334,15 +338,6 @@ class Session:
     def _goes_on(self) -> bool:
         """Return False when the run was stopped, or it has links and all of them are gone."""
         return not self.stopping and (not self._links or any(not link.gone for link in self._links))
-
-    def _locked(self) -> Lockstep | None:
-        """Return the lockstep with a bus, where a bus drives the run."""
-        if not self._schedule.lockstep_ns:
-            return None
-        rings = [setup.timing.syncs for setup in self._setups if setup.timing.syncs is not None]
-        if not rings:
-            raise ValueError("no link's bus drives this run")
-        return Lockstep(rings[0], self._schedule.lockstep_ns, self._clock)
 
     def _trouble_of(self, error: BaseException) -> str:
         """Return the reason for the verdict; "" for a regular end of the scene where a run has none, or was stopped."""

@@ -29,12 +29,12 @@ from emulator.cli.run import summary
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.tables import Verdict
-from emulator.run.assembly import build_scene
+from emulator.run.assembly import build_scene, is_drawn_here
 from emulator.run.machine import on_free_ports
 from emulator.run.outcome import Judgement, RunResult, RunStatus, judge
 from emulator.run.report.content import Circumstances, ReportContent
 from emulator.run.report.files import write_report
-from emulator.run.report.modelled import Modelled, is_drawn_here, modelled
+from emulator.run.report.modelled import Modelled, modelled
 from emulator.run.report.observation import Observation
 from evstim.running import LiveRun, run
 from firmware_protocol.events import EVENT, Events

@@ -178,57 +178,39 @@ def dbc_text(identifiers: Identifiers, *, fd: bool = False, transport: Transport
 
 def can_messages(*, fd: bool = False, transport: Transport = "raw") -> list[CanMessage]:
     """Return the kinds of frames of a camera, in classic or in FD frames, for one transport."""
-    messages = [*_network(), *_times(), *_carried(fd), *_heartbeats()]
-    return [message for message in messages if message.name not in _ABSENT[transport]]
-
-
-def _network() -> list[CanMessage]:
     orders = (Signal("command", 0, 8, values=_values(NmtCommand)), Signal("node", 8, 8))
     overflow = (Signal("code", 0, 16), Signal("register", 16, 8), Signal("dropped", 24, 32, "events"))
-    return [
-        CanMessage("nmt", 2, MASTER, "Commands to the camera", orders),
-        CanMessage("sync", 1, MASTER, "Trigger and time base; counter is optional", (Signal("counter", 0, 8),)),
-        CanMessage("emcy", 8, CAMERA, "8110: events were dropped; 0000: no more", overflow),
-    ]
-
-
-def _times() -> list[CanMessage]:
     spacecraft = (
         Signal("seconds", 7, 32, "s", big_endian=True),
         Signal("fraction", 39, 24, "s", "5.960464477539063e-08", big_endian=True),
     )
     left = (Signal("counter", 0, 8), Signal("sent", 8, 56, "ns"))
-    return [
-        CanMessage("time", 6, MASTER, "Since 1984-01-01", (Signal("ms", 0, 28, "ms"), Signal("days", 32, 16, "d"))),
-        CanMessage("scet", 7, MASTER, "Spacecraft time, CUC 4+3", spacecraft),
-        CanMessage("follow_up", 8, CAMERA, "Transmission time of the SYNC with this counter", left),
-    ]
-
-
-def _carried(fd: bool) -> list[CanMessage]:
     epoch = (
         Signal("t", 0, 30, "ticks"),
         Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
         Signal("sent", 32, 16, "events"),
         Signal("dropped", 48, 16, "events"),
     )
-    return [
+    marks = (Signal("t", 0, 32, "us"), Signal("kind", 32, 8), Signal("channel", 40, 8), Signal("seq", 48, 16))
+    state = (Signal("state", 0, 7, values=_values(NodeState)),)
+    messages = [
+        CanMessage("nmt", 2, MASTER, "Commands to the camera", orders),
+        CanMessage("sync", 1, MASTER, "Trigger and time base; counter is optional", (Signal("counter", 0, 8),)),
+        CanMessage("emcy", 8, CAMERA, "8110: events were dropped; 0000: no more", overflow),
+        CanMessage("time", 6, MASTER, "Since 1984-01-01", (Signal("ms", 0, 28, "ms"), Signal("days", 32, 16, "d"))),
+        CanMessage("scet", 7, MASTER, "Spacecraft time, CUC 4+3", spacecraft),
+        CanMessage("follow_up", 8, CAMERA, "Transmission time of the SYNC with this counter", left),
         _fd_events() if fd else _events(),
         CanMessage("epoch", 8, CAMERA, "Upper bits of the events' times, and counts of events", epoch),
         CanMessage("clock", 8, CAMERA, "All bits of the events' time", (Signal("t", 0, 64, "us"),)),
-        CanMessage("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
-        CanMessage("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
+        CanMessage("marks", 8, CAMERA, "The camera's own trigger and exposure marks", marks),
+        CanMessage("edges", 8, CAMERA, "Edges on the camera's external input", marks),
         CanMessage("telemetry", 64 if fd else 8, CAMERA, "ISO-TP", (Signal("pci", 0, 8),)),
         CanMessage("telecommand", 64 if fd else 8, MASTER, "ISO-TP", (Signal("pci", 0, 8),)),
-    ]
-
-
-def _heartbeats() -> list[CanMessage]:
-    state = (Signal("state", 0, 7, values=_values(NodeState)),)
-    return [
         CanMessage("heartbeat", 1, CAMERA, "State of the camera", state),
         CanMessage("master_heartbeat", 1, MASTER, "Selects the bus in use", state),
     ]
+    return [message for message in messages if message.name not in _ABSENT[transport]]
 
 
 def _values(names: Iterable[NmtCommand] | Iterable[NodeState]) -> tuple[tuple[int, str], ...]:
@@ -262,7 +244,3 @@ def _fd_events() -> CanMessage:
         for name, at, bits, unit in (("x", 0, 9, "px"), ("y", 9, 9, "px"), ("on", 18, 1, ""), ("dt", 19, 5, "ticks"))
     ]
     return CanMessage("events", 64, CAMERA, "Up to 19 events; dt = 31: no event, ticks to add", (*head, *cells))
-
-
-def _marks() -> tuple[Signal, ...]:
-    return (Signal("t", 0, 32, "us"), Signal("kind", 32, 8), Signal("channel", 40, 8), Signal("seq", 48, 16))

@@ -31,7 +31,7 @@ from typing import Annotated, ClassVar
 
 from msgspec import Meta
 
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 _FULL_SCALE_A = (11e-12, 94e-12, 756e-12, 6.054e-9, 48.437e-9, 387.5e-9, 3.1e-6, 24.8e-6)
@@ -40,7 +40,7 @@ _TwoBits = Annotated[int, Meta(ge=0, le=3)]
 
 
 @dataclass(frozen=True)
-class CoarseFine:
+class CoarseFine(Bounded):
     """A current source: coarse and fine value, transistor sex and type."""
 
     BITS: ClassVar[int] = 15
@@ -51,9 +51,6 @@ class CoarseFine:
     enabled: bool = True
     cascode: bool = False
     low_current: bool = False
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @classmethod
     def parse(cls, word: int) -> CoarseFine:
@@ -84,16 +81,13 @@ class CoarseFine:
 
 
 @dataclass(frozen=True)
-class Vdac:
+class Vdac(Bounded):
     """A voltage source: level and the strength of its buffer."""
 
     BITS: ClassVar[int] = 9
 
     voltage: _SixBits
     current: Annotated[int, Meta(ge=0, le=7)]
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @classmethod
     def parse(cls, word: int) -> Vdac:
@@ -108,7 +102,7 @@ class Vdac:
 
 
 @dataclass(frozen=True)
-class ShiftedSource:
+class ShiftedSource(Bounded):
     """A shifted source: `mode` 0 shifted source, 1 high impedance, 2 tied to the rail."""
 
     BITS: ClassVar[int] = 16
@@ -117,9 +111,6 @@ class ShiftedSource:
     reg: _SixBits
     mode: _TwoBits = 0
     level: _TwoBits = 0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @classmethod
     def parse(cls, word: int) -> ShiftedSource:

@@ -40,7 +40,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded, check_bounds
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """Distance between two streams, and between two numbers of a stream."""
@@ -111,7 +111,7 @@ _PPT_PER_PPB = 1000
 
 
 @dataclass(frozen=True)
-class ClockStep:
+class ClockStep(Bounded):
     """A jump of the clock: by `by_us`, forward or back, at `at_s` of stream time.
 
     Attributes
@@ -122,9 +122,6 @@ class ClockStep:
 
     at_s: _StreamSeconds
     by_us: Annotated[float, Meta(ge=-1e12, le=1e12)]
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,12 @@ class EventDevice(ABC):
     """
 
     _fates: Fates
+    _now_us = 0
 
     @property
-    @abstractmethod
     def now_us(self) -> int:
         """Stream time that the camera has reached."""
+        return self._now_us
 
     @property
     @abstractmethod
@@ -120,9 +121,9 @@ class EventDevice(ABC):
         A camera whose detector is off, or that has none, counts them as ignored.
         """
 
-    @abstractmethod
     def advance(self, now_us: int) -> None:
         """Set stream time to `now_us`; the clock never goes back."""
+        self._now_us = max(self._now_us, now_us)
 
 
 class HostAdjusted(ABC):
@@ -132,11 +133,12 @@ class HostAdjusted(ABC):
     """
 
     set_by: ClassVar[str] = "register"
+    _settings_version = 0
 
     @property
-    @abstractmethod
     def settings_version(self) -> int:
         """Number that changes with its factors, settings without effect, commands and settings of readings."""
+        return self._settings_version
 
     @property
     @abstractmethod

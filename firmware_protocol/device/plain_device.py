@@ -166,13 +166,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         self.is_watched = True
         self._running = True
         self._queue = ItemQueue()
-        self._now_us = 0
         self._fates = Fates(readings={str(kind): Counts() for kind in readings})
-
-    @property
-    def now_us(self) -> int:
-        """Stream time that it has reached."""
-        return self._now_us
 
     @property
     def streaming(self) -> bool:
@@ -253,10 +247,6 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         fitting = min(offered, room)
         counts.dropped_fifo += offered - fitting
         return fitting
-
-    def advance(self, now_us: int) -> None:
-        """Set stream time to `now_us`."""
-        self._now_us = max(self._now_us, now_us)
 
     def restart_clock(self) -> bool:
         """Restart its own clock at zero, now."""

@@ -246,9 +246,7 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
         self._stream, self._filters = parts.stream, parts.filters
         self._readings, self._statistics = parts.readings, parts.statistics
         self._resets_us: list[int] = []
-        self._now_us = 0
         self._has_sent = False
-        self._settings_version = 0
         self._input_settings_of: tuple[int, int | None] | None = None
         self._input_now = InputSettings()
         self._power_on()
@@ -291,11 +289,6 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
         return RunGate.of(self._registers)
 
     @property
-    def now_us(self) -> int:
-        """Stream time that the camera has reached."""
-        return self._now_us
-
-    @property
     def streaming(self) -> bool:
         """True while events offered now would go to the host."""
         return self._gate.events and self._now_us >= self._silent_until_us
@@ -304,11 +297,6 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
     def at_rest(self) -> bool:
         """True while the gate for words is closed."""
         return not self._gate.words
-
-    @property
-    def settings_version(self) -> int:
-        """Number of changes of its registers."""
-        return self._settings_version
 
     @property
     def room_events(self) -> int:

@@ -87,20 +87,12 @@ class Gen31Settings(TreuzellSettings):
     celsius, lux : temperature of the board; light on the chip.
     """
 
+    size = SIZE
+    chip_names = CHIP_NAMES
     biases: BiasModel = field(default_factory=lambda: BiasModel(SLOPES))
     board: BoardIdentity = BOARDS["silkyevcam_vga"]
     celsius: float = 35.0
     lux: float = 100.0
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor, pixels."""
-        return SIZE
-
-    @property
-    def chip_names(self) -> ChipNames:
-        """Names of the sensor."""
-        return CHIP_NAMES
 
     @property
     def beside_sensor(self) -> tuple[BoardDevice, ...]:

@@ -31,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
-from firmware_protocol.prophesee.registers import ChipRegisters, Form, NoRegister
+from firmware_protocol.prophesee.registers import ChipRegisters, Form
 
 SIZE = (640, 480)
 CHIP = 0x9020_0C02
@@ -102,13 +102,7 @@ class Registers(ChipRegisters):
     def __init__(self, lux: float = 100.0) -> None:
         count = _COUNT_AT_1_LUX / lux if lux > 0 else _METER_COUNT
         self._light = _METER_VALID | min(max(round(count), 1), _METER_COUNT)
-        super().__init__(_END // 4, BIASES)
-
-    def power_on(self) -> None:
-        """Set every register to its power-on value."""
-        self._words[:] = 0
-        for address, value in _POWER_ON.items():
-            self._set(address, value)
+        super().__init__(_END // 4, BIASES, _POWER_ON)
 
     def write(self, address: int, value: int) -> None:
         """Write a register, and apply its effect within the sensor; raises NoRegister."""
@@ -154,9 +148,3 @@ class Registers(ChipRegisters):
     def has_trigger(self) -> bool:
         """True if the trigger input is on."""
         return bool(self[Address.TRIGGERS] & 1)
-
-    @staticmethod
-    def _place(address: int) -> int:
-        if address & 3 or not 0 <= address < _END:
-            raise NoRegister(f"no register at 0x{address:08X}")
-        return address // 4

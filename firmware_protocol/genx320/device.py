@@ -55,19 +55,11 @@ class Genx320Settings(TreuzellSettings):
     surroundings, board : readings of the sensor's own instruments; identity of the board.
     """
 
+    size = SIZE
+    chip_names = CHIP_NAMES
     biases: BiasModel = field(default_factory=lambda: BiasModel(SLOPES))
     surroundings: Surroundings = field(default_factory=Surroundings)
     board: BoardIdentity = BOARD
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor, pixels."""
-        return SIZE
-
-    @property
-    def chip_names(self) -> ChipNames:
-        """Names of the sensor."""
-        return CHIP_NAMES
 
 
 class Genx320(TreuzellCamera):

@@ -45,7 +45,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from firmware_protocol.prophesee.biases import BiasModel
-from firmware_protocol.prophesee.registers import ChipRegisters, Form, NoRegister, SensorSurroundings
+from firmware_protocol.prophesee.registers import ChipRegisters, Form, SensorSurroundings
 from firmware_protocol.prophesee.treuzell import RegisterBus
 from firmware_protocol.prophesee.v4l2 import (
     EVT3_FORMAT,
@@ -130,7 +130,7 @@ BIASES: Mapping[str, tuple[int, int]] = {
 }
 """Register and value at open of each bias, by Prophesee's names."""
 
-_POWER_ON: Mapping[int, int] = {
+_POWER_ON = {
     Address.ARRAY: 0x400,
     Address.CHIP: CHIP,
     0x002C: 0x0020_0624,
@@ -184,16 +184,16 @@ _POWER_ON: Mapping[int, int] = {
     0xB000: 0x1000_C000,
     Address.BOOTED: 0xCAFE_BABE,
 }
+_POWER_ON |= {address: _POWER_ON[address] | value for address, value in BIASES.values()}
 
 
 @dataclass(frozen=True)
 class Surroundings(SensorSurroundings):
     """Readings of the sensor's own instruments; the thermometer reads -54 to 166 degrees."""
 
-    @property
-    def adc(self) -> int:
-        """Value of the thermometer, 0 to 1023."""
-        return min(max(round((self.celsius + 54.0) / 0.216), 0), 1023)
+    lowest_celsius = -54.0
+    celsius_per_count = 0.216
+    counts_per_us = 50.0
 
     @property
     def light_count(self) -> int:
@@ -201,10 +201,6 @@ class Surroundings(SensorSurroundings):
         if self.lux <= 0:
             return _VALID - 1
         return min(max(round(math.exp((11.97 - math.log(self.lux)) / 0.98)), 1), _VALID - 1)
-
-    def dead_time_count(self, factor: float = 1.0) -> int:
-        """Fiftieths of a microsecond of the refractory period, multiplied by `factor` by biases."""
-        return min(round(50.0 * self.dead_time_us * factor), _VALID - 1)
 
 
 class Registers(ChipRegisters):
@@ -216,15 +212,7 @@ class Registers(ChipRegisters):
     def __init__(self, surroundings: Surroundings = Surroundings(), biases: BiasModel | None = None) -> None:
         self._around = surroundings
         self._biases = biases or BiasModel()
-        super().__init__(_END // 4, BIASES)
-
-    def power_on(self) -> None:
-        """Set every register to its power-on value."""
-        self._words[:] = 0
-        for address, value in _POWER_ON.items():
-            self._set(address, value)
-        for address, value in BIASES.values():
-            self._set(address, self[address] | value)
+        super().__init__(_END // 4, BIASES, _POWER_ON)
 
     def write(self, address: int, value: int) -> None:
         """Write a register, and apply its effect within the sensor; raises NoRegister."""
@@ -275,12 +263,6 @@ class Registers(ChipRegisters):
     def has_trigger(self) -> bool:
         """True if the trigger input is on."""
         return self[Address.PADS] & _PADS == _PADS and bool(self[Address.EVENT_TYPES] & _TRIGGERS)
-
-    @staticmethod
-    def _place(address: int) -> int:
-        if address & 3 or not 0 <= address < _END:
-            raise NoRegister(f"no register at 0x{address:08X}")
-        return address // 4
 
 
 _V4L2_LIMITS = {

@@ -142,9 +142,8 @@ class Selection:
 
     def _set_rate(self) -> None:
         control, drops, period_us, events = (self._registers[address] for address in _RATE)
-        self._rate.set_period_us(max(1, period_us & 0x3FF))
-        self._rate.set_most(events & 0x1F_FFFF)
-        self._rate.turn(control & 5 == 1 and drops & 4)
+        self._rate.period_us, self._rate.most = max(1, period_us & 0x3FF), events & 0x1F_FFFF
+        self._rate.on = bool(control & 5 == 1 and drops & 4)
 
     def _set_noise(self) -> None:
         control, period_us = (self._registers[at] for at in (Address.NOISE, Address.NOISE_PERIOD))

@@ -100,13 +100,9 @@ class Evk4Settings(TreuzellSettings):
     `surroundings`: readings of the sensor's own instruments; `board`: the board's identity and its sensor.
     """
 
+    size = SIZE
     surroundings: Surroundings = field(default_factory=Surroundings)
     board: BoardModel = BOARDS["evk4"]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor, pixels."""
-        return SIZE
 
     @property
     def chip_names(self) -> ChipNames:
@@ -168,9 +164,8 @@ class Selection:
 
     def _set_rate(self) -> None:
         state, period_us, events, on, drops = (self._registers[address] for address in _RATE)
-        self._rate.set_period_us(max(1, period_us & 0x3FF))
-        self._rate.set_most(events & 0x3F_FFFF)
-        self._rate.turn(state & 3 == 1 and on & 1 and drops & 1)
+        self._rate.period_us, self._rate.most = max(1, period_us & 0x3FF), events & 0x3F_FFFF
+        self._rate.on = bool(state & 3 == 1 and on & 1 and drops & 1)
 
 
 def _numbers(x: npt.NDArray[np.int64], y: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

@@ -169,24 +169,14 @@ GEN41 = Chip(
 class Surroundings(SensorSurroundings):
     """Readings of the sensor's own instruments; the thermometer reads -56 to 138 degrees."""
 
-    @property
-    def adc(self) -> int:
-        """Value of the thermometer, 0 to 1023."""
-        return min(max(round((self.celsius + 56.0) / 0.19), 0), 1023)
+    lowest_celsius = -56.0
+    celsius_per_count = 0.19
+    counts_per_us = 200.0
 
     @property
     def light_count(self) -> int:
         """Hundredths of a microsecond that the light meter counts: lux = 10^3.5 / (0.37 us)."""
         return min(round(100.0 * 10**3.5 / (0.37 * self.lux)), (1 << 27) - 1)
-
-    def dead_time_count(self, factor: float = 1.0) -> int:
-        """Two hundredths of a microsecond of the refractory period, multiplied by `factor` by biases."""
-        return min(round(200.0 * self.dead_time_us * factor), (1 << 28) - 1)
-
-
-def is_register(address: int) -> bool:
-    """Return true if a register exists at `address`."""
-    return not address & 3 and (0 <= address < _LOW_END or _SYSTEM <= address < _SYSTEM_END)
 
 
 class Registers(ChipRegisters):
@@ -200,19 +190,10 @@ class Registers(ChipRegisters):
     ) -> None:
         self._around = surroundings
         self._biases = biases or BiasModel()
-        self._chip = chip
-        super().__init__((_LOW_END + _SYSTEM_END - _SYSTEM) // 4, chip.biases)
-
-    def power_on(self) -> None:
-        """Set every register to its power-on value."""
-        self._words[:] = 0
-        for address, current in self._chip.biases.values():
-            self._set(address, self._chip.bias_flags | current)
-        self._set(Address.CHIP, self._chip.number)
-        self._set(Address.VARIANT, self._chip.variant)
-        self._set(Address.RATE_PERIOD, 0x80)
-        self._set(Address.RATE_EVENTS, 0x80)
-        self._set(Address.WINDOW_END, SIZE[1] << 16 | SIZE[0])
+        values = {address: chip.bias_flags | current for address, current in chip.biases.values()}
+        values |= {Address.CHIP: chip.number, Address.VARIANT: chip.variant, Address.RATE_PERIOD: 0x80}
+        values |= {Address.RATE_EVENTS: 0x80, Address.WINDOW_END: SIZE[1] << 16 | SIZE[0]}
+        super().__init__((_LOW_END + _SYSTEM_END - _SYSTEM) // 4, chip.biases, values)
 
     def read(self, address: int) -> int:
         """Return a register's value; raises NoRegister."""
@@ -256,9 +237,8 @@ class Registers(ChipRegisters):
             words = np.packbits(masked, bitorder="little").view("<u4")
             self.words(address, len(words))[:] = words
 
-    @staticmethod
-    def _place(address: int) -> int:
-        if not is_register(address):
+    def _place(self, address: int) -> int:
+        if address & 3 or not (0 <= address < _LOW_END or _SYSTEM <= address < _SYSTEM_END):
             raise NoRegister(f"no register at 0x{address:08X}")
         return address // 4 if address < _LOW_END else (address - _SYSTEM + _LOW_END) // 4
 

@@ -21,7 +21,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import partial
 from heapq import heappop, heappush
 
 import numpy as np
@@ -381,13 +382,14 @@ class RangeSelection:
 
     def rules(self) -> dict[int, Rule]:
         """Return the rules for writes to these registers, by address."""
-        doing = self._doing(ROWS, self._rows) | self._doing(COLUMNS, self._columns)
-        doing |= {
-            INVERTED: self._invert,
-            Erc.ON: self._rate.turn,
-            Erc.PERIOD_US: self._rate.set_period_us,
-            Erc.EVENTS: self._rate.set_most,
+        doing: dict[int, Callable[[int], None]] = {
+            INVERTED: partial(setattr, self, "_inverted"),
+            Erc.ON: partial(setattr, self._rate, "on"),
+            Erc.PERIOD_US: partial(setattr, self._rate, "period_us"),
+            Erc.EVENTS: partial(setattr, self._rate, "most"),
         }
+        for registers, ranges in ((ROWS, self._rows), (COLUMNS, self._columns)):
+            doing |= {getattr(registers, name): partial(ranges.write, name) for name in ranges.REGISTERS}
         return {address: _followed(self._bounds[address], do) for address, do in doing.items()}
 
     def apply(self, events: Events, epoch_us: int) -> Selected:
@@ -398,25 +400,14 @@ class RangeSelection:
             selected = events[~crossing if self._inverted else crossing]
         return self._rate.selected(events, selected, epoch_us)
 
-    def _invert(self, value: int) -> None:
-        self._inverted = bool(value)
-
-    @staticmethod
-    def _doing(registers: RangeRegisters, ranges: _Ranges) -> dict[int, Callable[[int], None]]:
-        return {
-            registers.on: ranges.turn,
-            registers.selector: ranges.select,
-            registers.size: ranges.resize,
-            registers.offset: ranges.move,
-            registers.count: ranges.use,
-        }
-
 
 class _Ranges:
     """Ranges of rows, or of columns, that a host writes one by one: selector, then size and offset.
 
     `mask`: the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
     """
+
+    REGISTERS = tuple(field.name for field in fields(RangeRegisters))
 
     def __init__(self, pixels: int) -> None:
         self._sizes = np.zeros(MOST_RANGES, np.int64)
@@ -425,31 +416,19 @@ class _Ranges:
         self.on = False
         self.mask: _Mask = np.ones(pixels, np.bool_)
 
-    def turn(self, on: int) -> None:
-        """Switch the ranges on or off."""
-        self.on = bool(on)
-        self._draw()
-
-    def select(self, number: int) -> None:
-        """Select the range that is written next."""
-        self._selected = number
-
-    def resize(self, size: int) -> None:
-        """Set the size of the selected range."""
-        self._sizes[self._selected] = size
-        self._draw()
-
-    def move(self, offset: int) -> None:
-        """Set the start of the selected range."""
-        self._offsets[self._selected] = offset
-        self._draw()
-
-    def use(self, count: int) -> None:
-        """Set the number of ranges, from the first on, that are used."""
-        self._used = count
-        self._draw()
-
-    def _draw(self) -> None:
+    def write(self, name: str, value: int) -> None:
+        """Follow a write to a register, by its name in RangeRegisters; `count` is that of the ranges in use."""
+        match name:
+            case "on":
+                self.on = bool(value)
+            case "selector":
+                self._selected = value
+            case "size":
+                self._sizes[self._selected] = value
+            case "offset":
+                self._offsets[self._selected] = value
+            case "count":
+                self._used = value
         self.mask[:] = not self.on
         for size, offset in zip(self._sizes[: self._used], self._offsets[: self._used], strict=True):
             self.mask[offset : offset + size] = True

@@ -194,63 +194,38 @@ _BIAS_TIPS = {
 
 def features(size: tuple[int, int], *, has_ptp: bool = False) -> list[Feature]:
     """Return all features of a camera whose sensor has `size` = (width, height) pixels."""
-    events = [*_biases(), *_rate_control(), *_messages()]
-    device = [*identity_features(), *_picture(size), *time_features(), *_acquisition()]
-    payload = Feature("PayloadSize", TRANSPORT, "integer", Evs.PAYLOAD_SIZE, "Most octets of a block", False)
-    temperature = Feature(
-        "DeviceTemperature", "DeviceControl", "integer", TEMPERATURE, "", False, limits=(-4096, 4095), per_unit=16
-    )
-    return [*device, *events, payload, *stream_features(), temperature, *(_ptp() if has_ptp else ())]
-
-
-def _picture(size: tuple[int, int]) -> list[Feature]:
-    return [
-        Feature("Width", "ImageFormatControl", "integer", Evs.WIDTH, "Columns", False, limits=(0, size[0])),
-        Feature("Height", "ImageFormatControl", "integer", Evs.HEIGHT, "Rows", False, limits=(0, size[1])),
-        Feature(
-            "EventFormat", "ImageFormatControl", "enumeration", Evs.EVENT_FORMAT, "Encoding", entries={"EVT3_0": 0}
-        ),
-        Feature(
-            "EventFormatSize", "ImageFormatControl", "enumeration", Evs.EVENT_FORMAT_SIZE, "Word", False,
-            entries={"Bpe16": 0},
-        ),
-    ]  # fmt: skip
-
-
-def _acquisition() -> list[Feature]:
-    group = "AcquisitionControl"
-    return [
-        Feature("AcquisitionMode", group, "enumeration", Evs.MODE, "Mode", entries={"Continuous": 0}),
-        Feature("AcquisitionStart", group, "command", ACQUISITION_START, "Starts the stream; time begins at zero"),
-        Feature("AcquisitionStop", group, "command", ACQUISITION_STOP, "Stops the stream"),
-    ]
-
-
-def _biases() -> list[Feature]:
-    return [
-        Feature(bias.feature, "EventControl", "integer", bias.address, _BIAS_TIPS[name], limits=(bias.least, bias.most))
+    image, control = "ImageFormatControl", "EventControl"
+    acquisition, begins = "AcquisitionControl", "Starts the stream; time begins at zero"
+    states = {"Off": 0, "On": 1, "OnWithData": NOTIFY_WITH_DATA}
+    biases = [
+        Feature(bias.feature, control, "integer", bias.address, _BIAS_TIPS[name], limits=(bias.least, bias.most))
         for name, bias in BIASES.items()
     ]
-
-
-def _rate_control() -> list[Feature]:
-    group = "EventControl"
     return [
-        Feature("ErcEnable", group, "boolean", Erc.ON, "Limits the rate of events", limits=(0, 1)),
-        Feature("ErcReferencePeriod", group, "integer", Erc.PERIOD_US, "Period, us", limits=(1, 1 << 20)),
-        Feature("ErcEventsPerPeriod", group, "integer", Erc.EVENTS, "Events a period", limits=(0, (1 << 31) - 1)),
-    ]
-
-
-def _messages() -> list[Feature]:
-    group = "EventControl"
-    states = {"Off": 0, "On": 1, "OnWithData": NOTIFY_WITH_DATA}
-    return [
+        *identity_features(),
+        Feature("Width", image, "integer", Evs.WIDTH, "Columns", False, limits=(0, size[0])),
+        Feature("Height", image, "integer", Evs.HEIGHT, "Rows", False, limits=(0, size[1])),
+        Feature("EventFormat", image, "enumeration", Evs.EVENT_FORMAT, "Encoding", entries={"EVT3_0": 0}),
+        Feature("EventFormatSize", image, "enumeration", Evs.EVENT_FORMAT_SIZE, "Word", False, entries={"Bpe16": 0}),
+        *time_features(),
+        Feature("AcquisitionMode", acquisition, "enumeration", Evs.MODE, "Mode", entries={"Continuous": 0}),
+        Feature("AcquisitionStart", acquisition, "command", ACQUISITION_START, begins),
+        Feature("AcquisitionStop", acquisition, "command", ACQUISITION_STOP, "Stops the stream"),
+        *biases,
+        Feature("ErcEnable", control, "boolean", Erc.ON, "Limits the rate of events", limits=(0, 1)),
+        Feature("ErcReferencePeriod", control, "integer", Erc.PERIOD_US, "Period, us", limits=(1, 1 << 20)),
+        Feature("ErcEventsPerPeriod", control, "integer", Erc.EVENTS, "Events a period", limits=(0, (1 << 31) - 1)),
         Feature(
-            "EventSelector", group, "enumeration", Evs.EVENT_SELECTOR, "Selected event",
+            "EventSelector", control, "enumeration", Evs.EVENT_SELECTOR, "Selected event",
             entries={"Line0AnyEdge": 0},
         ),
-        Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Notification", entries=states),
+        Feature("EventNotification", control, "enumeration", Evs.EVENT_NOTIFICATION, "Notification", entries=states),
+        Feature("PayloadSize", TRANSPORT, "integer", Evs.PAYLOAD_SIZE, "Most octets of a block", False),
+        *stream_features(),
+        Feature(
+            "DeviceTemperature", "DeviceControl", "integer", TEMPERATURE, "", False, limits=(-4096, 4095), per_unit=16
+        ),
+        *(_ptp() if has_ptp else ()),
     ]  # fmt: skip
 
 

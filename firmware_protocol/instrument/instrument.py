@@ -176,7 +176,6 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
         self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
         self._started, self._connected = settings.autostart, True
         self._biases: SensorBiases = biases or DavisBiases()
-        self._settings_version = 0
         self.frames_refused = 0
         self.takes_edges = True
 
@@ -204,11 +203,6 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
     def at_rest(self) -> bool:
         """True while no receiver is present."""
         return not self._connected
-
-    @property
-    def settings_version(self) -> int:
-        """Number of telecommands that changed a setting."""
-        return self._settings_version
 
     @property
     def room_events(self) -> int:

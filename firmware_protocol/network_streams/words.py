@@ -39,7 +39,6 @@ _DATAGRAM_OCTETS = 1472  # no network of 1500 bytes splits it
 _HIGH_OCTETS = {"evt2": 4, "evt21": 8, "evt3": 2}
 _LEAST_REPEAT_US = 16
 _SHARE = 8
-_EVT_LIMIT_PX = (1 << 11, 1 << 11)
 _LONGEST_SILENCE_US = 3_600_000_000  # then another stream begins: 1000 high parts lead through this one
 
 
@@ -88,15 +87,17 @@ class _EvtStream:
         return later
 
 
-class EvtConnectionCoder(ConnectionCoder):
-    """Coder of words for a connection, or for a serial line if `facts.repeat_us` is the period of its repetitions."""
-
-    limit_px: ClassVar[tuple[int, int]] = _EVT_LIMIT_PX
+class _Evt:
+    limit_px: ClassVar[tuple[int, int]] = (1 << 11, 1 << 11)
     has_edges: ClassVar[bool] = True
 
     def __init__(self, facts: StreamFacts) -> None:
-        super().__init__(facts)
+        self.facts = facts
         self._stream = _EvtStream(facts)
+
+
+class EvtConnectionCoder(_Evt, ConnectionCoder):
+    """Coder of words for a connection, or for a serial line if `facts.repeat_us` is the period of its repetitions."""
 
     def encode(self, events: Events, edges: Edges) -> bytes:
         """Return words; an edge precedes the events of its time."""
@@ -113,15 +114,8 @@ class EvtConnectionCoder(ConnectionCoder):
         return b""
 
 
-class EvtDatagramCoder(DatagramCoder):
+class EvtDatagramCoder(_Evt, DatagramCoder):
     """Coder of words for datagrams, each of which can be read without the others."""
-
-    limit_px: ClassVar[tuple[int, int]] = _EVT_LIMIT_PX
-    has_edges: ClassVar[bool] = True
-
-    def __init__(self, facts: StreamFacts) -> None:
-        super().__init__(facts)
-        self._stream = _EvtStream(facts)
 
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
         """Yield datagrams; an edge precedes the events of its time."""
@@ -171,17 +165,13 @@ class SpifCoder(DatagramCoder):
 
 
 WORD_CONNECTION_CODERS: Mapping[str, type[ConnectionCoder]] = {
-    "evt2": EvtConnectionCoder,
-    "evt21": EvtConnectionCoder,
-    "evt3": EvtConnectionCoder,
+    **dict.fromkeys(_HIGH_OCTETS, EvtConnectionCoder),
     "spif": SpifConnectionCoder,
 }
 """Coders for connections and serial lines, by the name of the format in rigs."""
 
 WORD_DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
-    "evt2": EvtDatagramCoder,
-    "evt21": EvtDatagramCoder,
-    "evt3": EvtDatagramCoder,
+    **dict.fromkeys(_HIGH_OCTETS, EvtDatagramCoder),
     "spif": SpifCoder,
 }
 """Coders for datagrams, by the name of the format in rigs."""

@@ -304,18 +304,10 @@ class TmPacket:
     def parse(cls, octets: bytes) -> TmPacket:
         """Read one whole packet. Raises PacketError if it is not a valid telemetry report."""
         packet = _unsealed(octets, PacketType.TELEMETRY, TM_HEADER)
-        header = _TM_HEAD.unpack(packet.data[: _TM_HEAD.octets])
-        return cls(
-            apid=packet.apid,
-            sequence_count=packet.sequence_count,
-            service=header["service"],
-            subtype=header["subtype"],
-            t_us=OWN_EPOCH_4_3.parse_us(packet.data[_TM_HEAD.octets : TM_HEADER.octets]),
-            data=packet.data[TM_HEADER.octets : -_CRC_BYTES],
-            type_count=header["type_count"],
-            destination=header["destination"],
-            time_status=header["time_reference"],
-        )
+        _, status, service, subtype, count, destination = _TM_HEAD.unpack(packet.data[: _TM_HEAD.octets]).values()
+        t_us = OWN_EPOCH_4_3.parse_us(packet.data[_TM_HEAD.octets : TM_HEADER.octets])
+        data = packet.data[TM_HEADER.octets : -_CRC_BYTES]
+        return cls(packet.apid, packet.sequence_count, service, subtype, t_us, data, count, destination, status)
 
 
 @dataclass(frozen=True)
@@ -340,13 +332,6 @@ class TcPacket:
     def parse(cls, octets: bytes) -> TcPacket:
         """Read one whole packet. Raises PacketError if it is not a valid telecommand."""
         packet = _unsealed(octets, PacketType.TELECOMMAND, TC_HEADER)
-        header = TC_HEADER.unpack(packet.data[: TC_HEADER.octets])
-        return cls(
-            apid=packet.apid,
-            sequence_count=packet.sequence_count,
-            service=header["service"],
-            subtype=header["subtype"],
-            data=packet.data[TC_HEADER.octets : -_CRC_BYTES],
-            acknowledge=Acknowledge(header["acknowledge"]),
-            source=header["source"],
-        )
+        _, acknowledge, service, subtype, source = TC_HEADER.unpack(packet.data[: TC_HEADER.octets]).values()
+        data = packet.data[TC_HEADER.octets : -_CRC_BYTES]
+        return cls(packet.apid, packet.sequence_count, service, subtype, data, Acknowledge(acknowledge), source)

@@ -38,7 +38,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from firmware_protocol.bounds import Share, check_bounds
+from firmware_protocol.bounds import Bounded, Share
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 _WITHOUT_EFFECT = {
@@ -48,7 +48,7 @@ _WITHOUT_EFFECT = {
 
 
 @dataclass(frozen=True)
-class BiasSlopes:
+class BiasSlopes(Bounded):
     """Effect of one step of each bias on the simulated IMX636.
 
     Attributes
@@ -71,9 +71,6 @@ class BiasSlopes:
     fo: Share = 0.012
     refr: Share = 0.05
     hpf: Annotated[float, Meta(ge=0, le=100)] = 1.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(frozen=True)

@@ -187,13 +187,7 @@ class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
         self._bias_model = biases
         self._outflow = outflow
         self._fates = Fates()
-        self._now_us = self._epoch_us = self._silence_end_us = 0
-        self._settings_version = 0
-
-    @property
-    def now_us(self) -> int:
-        """Stream time that the camera has reached."""
-        return self._now_us
+        self._epoch_us = self._silence_end_us = 0
 
     @property
     def room_events(self) -> int:
@@ -224,11 +218,6 @@ class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
     def _waiting(self) -> Numbers:
         return self._outflow.waiting
 
-    @property
-    def settings_version(self) -> int:
-        """Number of writes to its registers."""
-        return self._settings_version
-
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
         if not len(events):
@@ -251,10 +240,6 @@ class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
             self._put_edges(edges)
         else:
             self._fates.edges.ignored += len(edges)
-
-    def advance(self, now_us: int) -> None:
-        """Set stream time to `now_us`; the clock never goes back."""
-        self._now_us = max(self._now_us, now_us)
 
     @property
     @abstractmethod
@@ -303,24 +288,12 @@ class Selected:
 
 
 class RateControl:
-    """Limit of the events in each period of the device's clock."""
+    """Limit of the events in each period of the device's clock, while it is `on`: the first `most` of `period_us`."""
 
     def __init__(self, period_us: int) -> None:
-        self._period_us, self._most = period_us, 0
+        self.period_us, self.most = period_us, 0
         self._period, self._seen = -1, 0
         self.on = False
-
-    def turn(self, on: int) -> None:
-        """Switch it on or off."""
-        self.on = bool(on)
-
-    def set_period_us(self, period_us: int) -> None:
-        """Set the length of a period."""
-        self._period_us = period_us
-
-    def set_most(self, events: int) -> None:
-        """Set the number of events that pass in a period."""
-        self._most = events
 
     def selected(self, events: Events, candidates: Events, epoch_us: int) -> Selected:
         """Return the part of `candidates` among `events` that passes, both sorted; the clock was 0 at `epoch_us`."""
@@ -331,12 +304,12 @@ class RateControl:
         """Return a mask of the events (n,) EVENT, sorted, that pass, (n,) bool: the first ones of each period."""
         if not len(events):
             return np.zeros(0, np.bool_)
-        periods = (events["t"].astype(np.int64) - epoch_us) // self._period_us
+        periods = (events["t"].astype(np.int64) - epoch_us) // self.period_us
         ranks = np.arange(len(periods)) - np.searchsorted(periods, periods)
         if periods[0] == self._period:
             ranks[periods == self._period] += self._seen
         self._period, self._seen = int(periods[-1]), int(ranks[-1]) + 1
-        return ranks < self._most
+        return ranks < self.most
 
 
 @dataclass(frozen=True)

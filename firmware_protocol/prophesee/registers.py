@@ -36,28 +36,33 @@ class SensorSurroundings(ABC):
 
     Attributes
     ----------
+    lowest_celsius, celsius_per_count : temperature at which the thermometer has the value 0, and its step.
+    counts_per_us : counts of the refractory period in a microsecond.
     celsius : temperature of the chip.
     lux : light on the chip; the scene's light is not available here.
     dead_time_us : refractory period at the biases of a camera that was just opened.
     """
 
+    lowest_celsius: ClassVar[float]
+    celsius_per_count: ClassVar[float]
+    counts_per_us: ClassVar[float]
     celsius: float = 35.0
     lux: float = 100.0
     dead_time_us: float = 100.0
 
     @property
-    @abstractmethod
     def adc(self) -> int:
         """Value of the thermometer, 0 to 1023."""
+        return min(max(round((self.celsius - self.lowest_celsius) / self.celsius_per_count), 0), 1023)
 
     @property
     @abstractmethod
     def light_count(self) -> int:
         """Count of the light meter."""
 
-    @abstractmethod
     def dead_time_count(self, factor: float = 1.0) -> int:
         """Count of the refractory period, multiplied by `factor` by biases."""
+        return min(round(self.counts_per_us * self.dead_time_us * factor), (1 << 28) - 1)
 
 
 class ChipRegisters(ABC):
@@ -67,19 +72,22 @@ class ChipRegisters(ABC):
     ----------
     count : number of registers.
     biases : register of each bias, and its value at the factory or when a driver opens it, by Prophesee's names.
+    power_on_values : of the registers that are not 0 at power-on.
     """
 
     array_control: ClassVar[int]
     bias_bits: ClassVar[int]
 
-    def __init__(self, count: int, biases: Mapping[str, tuple[int, int]]) -> None:
+    def __init__(self, count: int, biases: Mapping[str, tuple[int, int]], power_on_values: Mapping[int, int]) -> None:
         self._words = np.zeros(count, np.uint32)
-        self._bias_registers = biases
+        self._bias_registers, self._power_on_values = biases, power_on_values
         self.power_on()
 
-    @abstractmethod
     def power_on(self) -> None:
         """Set every register to its power-on value."""
+        self._words[:] = 0
+        for address, value in self._power_on_values.items():
+            self._set(address, value)
 
     def read(self, address: int) -> int:
         """Return a register's value; raises NoRegister."""
@@ -131,7 +139,8 @@ class ChipRegisters(ABC):
     def _set(self, address: int, value: int) -> None:
         self._words[self._place(address)] = value & 0xFFFF_FFFF
 
-    @staticmethod
-    @abstractmethod
-    def _place(address: int) -> int:
+    def _place(self, address: int) -> int:
         """Return the place of a register in the file; raises NoRegister."""
+        if address & 3 or not 0 <= address < 4 * len(self._words):
+            raise NoRegister(f"no register at 0x{address:08X}")
+        return address // 4

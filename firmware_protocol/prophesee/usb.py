@@ -26,7 +26,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Events
@@ -163,8 +163,10 @@ class TreuzellSettings(UsbCameraSettings):
     build_unix_s : build time of the firmware.
     biases : effect of the biases on the sensor.
     pulse_us : length of a pulse at the trigger input.
+    size : (width, height) of the sensor, pixels.
     """
 
+    size: ClassVar[tuple[int, int]]
     bcd_device: int = 0x0309
     release: int = 0x03_0900
     build_unix_s: int = 1_700_000_000
@@ -177,11 +179,6 @@ class TreuzellSettings(UsbCameraSettings):
             raise ValueError(f"the serial of this camera has 1 to 8 hexadecimal digits, got {self.serial!r}")
         if self.fifo_bytes < 1024:
             raise ValueError(f"fifo_bytes must be at least 1024, got {self.fifo_bytes}")
-
-    @property
-    @abstractmethod
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor, pixels."""
 
     @property
     @abstractmethod

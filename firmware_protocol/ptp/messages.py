@@ -150,22 +150,17 @@ def parse(data: bytes) -> Message | None:
     if header is None:
         return None
     body = data[_HEADER.size :]
-    match header.type:
-        case MessageType.ANNOUNCE:
-            return _announce_of(header, body)
-        case MessageType.DELAY_REQ:
-            return None
-    time_ns = _time_of(body)
+    if header.type == MessageType.ANNOUNCE and len(body) >= _ANNOUNCE.size:
+        utc_s, first, kind, accuracy, variance, second, grandmaster, steps, source = _ANNOUNCE.unpack_from(body)
+        return Announce(header, (first, kind, accuracy, variance, second), grandmaster, steps, utc_s, source)
+    time_ns = None if header.type in (MessageType.ANNOUNCE, MessageType.DELAY_REQ) else _time_of(body)
     if time_ns is None:
         return None
-    match header.type:
-        case MessageType.SYNC:
-            return Sync(header, time_ns)
-        case MessageType.FOLLOW_UP:
-            return FollowUp(header, time_ns)
-    if len(body) < _TIME.size + _IDENTITY.size:
-        return None
-    return DelayResponse(header, time_ns, PortIdentity(*_IDENTITY.unpack_from(body, _TIME.size)))
+    if header.type == MessageType.DELAY_RESP:
+        if len(body) < _TIME.size + _IDENTITY.size:
+            return None
+        return DelayResponse(header, time_ns, PortIdentity(*_IDENTITY.unpack_from(body, _TIME.size)))
+    return (Sync if header.type == MessageType.SYNC else FollowUp)(header, time_ns)
 
 
 def _header_of(data: bytes) -> Header | None:
@@ -190,13 +185,6 @@ def _time_of(body: bytes) -> int | None:
     if seconds >= _MOST_SECONDS or nanoseconds >= _NS_PER_S:
         return None
     return seconds * _NS_PER_S + nanoseconds
-
-
-def _announce_of(header: Header, body: bytes) -> Announce | None:
-    if len(body) < _ANNOUNCE.size:
-        return None
-    utc_s, first, kind, accuracy, variance, second, grandmaster, steps, source = _ANNOUNCE.unpack_from(body)
-    return Announce(header, (first, kind, accuracy, variance, second), grandmaster, steps, utc_s, source)
 
 
 def delay_request(source: PortIdentity, sequence: int, domain: int) -> bytes:

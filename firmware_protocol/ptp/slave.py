@@ -407,20 +407,16 @@ class Slave:
 
     def _timed(self, message: Message, local_ns: int) -> None:
         match message:
+            case Sync() if not message.header.flags & Flag.TWO_STEP:
+                self._measure(message, message.time_ns, message.header.correction_ns, local_ns)
             case Sync():
-                self._synced(message, local_ns)
+                self._sync = message, local_ns
+                if self._follow_up is not None:  # it is of another port, and can be read before its Sync
+                    self._followed(self._follow_up)
             case FollowUp():
                 self._followed(message)
             case DelayResponse():
                 self._responded(message)
-
-    def _synced(self, message: Sync, local_ns: int) -> None:
-        if not message.header.flags & Flag.TWO_STEP:
-            self._measure(message, message.time_ns, message.header.correction_ns, local_ns)
-            return
-        self._sync = message, local_ns
-        if self._follow_up is not None:  # it is of another port, and can be read before its Sync
-            self._followed(self._follow_up)
 
     def _followed(self, message: FollowUp) -> None:
         if self._sync is None or self._sync[0].header.sequence != message.header.sequence:

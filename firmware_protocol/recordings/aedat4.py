@@ -194,11 +194,11 @@ class Aedat4Decoder:
             places = start + 4 * np.arange(count)
             tables = places + _numbers(data, places, "<u4")
             records = _records(data, tables, _TRIGGER if kind == "TRIG" else _SAMPLE)
+        sound = int(np.append(records["t"] < self.start_us, True).argmax())
+        if sound < len(records):
+            self.damage = f"it is damaged: a record has the time {int(records['t'][sound]) - self.start_us} us"
+        records = records[:sound]
         t = records["t"] - self.start_us
-        sound = int(np.append(t < 0, True).argmax())
-        if sound < len(t):
-            self.damage = f"it is damaged: a record has the time {t[sound]} us"
-        records, t = records[:sound], t[:sound]
         if kind == "EVTS":
             return Part(make_events(t, records["x"], records["y"], records["on"].view(np.uint8) > 0))
         if kind == "IMUS":

@@ -41,7 +41,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from firmware_protocol.usb import usbip
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity
 
@@ -268,6 +267,14 @@ class _Parser:
         self._buffer = bytearray()
         self._urbs = False
 
+    def _cut(self, start: int, stop: int) -> bytes | None:
+        """Remove all bytes before `stop`, and return those from `start` on; None while some are missing."""
+        if len(self._buffer) < stop:
+            return None
+        data = _copied(self._buffer, start, stop)
+        del self._buffer[:stop]
+        return data
+
     def receive(self, data: bytes | memoryview) -> None:
         """Append bytes as received."""
         self._buffer += data
@@ -285,38 +292,32 @@ class ServerParser(_Parser):
         return self._next_urb() if self._urbs else self._next_operation()
 
     def _next_operation(self) -> DeviceListRequest | ImportRequest | None:
-        head = usbip.OP_HEADER.size
+        head = OP_HEADER.size
         if len(self._buffer) < head:
             return None
         code, _ = _operation(self._buffer)
-        if code == usbip.REQ_DEVLIST:
+        if code == REQ_DEVLIST:
             del self._buffer[:head]
             return DeviceListRequest()
-        if code != usbip.REQ_IMPORT:
+        if code != REQ_IMPORT:
             raise UsbipError(f"unknown operation 0x{code:04x}; known are 0x8005 (device list) and 0x8003 (import)")
-        end = head + usbip.BUSID_BYTES
-        if len(self._buffer) < end:
-            return None
-        request = ImportRequest.parse(_cut(self._buffer, head, end))
-        del self._buffer[:end]
-        return request
+        field = self._cut(head, head + BUSID_BYTES)
+        return None if field is None else ImportRequest.parse(field)
 
     def _next_urb(self) -> Submit | Unlink | None:
-        if len(self._buffer) < usbip.URB_HEADER_BYTES:
+        if len(self._buffer) < URB_HEADER_BYTES:
             return None
-        command, seqnum, devid, direction, endpoint, *parameters = usbip.SUBMIT.unpack_from(self._buffer)
-        if command == usbip.CMD_UNLINK:
-            del self._buffer[: usbip.URB_HEADER_BYTES]
+        command, seqnum, devid, direction, endpoint, *parameters = SUBMIT.unpack_from(self._buffer)
+        if command == CMD_UNLINK:
+            del self._buffer[:URB_HEADER_BYTES]
             return Unlink(seqnum, devid, parameters[0])
-        if command != usbip.CMD_SUBMIT:
+        if command != CMD_SUBMIT:
             raise UsbipError(f"unknown URB command 0x{command:08x}; known are 1 (submit) and 2 (unlink)")
         flags, length, _, packets, interval, setup = parameters
         self._check_submit(direction, endpoint, length, packets)
-        end = usbip.URB_HEADER_BYTES + (0 if direction else length)
-        if len(self._buffer) < end:
+        data = self._cut(URB_HEADER_BYTES, URB_HEADER_BYTES + (0 if direction else length))
+        if data is None:
             return None
-        data = _cut(self._buffer, usbip.URB_HEADER_BYTES, end)
-        del self._buffer[:end]
         return Submit(seqnum, devid, bool(direction), endpoint, length, setup, data, flags, interval)
 
     def _check_submit(self, direction: int, endpoint: int, length: int, packets: int) -> None:
@@ -349,34 +350,30 @@ class HostParser(_Parser):
         return self._next_urb() if self._urbs else self._next_operation()
 
     def _next_operation(self) -> DeviceListReply | ImportReply | None:
-        if len(self._buffer) < usbip.OP_HEADER.size:
+        if len(self._buffer) < OP_HEADER.size:
             return None
         code, status = _operation(self._buffer)
-        if code == usbip.REP_IMPORT:
+        if code == REP_IMPORT:
             return self._next_import(status)
-        if code == usbip.REP_DEVLIST:
+        if code == REP_DEVLIST:
             return self._next_device_list(status)
         raise UsbipError(f"unknown answer 0x{code:04x} to an operation; known are 0x0005 and 0x0003")
 
     def _next_import(self, status: int) -> ImportReply | None:
-        head = usbip.OP_HEADER.size
+        head = OP_HEADER.size
         if status != OpStatus.OK:
             del self._buffer[:head]
             return ImportReply(status)
-        end = head + usbip.RECORD.size
-        if len(self._buffer) < end:
-            return None
-        device = DeviceRecord.parse(_cut(self._buffer, head, end))
-        del self._buffer[:end]
-        return ImportReply(status, device)
+        record = self._cut(head, head + RECORD.size)
+        return None if record is None else ImportReply(status, DeviceRecord.parse(record))
 
     def _next_device_list(self, status: int) -> DeviceListReply | None:
         if status != OpStatus.OK:
             raise UsbipError(f"the server refused to list its devices (status {status})")
-        at = usbip.OP_HEADER.size + usbip.COUNT.size
+        at = OP_HEADER.size + COUNT.size
         if len(self._buffer) < at:
             return None
-        (count,) = usbip.COUNT.unpack_from(self._buffer, usbip.OP_HEADER.size)
+        (count,) = COUNT.unpack_from(self._buffer, OP_HEADER.size)
         if count > self._limits.devices:
             raise UsbipError(f"a list of {count} devices is longer than the limit of {self._limits.devices}")
         devices = []
@@ -390,47 +387,45 @@ class HostParser(_Parser):
 
     def _device_at(self, at: int) -> tuple[DeviceRecord | None, int]:
         """Read a record and its interfaces; return it and the offset after them; no record while bytes are missing."""
-        body = at + usbip.RECORD.size
+        body = at + RECORD.size
         if len(self._buffer) < body:
             return None, at
-        end = body + usbip.INTERFACE.size * self._buffer[body - 1]
+        end = body + INTERFACE.size * self._buffer[body - 1]
         if len(self._buffer) < end:
             return None, at
-        interfaces = [(a, b, c) for a, b, c in usbip.INTERFACE.iter_unpack(_cut(self._buffer, body, end))]
-        return DeviceRecord.parse(_cut(self._buffer, at, body), interfaces), end
+        interfaces = [(a, b, c) for a, b, c in INTERFACE.iter_unpack(_copied(self._buffer, body, end))]
+        return DeviceRecord.parse(_copied(self._buffer, at, body), interfaces), end
 
     def _next_urb(self) -> Submitted | Unlinked | None:
-        head = usbip.URB_HEADER_BYTES
+        head = URB_HEADER_BYTES
         if len(self._buffer) < head:
             return None
-        command, seqnum, _, _, _, status, actual, *_ = usbip.SUBMITTED.unpack_from(self._buffer)
-        if command == usbip.RET_UNLINK:
+        command, seqnum, _, _, _, status, actual, *_ = SUBMITTED.unpack_from(self._buffer)
+        if command == RET_UNLINK:
             del self._buffer[:head]
             return Unlinked(seqnum, status)
-        if command != usbip.RET_SUBMIT:
+        if command != RET_SUBMIT:
             raise UsbipError(f"unknown URB answer 0x{command:08x}; known are 3 (submitted) and 4 (unlinked)")
         if seqnum not in self._lengths:
             raise UsbipError(f"an answer to URB {seqnum}, which is not pending")
         is_in, length = self._lengths[seqnum]
         _check_length(actual, length)
-        end = head + (actual if is_in else 0)
-        if len(self._buffer) < end:
+        data = self._cut(head, head + (actual if is_in else 0))
+        if data is None:
             return None
-        data = _cut(self._buffer, head, end)
-        del self._buffer[:end]
         del self._lengths[seqnum]
         return Submitted(seqnum, status, actual, data)
 
 
 def _operation(buffer: bytearray) -> tuple[int, int]:
     """Return (code, status) of the first operation in the buffer; raises UsbipError for an unsupported version."""
-    version, code, status = usbip.OP_HEADER.unpack_from(buffer)
-    if version != usbip.VERSION:
-        raise UsbipError(f"USB/IP version 0x{version:04x} is not supported; version 0x{usbip.VERSION:04x} is")
+    version, code, status = OP_HEADER.unpack_from(buffer)
+    if version != VERSION:
+        raise UsbipError(f"USB/IP version 0x{version:04x} is not supported; version 0x{VERSION:04x} is")
     return code, status
 
 
-def _cut(buffer: bytearray, start: int, stop: int) -> bytes:
+def _copied(buffer: bytearray, start: int, stop: int) -> bytes:
     """Copy the slice once; `bytes(buffer[start:stop])` would copy it twice."""
     with memoryview(buffer) as view:
         return bytes(view[start:stop])

@@ -21,7 +21,7 @@ def characterise(
     *,
     out: Path,
     recording: Path | None = None,
-    still: float = 0.0,
+    still: float | None = None,
     light: float | None = None,
     fit: Flag = False,
     quick: Flag = False,
@@ -38,9 +38,9 @@ def characterise(
     out
         Folder to write into; created if missing.
     recording
-        Events of a real camera (.aedat4, .raw in EVT2 or EVT3, .dat, .es, .npz).
+        Events of a real camera, in any format that is read: see docs/recordings.md.
     still
-        With a recording: count only pixels whose neighbours fire at this rate at most, Hz; 0: all.
+        With a recording: count only pixels whose neighbours fire at this rate at most, Hz; without it, or 0: all.
     light
         With a recording: light on the whole simulated sensor. Without it the light is that of the recording's frames,
         in pixels that see no motion; 1 where it has no frames.
@@ -52,12 +52,15 @@ def characterise(
     with failures():
         parameters = _sensor(camera)
     if recording is None:
+        values = {"--still": still, "--light": light, "--fit": fit or None}
+        if options := " and ".join(name for name, value in values.items() if value is not None):
+            raise Failure(f"{options}: only beside a recording: name it by --recording, or leave it out", WRONG_USE)
         check_drawing()
     make_folder(out)
     if recording is not None:
         with failures(), status.status("measuring ..."):
             try:
-                comparison = compare(recording, (camera, parameters), light, still, fitted=fit)
+                comparison = compare(recording, (camera, parameters), light, still or 0.0, fitted=fit)
             except ValueError as error:
                 raise Failure(str(error), WRONG_USE) from error
         return _show(comparison, camera, recording, write_comparison(comparison, camera, out), json=json)

@@ -2,15 +2,12 @@
 
 import ast
 import importlib.util
-import json
 import re
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from tests import shown
 from tests.guest.environments import DRIVERS, EVENTCV
 
 ROOT = Path(__file__).parents[2]
@@ -62,17 +59,6 @@ def test_each_declaration_has_an_outcome():
     assert declared - tested == set(), "run these tests with EVSTIM_MATRIX=docs/device_matrix.json (tests/shown.py)"
 
 
-def test_each_camera_is_in_one_table():
-    assert sorted(key for keys in device_matrix.TABLES for key in keys) == sorted(device_matrix.CAMERAS)
-
-
-def test_each_outcome_has_its_cell():
-    for row in ROWS:
-        assert row["client"] in device_matrix.CAMERAS[row["camera"]].clients, row
-        assert set(row["what"]) <= device_matrix.COLUMNS.keys(), row
-        assert not set(row["what"]) & set(device_matrix.CAMERAS[row["camera"]].lacks), row
-
-
 def cell(outcomes, column="events"):
     """Return the cell of EVK4, neuromorphic_drivers and a column."""
     rows = [
@@ -107,61 +93,3 @@ def test_the_clients_have_the_versions_that_the_tests_install():
     packages = {driver.name: driver.packages[0] for driver in DRIVERS} | {"eventcv": EVENTCV.packages[0]}
     versions = {key: device_matrix.CLIENTS[key].version for key in packages}
     assert versions == {key: package.partition("==")[2] for key, package in packages.items()}
-
-
-def test_an_amount_stands_in_its_table_with_time_date_and_machine(monkeypatch):
-    monkeypatch.setattr(shown, "_rows", {})
-    one = report("passed", measured=[("amount", "opened 100 times"), ("seconds", 251)])
-    shown.pytest_runtest_logreport(one)
-    ((row,),) = shown._rows.values()
-    text = device_matrix.page([row]).partition("## Counts")[2].partition("\n## ")[0]
-    line = f"| Prophesee EVK4 HD | neuromorphic_drivers 0.18.2 | opened 100 times | 251 s | {row['date']} |"
-    assert f"{line} {shown.machine()} |" in text
-    assert text.count("Prophesee") == 1
-
-
-def item(*marks, **parameters):
-    found = [SimpleNamespace(args=mark) for mark in marks]
-    return SimpleNamespace(
-        nodeid="tests/a.py::test_b",
-        callspec=SimpleNamespace(params=parameters),
-        iter_markers=lambda _: iter(found),
-        user_properties=[],
-    )
-
-
-def report(outcome, when="call", nodeid="tests/a.py::test_b", longrepr=None, measured=()):
-    rows = [{"camera": "evk4", "client": "nd", "what": ["opens"]}]
-    states = {name: name == outcome for name in ("passed", "failed", "skipped")}
-    properties = [("shows", rows), *measured]
-    return SimpleNamespace(nodeid=nodeid, when=when, longrepr=longrepr, user_properties=properties, **states)
-
-
-def test_a_declaration_is_filled_with_the_parameters_of_the_test(monkeypatch):
-    monkeypatch.setattr(shown, "_collected", {})
-    one = item(("davis346", "{driver.name}", "opens", "events"), driver=SimpleNamespace(name="dv2"))
-    shown.pytest_itemcollected(one)
-    assert one.user_properties == [("shows", [{"camera": "davis346", "client": "dv2", "what": ["opens", "events"]}])]
-    ((row,),) = shown._collected.values()
-    assert (row["test"], row["outcome"]) == ("tests/a.py::test_b", "skipped")
-
-
-def test_a_test_that_fails_in_its_call_or_after_it_is_no_success(monkeypatch):
-    monkeypatch.setattr(shown, "_rows", {})
-    crash = SimpleNamespace(reprcrash=SimpleNamespace(message="AssertionError: 3 events\nare lost"))
-    for one in (report("passed"), report("failed", "teardown", longrepr=crash)):
-        shown.pytest_runtest_logreport(one)
-    ((row,),) = shown._rows.values()
-    assert (row["outcome"], row["reason"]) == ("failed", "AssertionError: 3 events")
-    shown.pytest_runtest_logreport(report("skipped", "setup", longrepr=("a.py", 1, "Skipped: no guest")))
-    assert shown._rows["tests/a.py::test_b"][0]["reason"] == "no guest"
-
-
-def test_a_run_replaces_the_outcomes_of_its_tests_alone(tmp_path):
-    file = tmp_path / "outcomes.json"
-    base = {"camera": "evk4", "client": "nd", "what": ["opens"]}
-    first, other = ({**base, "test": name, "outcome": "passed"} for name in ("a", "b"))
-    third = {**base, "test": "c", "outcome": "skipped"}
-    shown.write(file, {"a": [first], "b": [other]}, {})
-    shown.write(file, {"a": [first | {"outcome": "failed"}]}, {"b": [other | {"outcome": "skipped"}], "c": [third]})
-    assert [row["outcome"] for row in json.loads(file.read_text())] == ["failed", "passed", "skipped"]

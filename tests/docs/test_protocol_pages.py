@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.davis346.registers import Layout, registers
 from firmware_protocol.events import EVENT
-from firmware_protocol.fx3.registers import Access, SystemInfo
 from firmware_protocol.usb import usbip
 from transports.link.deliveries import digest_of
 
@@ -22,23 +20,6 @@ CODES = {"u8": "B", "u16": "H", "u32": "I", "s32": "i", "u64": "Q"}
 def test_the_list_of_registers_is_what_its_script_makes():
     script = runpy.run_path(str(DOCS / "make_registers.py"))
     assert script["FILE"].read_text(encoding="utf-8") == script["text"]()
-
-
-def test_the_list_has_every_register_and_no_other():
-    _, _, heading, *lines = (DOCS / "davis346_registers.txt").read_text(encoding="utf-8").splitlines()
-    starts = [match.start() for match in re.finditer(r"\w+", heading)]
-    told = set()
-    for line in lines:
-        cells = [line[start:end].strip() for start, end in zip(starts, [*starts[1:], None], strict=True)]
-        number, name, access, bits, default, acts, meaning = cells
-        module, address = number.split(".")
-        told.add((int(module), int(address), name, int(bits or 0), int(default)))
-        assert meaning
-        assert (access == "rw") == bool(bits)
-        assert acts in ("", "yes", "reported")
-    known = registers((346, 260), Layout.UPRIGHT, SystemInfo())
-    wide = {r: r.bits if r.access is Access.READ_WRITE else 0 for r in known}
-    assert told == {(r.module.value, r.address, r.name, bits, r.default) for r, bits in wide.items()}
 
 
 def fields_of(column, heading):

@@ -4,10 +4,6 @@ import dataclasses
 import importlib.util
 import re
 from pathlib import Path
-from typing import Literal
-
-import msgspec
-import pytest
 
 ROOT = Path(__file__).parents[2]
 _SPEC = importlib.util.spec_from_file_location("rig_reference", ROOT / "docs/rig_reference.py")
@@ -57,37 +53,3 @@ def test_a_key_of_a_class_without_a_text_would_be_noticed():
         silent: float
 
     assert rig_reference.meanings(Table) == {"k1": "Both.", "k2": "Both.", "plain_au": "Alone."}
-
-
-def test_a_kind_names_the_common_keys_that_it_has_and_defaults_of_its_own():
-    assert re.search(
-        r"\|<h4 id=\"faults-rate\"><code>rate</code></h4>\|`1\.0`, >&nbsp;0, ≤&nbsp;1\|Probability", TABLES
-    )
-    assert re.search(r"\|<h3 id=\"faults-stall\">.*\|`link`, `at_s`, `for_s = 0\.1`, [^|]*\|The receiver", TABLES)
-    assert re.search(r"\|<h3 id=\"scene-stars\">.*`\[\[scene\.points\]\]`\|A sky", TABLES)
-
-
-@pytest.mark.parametrize(
-    ("field", "words"),
-    [
-        (dataclasses.field(default=1.0), "`1.0`, 0…1"),
-        (dataclasses.field(), "number, needed, 0…1"),
-        (dataclasses.field(default=None), "number, 0…1"),
-    ],
-)
-def test_a_value_shows_its_default_or_its_type_and_its_bounds(field, words):
-    assert rig_reference._value(field, float, msgspec.Meta(ge=0, le=1)) == words
-
-
-def test_the_first_choice_is_the_default():
-    assert rig_reference._value(dataclasses.field(default="gl"), Literal["cpu", "gl"], None) == '`"gl"`, `"cpu"`'
-
-
-def test_a_large_bound_is_short_and_an_open_one_a_relation():
-    assert rig_reference._range(msgspec.Meta(gt=0, le=1000000)) == ">&nbsp;0, ≤&nbsp;1e6"
-    assert rig_reference._range(msgspec.Meta(ge=4096, le=1 << 30)) == "4096…1073741824"
-
-
-@pytest.mark.parametrize("words", ["t_s,x_m,y_m,z_m,qw,qx,qy,qz", "edge_resets", "EVENT[n]"])
-def test_the_files_of_rigs_and_runs_are_described(words):
-    assert words in (ROOT / "docs/rigs.md").read_text()

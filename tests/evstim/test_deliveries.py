@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import evstim
-from evstim import running
 from tests.npz_records import load_edges, load_frames, load_imu
 
 SCENE = evstim.CheckerboardScene(square_px=8.0, speed_px_s=200.0)
@@ -67,40 +66,6 @@ def test_a_link_delivers_what_its_host_receives():
     assert sum(len(one.events) for one in deliveries) == run.result.links["loopback"].delivered > 1000
     assert [one.restarted for one in deliveries].count(True) == 1
     assert deliveries[0].restarted
-
-
-def test_a_slow_reader_holds_a_free_run_back_and_loses_nothing(monkeypatch):
-    monkeypatch.setattr(running, "_MOST_QUEUED_BYTES", 6500)
-    with evstim.run("loopback", link="loopback", seconds=0.05, pace="free") as run:
-        first = next(iter(run))
-        with run._changed:  # the session stands still, far from the end, until the queue is read
-            assert run._changed.wait_for(lambda: run._queued_bytes > 6500 or run._ended, 60.0)
-        rest = list(run)
-    assert len(first.events) + sum(len(one.events) for one in rest) == run.result.ledger.read_out
-    assert run.unread == 0
-
-
-def test_a_slow_reader_does_not_hold_back_real_time(monkeypatch):
-    monkeypatch.setattr(running, "_MOST_QUEUED_BYTES", 6500)
-    loopback = evstim.load_rig("loopback")
-    unhurried = dataclasses.replace(loopback, run=dataclasses.replace(loopback.run, max_late_ms=0.0))
-    with evstim.run(unhurried, link="loopback", seconds=0.1, pace="realtime") as run:
-        run._thread.join()
-        read = sum(len(one.events) for one in run)
-    assert run.unread > 0
-    assert read + run.unread == run.result.links["loopback"].delivered
-
-
-def test_break_and_a_body_that_reads_nothing_end_the_run():
-    with evstim.run("loopback", link="loopback", seconds=1000.0, pace="free") as run:
-        for delivery in run:
-            assert len(delivery.events)
-            break
-    assert run.result.good
-    assert run.result.sim_seconds < 100
-    with evstim.run("loopback", link="loopback", seconds=0.02, pace="free") as run:
-        run.wait()
-    assert run.result.good
 
 
 @pytest.mark.system

@@ -54,10 +54,6 @@ def test_any_iterable_of_frames_and_the_sensor_s_own_size():
     assert whole["y"].max() == 3
 
 
-def test_one_frame_has_no_events():
-    assert not len(evstim.events_from_frames(ramp(1), [0]))
-
-
 def test_black_frames_are_allowed():
     frames = np.zeros((3, 4, 6))
     frames[1] = 1.0

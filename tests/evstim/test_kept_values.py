@@ -160,13 +160,3 @@ def test_a_frame_of_light_may_be_drawn_over_by_its_owner():
         return np.concatenate([*parts, sensor.finish()])
 
     np.testing.assert_array_equal(events(lambda light: light), events(np.copy))
-
-
-def test_each_prints_on_a_line():
-    step = evstim.SimulationStep(**EXAMPLES["SimulationStep"])
-    text = "SimulationStep(t_us=1, events=array (3,), light=array (2, 3), imu=array (1,), frames=(), truth=None)"
-    assert repr(step) == str(step) == text
-    for name in ("Frame", "Delivery", "TruthSequence", "SceneTruth"):
-        text = repr(getattr(evstim, name)(**EXAMPLES.get(name, {})))
-        assert "\n" not in text
-        assert len(text) < 250

@@ -51,15 +51,11 @@ def test_the_public_names():
 
 def test_dir_contains_the_public_names_alone():
     assert [name for name in dir(evstim) if not name.startswith("__")] == sorted(NAMES)
-    code = "import evstim; evstim.Sensor; print([n for n in dir(evstim) if n[0] != '_' and n not in evstim.__all__])"
-    assert in_a_process(code).strip() == "[]"
 
 
-def test_the_version_is_that_of_the_installed_package_and_costs_nothing_before():
+def test_the_version_is_that_of_the_installed_package():
     assert evstim.__version__ == importlib.metadata.version("evstim")
     assert "__version__" in dir(evstim)
-    code = "import sys, evstim; before = 'importlib.metadata' in sys.modules; print(before, evstim.__version__)"
-    assert in_a_process(code).split() == ["False", importlib.metadata.version("evstim")]
 
 
 def test_each_name_can_be_imported():
@@ -82,7 +78,7 @@ def in_a_process(code):
 
 
 def test_import_loads_nothing_heavy():
-    code = f"import sys, evstim; print([m for m in {HEAVY!r} if m in sys.modules])"
+    code = f"import sys, evstim; print([m for m in {(*HEAVY, 'importlib.metadata')!r} if m in sys.modules])"
     assert in_a_process(code).strip() == "[]"
 
 
@@ -127,9 +123,3 @@ import evstim
 print([name for name in evstim.__all__ if getattr(evstim, name) is None])
 """
     assert in_a_process(code).strip() == "[]"
-
-
-def test_python_dash_m():
-    done = subprocess.run([sys.executable, "-m", "evstim", "rigs"], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0
-    assert "loopback" in done.stdout

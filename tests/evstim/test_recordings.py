@@ -65,11 +65,6 @@ def test_what_is_no_recording(tmp_path):
         evstim.read_events(tmp_path / "text.md")
 
 
-def test_a_recording_without_events(tmp_path):
-    path = written(tmp_path / "a.npz", FORMATS["npz"], np.zeros(0, evstim.EVENT))
-    assert evstim.read_events(path).shape == (0,)
-
-
 @pytest.mark.parametrize(("name", "field", "value", "message"), [
     ("npz", "t", 1, r"event 99999 goes back in time, from 299994 to 1 us; .* strict=False returns all"),
     ("npz", "x", 346, r"event 99999 is at \(346, .*\), outside a sensor of 346 x 260 pixels; .*strict=False"),

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evstim.representations import TONIC, event_frame, time_surface, to_tonic, voxel_grid
-from firmware_protocol.events import empty_events, make_events
+from firmware_protocol.events import make_events
 
 SIZE = (7, 5)
 
@@ -67,22 +67,6 @@ def test_a_normalised_grid_has_mean_zero_and_deviation_one():
     assert filled.mean() == pytest.approx(0, abs=1e-6)
     assert filled.std() == pytest.approx(1, abs=1e-6)
     assert not normalised[plain == 0].any()
-
-
-def test_no_events_are_empty_arrays():
-    nothing = empty_events()
-    assert not event_frame(nothing, SIZE).any()
-    assert not voxel_grid(nothing, SIZE, 3).any()
-    assert not voxel_grid(nothing, SIZE, 3, normalised=True).any()
-    assert not time_surface(nothing, SIZE, 1000.0).any()
-    assert to_tonic(nothing).dtype == TONIC
-
-
-def test_arrays_can_become_tensors_without_a_copy():
-    events = make_events([0, 1], [0, 6], [0, 4], [True, False])
-    for array in (event_frame(events, SIZE), voxel_grid(events, SIZE, 2), time_surface(events, SIZE, 5.0)):
-        assert array.flags.c_contiguous
-        assert array.flags.writeable
 
 
 @pytest.mark.parametrize(

@@ -54,14 +54,6 @@ def test_a_body_that_reads_nothing():
     assert run.result.good
 
 
-def test_wait_goes_to_the_end():
-    with evstim.run("loopback", seconds=0.03, pace="free") as run:
-        result = run.wait()
-    assert result.sim_seconds == pytest.approx(0.03)
-    assert run.result is result
-    assert result.good
-
-
 def test_a_reader_that_is_slow_holds_a_free_run_back_and_loses_nothing(monkeypatch):
     monkeypatch.setattr(running, "_MOST_QUEUED_BYTES", 6500)
     with evstim.run("loopback", seconds=0.02, pace="free") as run:

@@ -21,9 +21,8 @@ def elope():
         yield type("Program", (), runpy.run_path(str(PROGRAM)))
 
 
-@pytest.mark.parametrize("seed", [0, 1, 5, 27])
-def test_speeds_are_the_derivatives_of_place_and_attitude(elope, seed):
-    descent, step_s = elope.Descent(seed), 1e-4
+def test_speeds_are_the_derivatives_of_place_and_attitude(elope):
+    descent, step_s = elope.Descent(5), 1e-4
     first, last = descent.at(0.0), descent.at(descent.seconds)
     assert 2000 < first[2] < 3000
     assert 130 < last[2] < 170
@@ -35,15 +34,6 @@ def test_speeds_are_the_derivatives_of_place_and_attitude(elope, seed):
         w, x, y, z = elope.body_attitude(now[6:9])
         agreed = Rotation.from_quat([x, y, z, w]) * Rotation.from_euler("ZYX", now[[8, 7, 6]]).inv()
         assert agreed.magnitude() < 1e-9
-
-
-@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (0.1, -0.2, 0.3)])
-def test_the_camera_looks_down_the_body_with_its_top_to_the_north(elope, angles):
-    row = np.array([0.0, 0.0, 100.0, 0.0, 0.0, 0.0, *angles, 0.0, 0.0, 0.0])
-    w, x, y, z = elope.camera_pose(row).q_world_from_body
-    ahead, right, top = Rotation.from_quat([x, y, z, w]).apply([[0, 0, 1], [1, 0, 0], [0, -1, 0]])
-    body = Rotation.from_euler("ZYX", angles[::-1])
-    np.testing.assert_allclose([ahead, right, top], body.apply([[0, 0, -1], [1, 0, 0], [0, 1, 0]]), atol=1e-12)
 
 
 def a_sequence(elope):
@@ -109,20 +99,13 @@ ZEROS = [0.0] * 120
     ("answers", "message"),
     [
         ({"3": {"vx": ZEROS[1:], "vy": ZEROS[1:], "vz": ZEROS[1:]}}, "sequence 3: 120 finite numbers of each"),
-        ({"3": {"vx": ZEROS, "vy": ZEROS, "vz": ZEROS[1:]}}, "sequence 3: 120 finite numbers of each"),
         ({"3": {"vx": ZEROS, "vy": [*ZEROS[1:], math.nan], "vz": ZEROS}}, "each are needed; vy[119] is nan"),
-        ({"3": {"vx": [math.inf, *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "each are needed; vx[0] is inf"),
         ({"3": {"vx": [1e308] * 120, "vy": [1e308] * 120, "vz": ZEROS}}, "its score is inf"),
-        ({"3": {"vx": [10**400, *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "vx[0]"),
         ({"3": {"vx": [None, *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "got `null` - at `$[...].vx[0]`"),
-        ({"3": {"vx": ["0", *ZEROS[1:]], "vy": ZEROS, "vz": ZEROS}}, "got `str` - at `$[...].vx[0]`"),
         ({"3": {"vx": ZEROS, "vy": ZEROS}}, "missing required field `vz`"),
-        ({"3": {"vx": ZEROS, "vy": ZEROS, "vz": ZEROS, "v": 1}}, "unknown field `v`"),
         ({"3": [ZEROS, ZEROS, ZEROS]}, "expected lists vx, vy and vz by the sequence's number"),
-        ([{"vx": ZEROS, "vy": ZEROS, "vz": ZEROS}], "expected lists vx, vy and vz by the sequence's number"),
         ({}, "no answer to sequence 3"),
         ({key: {"vx": ZEROS, "vy": ZEROS, "vz": ZEROS} for key in "34"}, "there is no sequence 4"),
-        ("{", "Expecting property name"),
         ("\xff", "decode"),
         ("[" * 100_000, "recursion"),
     ],
@@ -136,7 +119,7 @@ def test_wrong_answers_are_named(elope, tmp_path, refused, answers, message):
     assert message in said
 
 
-@pytest.mark.parametrize(("column", "value"), [(2, np.nan), (2, 0.0), (2, -1.0), (4, np.nan), (5, np.inf)])
+@pytest.mark.parametrize(("column", "value"), [(2, 0.0), (4, np.nan)])
 def test_a_sequence_without_its_true_motion_has_no_score(elope, tmp_path, refused, column, value):
     sequence = a_sequence(elope)
     sequence.traj[7, column] = value
@@ -144,14 +127,6 @@ def test_a_sequence_without_its_true_motion_has_no_score(elope, tmp_path, refuse
     (tmp_path / "v.json").write_text(json.dumps({"3": dict.fromkeys(("vx", "vy", "vz"), ZEROS)}))
     assert "sequence 3: its traj lacks velocities, or heights above 0" in refused("score")
     assert "0003.npz: its traj lacks" in refused("table")
-
-
-def test_a_baseline_without_attitudes_is_refused(elope, tmp_path, refused):
-    sequence = a_sequence(elope)
-    sequence.traj[:, 6:] = np.nan
-    np.savez(tmp_path / "0003.npz", **sequence._asdict())
-    assert "0003.npz: its attitudes" in refused("solve")
-    assert not (tmp_path / "v.json").exists()
 
 
 @pytest.mark.long

@@ -64,6 +64,7 @@ def test_learn_flow(monkeypatch, tmp_path):
     assert (tmp_path / "flow.png").stat().st_size > 10_000
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("rig", ["rendezvous", "itokawa"])
 def test_plot_truth(rig, monkeypatch, tmp_path):
     assert main_of("truth/plot_truth.py", monkeypatch, tmp_path)(rig, "0.2", "plot.png") > 1000
@@ -127,7 +128,7 @@ def test_the_parts_of_the_landing():
         PYTEST[:-2], cwd=Path(__file__).parent / "landing", capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stdout
-    assert "79 passed" in done.stdout
+    assert "65 passed" in done.stdout
 
 
 def landing(out, *more):

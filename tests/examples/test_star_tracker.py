@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import evstim
-from emulator.trajectory.building import build_trajectories
 
 FOLDER = Path(__file__).parents[2] / "examples/star_tracker"
 SIZE = (320, 240)
@@ -52,33 +51,6 @@ def test_motion_and_places_of_stars_are_found_in_their_events(parts):
     for x, y, _ in stars:
         assert np.hypot(places[:, 0] - x, places[:, 1] - y).min() < 0.3
     assert np.all(np.diff(places[:, 2]) <= 0), "the brightest first"
-
-
-def test_noise_alone_has_no_motion(parts):
-    tracker, _ = parts
-    assert tracker.motion_of(sky(tracker.Motion(0, 0, 0), [], noise=3000), SIZE) is None
-    assert tracker.motion_of(sky(tracker.Motion(0, 0, 0), [], noise=0), SIZE) is None
-
-
-def test_a_hot_pixel_is_one_that_has_events_all_the_time(parts):
-    tracker, _ = parts
-    events = sky(tracker.Motion(100.0, 0, 0), [(0.0, 0.0, 300)])
-    hot = np.zeros(50, evstim.EVENT)
-    hot["t"], hot["x"], hot["y"] = np.linspace(0, 199_999, 50), 17, 23
-    marked = tracker.hot_pixels(np.sort(np.concatenate([events, hot]), order="t"), SIZE)
-    np.testing.assert_array_equal(np.argwhere(marked), [[23, 17]])
-
-
-def test_the_true_attitude_is_that_of_the_rig_s_path(parts):
-    _, measure = parts
-    rig = measure.turning(evstim.load_rig(str(measure.RIG)), 0.7)
-    (path,) = build_trajectories([rig.scene.camera])
-    for t_s in (0.0, 3.3):
-        np.testing.assert_allclose(
-            measure.true_attitude(rig, t_s), path.pose(int(t_s * 1e9)).world_from_body.T, atol=1e-9
-        )
-    before, after = (measure.true_attitude(rig, t)[2] for t in (0.0, 1.0))
-    assert np.degrees(np.arccos(before @ after)) == pytest.approx(0.7, rel=1e-3), "the rate is that of the boresight"
 
 
 def test_errors_are_along_the_motion_across_it_and_of_roll(parts):

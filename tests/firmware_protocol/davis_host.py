@@ -51,10 +51,13 @@ class Host:
 
     def __init__(self, camera: Davis346, turned: bool = False) -> None:
         self.camera = camera
-        self.decoder = Decoder(camera.settings.size, turned)
-        self.log = []
+        self.turned = turned
+        self.new_decoder()
         camera.attached()
         self.control(0x00, 9, 1, 0, b"")
+
+    def new_decoder(self):
+        self.decoder = Decoder(self.camera.settings.size, self.turned)
 
     def control(self, kind, request, value, index, data=b"", length=None):
         setup = SetupPacket(kind, request, value, index, len(data) if length is None else length)

@@ -17,8 +17,7 @@ MEASURE = [(3, 2, 1), (3, 3, 1), (3, 4, 1)]
 class Host(DavisHost):
     """Configures a camera and does what drivers do."""
 
-    def __init__(self, camera):
-        super().__init__(camera)
+    def new_decoder(self):
         self.decoder = GroupDecoder()
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from llvmlite.binding import get_host_cpu_features
 from numba import njit
+from numba.extending import overload
 
-from firmware_protocol.compiled import KernelCompiler
+from firmware_protocol.compiled import KernelCompiler, _EntryCompiler
 from tests.test_kernel_sources import kernels, name_of
 
 RIGS = """
@@ -20,11 +21,11 @@ import evstim
 from emulator.rig.loading import load_rig
 from emulator.sensor.sensor import Sensor
 
-digest, expose = hashlib.sha256(), Sensor.expose
+expose = Sensor.expose
 
 def exposed(sensor, frame):
-    digest.update(frame.light)
-    digest.update(np.float32(0) if frame.rate is None else frame.rate)
+    digests["light"].update(frame.light)
+    digests["rate"].update(np.float32(0) if frame.rate is None else frame.rate)
     return expose(sensor, frame)
 
 Sensor.expose = exposed
@@ -36,11 +37,13 @@ for name in (
     sensor = rig.camera.sensor
     quiet = dataclasses.replace(sensor, noise=dataclasses.replace(sensor.noise, rms=0.0))
     for parameters in (sensor, quiet):
+        digests = {part: hashlib.sha256() for part in ("light", "rate", "events")}
         rig = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=parameters))
         with evstim.run(rig, seconds=max(0.03, 4e-6 * rig.run.step_us), pace="free") as run:
             for events in run:
-                digest.update(events.tobytes())
-        print(name, parameters.noise.rms, digest.hexdigest())
+                digests["events"].update(events.tobytes())
+        for part, digest in digests.items():
+            print(name, parameters.noise.rms, part, digest.hexdigest())
 """
 
 
@@ -55,7 +58,8 @@ def test_code_for_two_processors_draws_the_same_light_and_has_the_same_events(tm
         done = subprocess.run([sys.executable, "-c", RIGS], env=os.environ | settings, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         printed.append(done.stdout.splitlines())
-    assert len(printed[0]) == 26
+    assert len(printed[0]) == 3 * 26
+    assert [line for line in printed[0] if line not in printed[1]] == []
     assert printed[0] == printed[1]
 
 
@@ -100,6 +104,45 @@ def used_twice(a, b, c, d):
 
 def plain(a, b, c, d):
     return a + b - c
+
+
+def product_and_sum(a, b, c):
+    return a * b + c
+
+
+@overload(product_and_sum)
+def _(a, b, c):
+    return product_and_sum
+
+
+def calls(callee):
+    def caller(a, b, c):
+        return callee(a, b, c)
+
+    return caller
+
+
+RULED = {"error_model": "numpy", "pipeline_class": KernelCompiler}
+
+
+@pytest.mark.parametrize("is_overload", [False, True])
+@pytest.mark.parametrize("first", [{}, {"fastmath": {"contract"}}])
+def test_a_callee_does_not_inherit_the_permission_of_its_first_caller(first, is_overload):
+    callee = product_and_sum if is_overload else njit(error_model="numpy")(product_and_sum)
+    results = [njit(**RULED, **options)(calls(callee))(A, A, C) for options in (first, {"fastmath": {"contract"}})]
+    assert results == [A * A + C] * 2
+    assert exact(a * a + c) != A * A + C
+
+
+def test_no_entry_keeps_a_permission_of_the_functions_in_it():
+    """numba's function for a sum is compiled in the context of its caller."""
+
+    def mean(values):
+        return np.hypot(values.mean(), values.std() * values[0] + values[1])
+
+    compiled = njit(fastmath={"contract"}, error_model="numpy", pipeline_class=_EntryCompiler)(mean)
+    compiled(np.arange(4.0))
+    assert " contract " not in "".join(compiled.inspect_llvm().values())
 
 
 @pytest.mark.parametrize(

@@ -70,54 +70,6 @@ def test_the_checksum_is_that_of_all_sources(tmp_path, name):
     assert checksum_of(tmp_path) != before
 
 
-MANY_KINDS = """
-import math
-import sys
-import numpy as np
-from numba import njit
-from firmware_protocol.compiled import entry_of, kernel
-
-@kernel
-def of_kernel(x):
-    return math.erf(x) + math.gamma(1 + x) + 0j ** x
-
-@entry_of("firmware_protocol.compiled")
-def mix(values):
-    if values[0] < 0:
-        raise ValueError("less than 0")
-    np.random.seed(3)
-    room = np.zeros(len(values))
-    for k in range(len(values)):
-        room[k] = abs(of_kernel(values[k])) + math.expm1(values[k]) + np.random.normal()
-    return np.sort(room), np.dot(room, room), (1, room.sum())
-
-@njit
-def later(values):
-    return mix(values)[0] + values
-
-values = np.linspace(0.1, 3, 7)
-print(mix(values)[0].tolist(), *mix(values)[1:])
-try:
-    mix(-values)
-except ValueError as error:
-    print(error)
-loaded = sum(mix.stats.cache_hits.values())
-functions = "numba.np.polynomial.polynomial_functions" in sys.modules
-print(later(values).tolist())
-print(loaded, functions)
-"""
-
-
-@pytest.mark.long
-@pytest.mark.system
-def test_code_on_disk_needs_no_functions_of_numba_and_gives_the_same(tmp_path):
-    """Memory, random numbers, BLAS, errors and special functions; then a function is compiled that calls it."""
-    (tmp_path / "mixed.py").write_text(MANY_KINDS)
-    first, second = (output_of("import mixed", tmp_path, ROOT).splitlines() for _ in range(2))
-    assert first[:-1] == second[:-1]
-    assert (first[-1], second[-1]) == ("0 True", "1 False")
-
-
 LOOPS = """
 from firmware_protocol.compiled import entry_of
 from own.layout import COLUMN
@@ -226,8 +178,7 @@ def test_code_of_a_user_without_home_is_in_a_folder_below_tmpdir(homeless, tmp_p
 
 @pytest.mark.system
 def test_without_any_folder_kernels_are_compiled_and_one_sentence_names_the_remedy(homeless, tmp_path):
-    for _ in range(2):
-        assert homeless(tmp_path / "missing") == (["8", "0", "None"], f"{NO_FOLDER}\n")
+    assert homeless(tmp_path / "missing") == (["8", "0", "None"], f"{NO_FOLDER}\n")
     assert "XDG_CACHE_HOME" in NO_FOLDER
     assert sorted(path.name for path in tmp_path.iterdir()) == ["place"]
 

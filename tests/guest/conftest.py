@@ -11,6 +11,7 @@ import pytest
 from tests.guest.environments import DRIVERS, EVENTCV
 from tests.guest.image import GuestUnavailable
 from tests.guest.machine import CACHE, Guest
+from tests.guest.own_network import CAMERA, HOST, OwnNetwork
 
 
 def cannot(reason: GuestUnavailable) -> None:
@@ -51,3 +52,11 @@ def eventcv_python() -> Path:
     except GuestUnavailable as reason:
         cannot(reason)
         raise
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[OwnNetwork, OwnNetwork]]:
+    """Yield the networks at the two ends of a cable: that of a camera, and that of a host."""
+    with OwnNetwork() as camera, OwnNetwork() as host:
+        camera.join(host, CAMERA, HOST)
+        yield camera, host

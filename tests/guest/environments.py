@@ -32,7 +32,7 @@ import shutil
 import subprocess
 import sys
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tests.guest.cache import made_once
@@ -64,6 +64,8 @@ class Driver:
         False: it closes a camera that still streams, and its process may end as after an unplugging.
     pythons
         Versions of Python that the driver's wheels exist for; empty: any that this project runs on.
+    options
+        Of its program.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Driver:
     abort_after_unplugging: str = ""
     stops_camera: bool = True
     pythons: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
 
     @property
     def program(self) -> Path:
@@ -124,25 +127,14 @@ DRIVERS = (
     ),
 )
 
-ND_EVK4 = Driver(
-    "nd_evk4", (), adds_host_time=False, imports=ND_IMPORTS, abort_after_unplugging=DRIVERS[-1].abort_after_unplugging
-)
-"""The program for the EVK4 in the environment of neuromorphic_drivers."""
+ND_EVK4 = replace(DRIVERS[-1], name="nd_evk4", packages=())
+"""The program for boards of Prophesee's, here an EVK4, in the environment of neuromorphic_drivers."""
 
-ND_EVK3 = Driver(
-    "nd_evk3", (), adds_host_time=False, imports=ND_IMPORTS, abort_after_unplugging=DRIVERS[-1].abort_after_unplugging
-)
-"""The program for the EVK3 HD there: another driver, which writes registers by frames without a size."""
+ND_EVK3 = replace(ND_EVK4, options=("--device", "prophesee_evk3_hd"))
+"""The EVK3 HD there: another driver, which writes registers by frames without a size."""
 
-ND_VGA = Driver(
-    "nd_vga",
-    (),
-    adds_host_time=False,
-    imports=ND_IMPORTS,
-    abort_after_unplugging=DRIVERS[-1].abort_after_unplugging,
-    stops_camera=False,
-)
-"""The program for the SilkyEvCam VGA there: its driver writes values in mV where the chip has codes."""
+ND_VGA = replace(ND_EVK4, options=("--device", "centuryarks_vga"), stops_camera=False)
+"""The SilkyEvCam VGA there: its driver writes values in mV where the chip has codes."""
 
 EVENTCV = Driver("ecv", ("eventcv==1.0.8", "numpy"), adds_host_time=False, imports=("numpy", "eventcv"))
 """A library of computer vision with neuromorphic_drivers 0.17 inside; it reads the EVK4 alone of our cameras."""

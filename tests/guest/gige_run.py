@@ -17,7 +17,7 @@ from firmware_protocol.events import Events
 from tests.hostile.looped import Looped
 from transports.recording.record import load_record
 
-__all__ = ["GigeRun", "RigRun", "looped_1280x720"]
+__all__ = ["LOSS", "GigeRun", "RigRun", "looped_1280x720"]
 
 RIG = """
 title = "recorded events at their own pace, on GigE Vision"
@@ -32,6 +32,16 @@ max_late_ms = 0
 {run}
 [[links]]
 kind = "gige"
+"""
+
+LOSS = """
+[[faults]]
+link = "gige"
+kind = "lost_datagrams"
+rate = 0.01
+count = 0
+at_s = 0.0
+for_s = 1000.0
 """
 
 

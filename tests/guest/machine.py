@@ -121,12 +121,13 @@ class Guest:
         self._jobs.append(job)
         return job
 
-    def prepare(self, python: Path, modules: Sequence[str]) -> None:
-        """Start an interpreter that has imported modules, for all programs that `python` runs from now on."""
+    def prepare(self, python: Path, modules: Sequence[str], path: str = "") -> None:
+        """Start an interpreter that has imported modules, also from `path`, for all that `python` runs from now on."""
         if str(python) in self._listeners or not modules:
             return
         listener = _listener()
-        self.start([str(python), str(AGENT), HOST_ADDRESS, _port(listener), *modules], GUEST_LIFE_S)
+        program = [str(python), str(AGENT), HOST_ADDRESS, _port(listener), *modules]
+        self.start(["env", f"PYTHONPATH={path}", *program], GUEST_LIFE_S)
         self._listeners[str(python)] = listener
 
     def run(self, argv: Sequence[str], timeout_s: float = 120.0) -> Finished:

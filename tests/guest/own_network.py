@@ -7,7 +7,10 @@ import subprocess
 
 import pytest
 
-__all__ = ["OwnNetwork"]
+__all__ = ["CAMERA", "HOST", "OwnNetwork"]
+
+CAMERA, HOST = "10.77.0.1", "10.77.0.2"
+"""Addresses of the two ends of a cable."""
 
 _HOLD = "ip link set lo up && echo up && exec cat"
 

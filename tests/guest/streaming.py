@@ -58,11 +58,12 @@ class Streaming:
         self._output = guest.results / f"{driver.name}.npz"
         self._started = self._output.with_suffix(".started")
         self._started.unlink(missing_ok=True)
-        limits = ["--count", str(count), "--timeout", str(timeout_s)]
+        limits = ["--count", str(count), "--timeout", str(timeout_s), *driver.options]
         output = ["--output", guest.path_in_guest(self._output.name)]
         guest.prepare(python, driver.imports)
         self._job: Job = guest.start(
-            [str(python), str(driver.program), *limits, *output, *options], timeout_s + STREAM_TIMEOUT_S
+            [str(python), str(driver.program), *limits, *output, *options],
+            timeout_s + STREAM_TIMEOUT_S,
         )
 
     def wait_until_started(self) -> None:

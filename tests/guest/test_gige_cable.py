@@ -8,31 +8,14 @@ import sys
 
 import pytest
 
-from tests.guest.gige_run import GigeRun, looped_1280x720
-from tests.guest.own_network import OwnNetwork
+from tests.guest.gige_run import LOSS, GigeRun, looped_1280x720
+from tests.guest.own_network import CAMERA, HOST
 
 EVENTS = 300_000
-CAMERA, HOST = "10.77.0.1", "10.77.0.2"
 LINK = f'host = "{CAMERA}"\nallow = ["{HOST}"]\n'
-LOSS = """
-[[faults]]
-link = "gige"
-kind = "lost_datagrams"
-rate = 0.01
-count = 0
-at_s = 0.0
-for_s = 1000.0
-"""
 LISTEN = [sys.executable, "-c", "from emulator.cli import main; main()", "listen", "gige", CAMERA, "--json"]
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket]
-
-
-@pytest.fixture
-def ends():
-    with OwnNetwork() as camera, OwnNetwork() as host:
-        camera.join(host, CAMERA, HOST)
-        yield camera, host
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from firmware_protocol.imx636.triton2_registers import PERIOD_US
 from tests.guest.comparison import assert_same
 from tests.guest.conftest import cannot
 from tests.guest.environments import Driver
-from tests.guest.gige_run import GigeRun, looped_1280x720
+from tests.guest.gige_run import LOSS, GigeRun, looped_1280x720
 from tests.guest.image import GuestUnavailable
 from tests.guest.machine import CACHE
 from tests.guest.own_network import OwnNetwork
@@ -27,15 +27,6 @@ OCTETS = 1_000_000
 GAP_US = 10
 LIMIT = 5  # events a period that the rate control lets by, of 20 on average
 VIVA = Driver("viva", ("viva-genicam==0.10.0", "numpy"), adds_host_time=False)
-LOSS = """
-[[faults]]
-link = "gige"
-kind = "lost_datagrams"
-rate = 0.01
-count = 0
-at_s = 0.0
-for_s = 1000.0
-"""
 KEYS = "block_us = 10000\n"  # viva-genicam's queue loses small blocks that come fast
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket]

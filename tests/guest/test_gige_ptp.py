@@ -18,11 +18,10 @@ import pytest
 from tests.guest.conftest import cannot
 from tests.guest.gige_run import GigeRun, looped_1280x720
 from tests.guest.image import GuestUnavailable
-from tests.guest.own_network import OwnNetwork
+from tests.guest.own_network import CAMERA, HOST
 
 CLIENT = Path(__file__).with_name("clients") / "aravis_ptp.py"
 READINGS = int(os.environ.get("EVSTIM_PTP_READINGS", "10"))
-CAMERA, HOST = "10.78.0.1", "10.78.0.2"
 LINK = f'host = "{CAMERA}"\nallow = ["{HOST}"]\nptp = true\n'
 GENEROUS_NS = 1_000_000  # a busy machine may stamp late; what was measured is in docs/timing.md
 MASTER = """
@@ -36,13 +35,6 @@ uds_address {uds}
 """
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket]
-
-
-@pytest.fixture
-def ends():
-    with OwnNetwork() as camera, OwnNetwork() as host:
-        camera.join(host, CAMERA, HOST)
-        yield camera, host
 
 
 @pytest.fixture

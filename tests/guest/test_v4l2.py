@@ -38,7 +38,6 @@ EVENTS = round(float(os.environ.get("EVSTIM_V4L2_EVENTS", "3e4")))
 GAP_US = 16
 """Between events: OpenEB drops a buffer where 28 wait for its decoder, which is slow in the guest."""
 TIMEOUT_S = 240.0 + 4.0 * EVENTS * GAP_US * 1e-6
-EVSTIM = str(Path(sys.executable).with_name("evstim"))
 OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
 NO_OPENEB = "EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it"
 SIZES = {"evk4": (1280, 720), "genx320": (320, 320)}
@@ -46,7 +45,9 @@ VIDEO, SUBDEVICE = "/dev/video0", "/dev/v4l-subdev0"
 BUFFERS = 40
 ROOT = Path(__file__).parents[2]
 WORDS = str(Path(__file__).with_name("clients") / "v4l2_words.py")
-MESSAGES = round(float(os.environ.get("EVSTIM_V4L2_MESSAGES", "1e4")))
+EVSTIM = str(Path(__file__).with_name("clients") / "evstim_program.py")
+IMPORTED = ["emulator.cli.app", "emulator.cli.v4l2", "firmware_protocol.genx320.registers"]
+MESSAGES = round(float(os.environ.get("EVSTIM_V4L2_MESSAGES", "3e3")))
 MESSAGES_S = 240.0 + 5e-3 * MESSAGES
 KILLS = max(1, MESSAGES // 50_000)
 
@@ -64,6 +65,7 @@ def module(guest: Guest) -> Iterator[None]:
     for name in ("videodev", "videobuf2-v4l2", "videobuf2-vmalloc"):
         guest.load(name)
     guest.check(["insmod", str(built)])
+    guest.prepare(Path(sys.executable), IMPORTED, str(ROOT))
     yield
     guest.check(["rmmod", "evstim_v4l2"])
     assert not re.search(r"WARNING:|BUG:|Oops", guest.check(["dmesg"]))
@@ -72,12 +74,13 @@ def module(guest: Guest) -> Iterator[None]:
 @contextmanager
 def words(guest: Guest, name: str) -> Iterator[None]:
     """A sensor that a small program feeds, until the block ends."""
-    guest.start(["env", f"PYTHONPATH={ROOT}", sys.executable, WORDS, name], TIMEOUT_S)
+    pid = guest.path_in_guest("words.pid")
+    guest.start([sys.executable, WORDS, name, pid], TIMEOUT_S)
     wait_for(guest, f"[ -e {SUBDEVICE} ]")
     try:
         yield
     finally:
-        guest.run(["pkill", "-KILL", "-f", WORDS])
+        guest.check(["sh", "-c", f"kill -KILL $(cat {pid})"])
         wait_for(guest, f"[ ! -e {SUBDEVICE} ]")
 
 
@@ -104,7 +107,7 @@ def test_a_program_that_is_killed_amid_a_stream_leaves_nothing(guest: Guest, mod
 
 
 def test_the_module_survives_any_messages(guest: Guest, module: None) -> None:
-    told = guest.check(["env", f"PYTHONPATH={ROOT}", sys.executable, WORDS, "imx636", str(MESSAGES)], MESSAGES_S)
+    told = guest.check([sys.executable, WORDS, "imx636", str(MESSAGES)], MESSAGES_S)
     assert MESSAGES // 20 < int(told) < MESSAGES  # some are valid, some are refused
     with words(guest, "imx636"):
         assert "bias_diff_on" in guest.check(["v4l2-ctl", "-d", SUBDEVICE, "-l"])
@@ -121,12 +124,13 @@ def sensor(guest: Guest, tmp_path: Path, model: str) -> Iterator[RunningRig]:
     with RunningRig(
         tmp_path, text=RIG.replace('"evk4"', f'"{model}"').replace("step_us = 1000\n", "step_us = 10000\n")
     ) as rig:
-        node = guest.start([EVSTIM, "v4l2", "--usbip", f"{HOST_ADDRESS}:{rig.port}", "--json"], 4 * TIMEOUT_S)
+        pid, camera = guest.path_in_guest("evstim.pid"), f"{HOST_ADDRESS}:{rig.port}"
+        node = guest.start([sys.executable, EVSTIM, pid, "v4l2", "--usbip", camera, "--json"], 4 * TIMEOUT_S)
         try:
             wait_for(guest, f"[ -e {SUBDEVICE} ]")
             yield rig
         finally:
-            guest.check(["pkill", "-INT", "-f", f"{EVSTIM} v4l2"])
+            guest.check(["sh", "-c", f"kill -INT $(cat {pid})"])
         ended = node.wait()
         assert ended.code == 0, ended
         rig.forwarded = json.loads(ended.stdout.splitlines()[-1])

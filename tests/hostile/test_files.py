@@ -5,13 +5,10 @@ Thirty of each format by default; `EVSTIM_HOSTILE_FILES=10000` for the figures o
 interpreter for each file would take most of the time. One file of each such format goes the whole way.
 """
 
-import faulthandler
 import io
 import os
 import random
 import resource
-import signal
-import warnings
 from dataclasses import dataclass
 
 import faery
@@ -30,10 +27,10 @@ from emulator.trajectory.building import read_path
 from emulator.trajectory.parameters import FilePath
 from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import EVENT
+from tests.forked_reader import Fork
 from tests.hostile.mutation import damaged_archive, damaged_array, damaged_bytes, damaged_text
 from tests.npz_records import save_record
 from transports import guarded_reader
-from transports.guarded_reader import serve
 
 COUNT = int(os.environ.get("EVSTIM_HOSTILE_FILES", "30"))
 SEED = int(os.environ.get("EVSTIM_HOSTILE_SEED", "1"))
@@ -254,35 +251,6 @@ FORMATS = [
 ]
 
 
-class Fork:
-    """A child process as `guarded_reader` starts it, but a fork."""
-
-    def __init__(self, order):
-        with warnings.catch_warnings(action="ignore"):  # Python 3.12 warns of threads, of which the child uses none
-            self.pid = os.fork()
-        if not self.pid:
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, 1)
-            os.dup2(null, 2)
-            faulthandler.disable()  # it writes to a copy of stderr
-            try:
-                warnings.simplefilter("default")
-                serve(order)
-            finally:
-                os._exit(99)
-        self.code = None
-
-    def kill(self):
-        if self.code is None:
-            os.kill(self.pid, signal.SIGKILL)
-
-    def wait(self):
-        """Return the exit code, negative where a signal ended it."""
-        if self.code is None:
-            self.code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
-        return self.code
-
-
 def spent_s():
     return sum(os.times()[:4])
 
@@ -323,14 +291,3 @@ def test_a_damaged_file_is_refused_by_name_or_read(one, tmp_path, monkeypatch):
     frames_kib = MOST_BYTES >> 10 if one.load is sound_video else 0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kib < MOST_GROWTH_KIB + frames_kib
     assert refused > COUNT // 10
-
-
-@pytest.mark.parametrize(
-    ("name", "load"),
-    [("a.stl", sound_mesh), ("a.tif", sound_map), ("a.gif", sound_video), ("a.mp4", sound_video), ("a.aedat4", None)],
-)
-def test_a_child_says_what_is_wrong(tmp_path, name, load):
-    path = tmp_path / name
-    path.write_bytes(b"junk" * 100)
-    with pytest.raises(SceneError, match=f"^{path}: "):
-        (load or sound_recording)(path)

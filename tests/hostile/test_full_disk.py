@@ -16,7 +16,7 @@ from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.output_file import OutputFile
 from transports.recording.part import Part
-from transports.recording.record import Recorder, load_record
+from transports.recording.record import Recorder
 
 FULL = "/dev/full"
 NO_SPACE = "No space left on device"
@@ -74,14 +74,6 @@ def test_a_record_for_which_the_archive_has_no_room_is_kept_as_it_is(tiny):
     assert (tiny / "a.npz.part").stat().st_size == 12_000 * EVENT.itemsize
 
 
-def test_a_record_that_fits_has_no_trouble(tiny):
-    recorder = Recorder(tiny / "a.npz")
-    recorder.append(Part(events(5000)))
-    recorder.close()
-    assert recorder.trouble == ""
-    assert len(load_record(tiny / "a.npz")[0]) == 5000
-
-
 def test_the_truth_of_a_clock_stops(full):
     truth = OutputFile(full("truth.csv"), "truth")
     for k in range(2000):
@@ -135,14 +127,6 @@ def test_a_run_whose_disk_is_full_goes_on_and_says_so(tiny, tmp_path):
 def test_a_path_that_cannot_be_written_is_told_before_the_run(tmp_path, make, message):
     with pytest.raises(Failure, match=message):
         check_output("--record", make(tmp_path), ".npz")
-
-
-def test_a_check_leaves_no_file_and_changes_none(tmp_path):
-    check_output("--record", tmp_path / "new.npz", ".npz")
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "old.npz").write_bytes(b"old")
-    check_output("--record", tmp_path / "old.npz", ".npz")
-    assert (tmp_path / "old.npz").read_bytes() == b"old"
 
 
 @pytest.mark.system

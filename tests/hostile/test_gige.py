@@ -8,7 +8,6 @@ import dataclasses
 import os
 import socket
 import struct
-import time
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +30,8 @@ from transports.gige.host import GigeHost
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING, EventRing
 
-COUNT = int(float(os.environ.get("EVSTIM_HOSTILE_DATAGRAMS", "20000")))
+COUNT = int(float(os.environ.get("EVSTIM_HOSTILE_DATAGRAMS", "8000")))
 PARTS = 50
-ANSWERS_A_SECOND = 2000  # to all hosts without control
 OWNER = ("127.0.0.1", 40_000)
 MOST_GROWTH_KB = 4096
 HEARTBEAT_OFF = 1  # a busy machine may let more than the heartbeat's time pass, and a stranger then takes control
@@ -179,42 +177,6 @@ def test_the_process_that_answers_stays_small_and_at_work():
                 resident_kb.append(_resident_kb(process.pid))
             strangers.fire(draw, hostile_datagram(draw))
     assert resident_kb[-1] - resident_kb[len(resident_kb) // 4] < MOST_GROWTH_KB, resident_kb
-
-
-def _lengths(stranger):
-    """Return the lengths of the datagrams that have come."""
-    found = []
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            found.append(len(stranger.recv(65_536)))
-    return found
-
-
-@pytest.mark.socket
-def test_a_flood_of_searches_gets_so_many_answers_a_second():
-    """2000 at once and 2000 a second (docs/cameras.md), in the time that this machine takes for the flood.
-
-    That this is less than a flood brings depends on how fast it comes; `test_control.py` counts by a clock of its own.
-    """
-    answers, searches = [], [request(Command.DISCOVERY, number) for number in (1, 2)]
-    process = ControlProcess(ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 1))
-    with (
-        contextlib.closing(process),
-        contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as stranger,
-    ):
-        stranger.connect(("127.0.0.1", process.port))
-        stranger.setblocking(False)
-        begun_s = time.monotonic()
-        for k in range(100_000):
-            with contextlib.suppress(BlockingIOError):
-                stranger.send(searches[k % 2])
-            if k % 50 == 0:
-                answers += _lengths(stranger)
-        while not answers:  # a process that has not had its turn yet
-            answers += _lengths(stranger)
-        seconds = time.monotonic() - begun_s
-    assert len(answers) <= ANSWERS_A_SECOND * (1 + seconds)
-    assert set(answers) == {256}
 
 
 @pytest.mark.system

@@ -12,8 +12,9 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import SpicePath
 from emulator.trajectory.pose import TrajectoryError
 from tests.emulator.trajectory.test_spice import LSK, SCLK, SPIN_FK
+from tests.forked_reader import Fork
 from tests.hostile.mutation import damaged_bytes, damaged_text
-from tests.hostile.test_files import COUNT, MOST_S, SEED, Fork, spent_s
+from tests.hostile.test_files import COUNT, MOST_S, SEED, spent_s
 from transports import guarded_reader
 
 spice = pytest.importorskip("spiceypy", reason="needs the extra `spice`")

@@ -37,24 +37,25 @@ def as_events(t, x, y, on):
     return events
 
 
-def by_faery(path, form):
+def by_faery(path, form=""):
     read = np.concatenate(list(faery.events_stream_from_file(path)))
     return as_events(*(read[name] for name in ("t", "x", "y", "on")))
 
 
-def by_evlib(path, form):
+def by_evlib(path, form=""):
     read = evlib.load_events(str(path)).collect()
     t = read["t"].dt.total_microseconds().to_numpy()
     return as_events(t, *(read[name].to_numpy() for name in ("x", "y")), read["polarity"].to_numpy() > 0)
 
 
-def by_expelliarmus(path, form):
-    read = expelliarmus.Wizard(encoding=form).read(str(path))
+def by_expelliarmus(path, form=""):
+    read = expelliarmus.Wizard(encoding=form or ("dat" if path.suffix == ".dat" else "evt2")).read(str(path))
     return as_events(*(read[name] for name in "txyp"))
 
 
-def by_evt3(path, form):
+def by_evt3(path, form=""):
     read = evt3.decode_file(str(path))
+    assert read.sensor_size == SIZE
     return as_events(read.t, read.x, read.y, np.asarray(read.p) > 0)
 
 

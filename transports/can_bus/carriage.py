@@ -270,19 +270,16 @@ class _IsoTpTransport(FrameSource):
         if not self._settings.is_ours(frame):
             return None
         if frame.data and frame.data[0] >> 4 == 3:
-            self._flow_control(frame, now_ns)
+            try:
+                self._sender.flow_control(frame, now_ns)
+            except IsoTpFailure:
+                self.faults["messages refused by the peer"] += 1
+                self.drop()
             return None
         packet = self._receiver.push(frame, now_ns)
         if packet is not None:
             _obey(self._instrument, self._commands, packet)
         return self._receiver.reply
-
-    def _flow_control(self, frame: Frame, now_ns: int) -> None:
-        try:
-            self._sender.flow_control(frame, now_ns)
-        except IsoTpFailure:
-            self.faults["messages refused by the peer"] += 1
-            self.drop()
 
 
 class _CfpTransport(FrameSource):

@@ -147,7 +147,11 @@ class CanEndpoint(Endpoint):
     async def close(self) -> None:
         """Finish the frames that the bus has accepted, drop the rest, send the farewell and close the buses."""
         await self._drain()
-        self._send_farewell()
+        slot = self._slots[self._active]
+        if slot.up and slot.bus.has_listeners:
+            with suppress(BusDown):
+                for frame in self._node.farewell():
+                    self._send(slot, QueuedFrame(frame, exempt=True), self._clock.now_ns())
         await self._drain()
         self._closed_ns = self._clock.now_ns()
         self._drop()
@@ -254,13 +258,6 @@ class CanEndpoint(Endpoint):
 
     def _trackers(self) -> list[Tracker]:
         return [source.tracker for source in self._sources if source.tracker is not None]
-
-    def _send_farewell(self) -> None:
-        slot = self._slots[self._active]
-        if slot.up and slot.bus.has_listeners:
-            with suppress(BusDown):
-                for frame in self._node.farewell():
-                    self._send(slot, QueuedFrame(frame, exempt=True), self._clock.now_ns())
 
     async def _drain(self) -> None:
         slot = self._slots[self._active]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from msgspec import Meta
@@ -67,12 +67,8 @@ class _Lost(_HitFrames):
 
 
 @dataclass(frozen=True)
-class LostFrames(HitFault):
+class LostFrames(HitFault, carriers=(CAN_BUS,), effect=_Lost):
     """Frames that no node receives: a bus repeats damaged frames, but a gateway or a full receiver loses frames."""
-
-    kind: ClassVar[str] = "lost_frames"
-    carriers = (CAN_BUS,)
-    effect: ClassVar[type[Stage]] = _Lost
 
 
 class _Repeated(_HitFrames, Repetition[QueuedFrame]):
@@ -80,12 +76,8 @@ class _Repeated(_HitFrames, Repetition[QueuedFrame]):
 
 
 @dataclass(frozen=True)
-class RepeatedFrames(HitFault):
+class RepeatedFrames(HitFault, carriers=(CAN_BUS,), effect=_Repeated):
     """Frames that arrive twice, as when the last bit of a good frame is disturbed and the sender repeats it."""
-
-    kind: ClassVar[str] = "repeated_frames"
-    carriers = (CAN_BUS,)
-    effect: ClassVar[type[Stage]] = _Repeated
 
 
 class _Overtaken(Delay[QueuedFrame]):
@@ -99,7 +91,7 @@ class _Overtaken(Delay[QueuedFrame]):
 
 
 @dataclass(frozen=True)
-class ReorderedFrames(HitFault):
+class ReorderedFrames(HitFault, carriers=(CAN_BUS,)):
     """Frames that later frames overtake, as in a controller with several transmit buffers, or a gateway.
 
     Attributes
@@ -107,8 +99,6 @@ class ReorderedFrames(HitFault):
     behind : number of frames that overtake it.
     """
 
-    kind: ClassVar[str] = "reordered_frames"
-    carriers = (CAN_BUS,)
     behind: Annotated[int, Meta(ge=1, le=1000)] = 1
 
     def stage(self, random: np.random.Generator, carrier: BitRates) -> Stage:
@@ -132,12 +122,8 @@ class _Changed(_HitFrames):
 
 
 @dataclass(frozen=True)
-class ChangedFrames(HitFault):
+class ChangedFrames(HitFault, carriers=(CAN_BUS,), effect=_Changed):
     """One inverted bit in a frame's data. The CRC of a real bus would detect it; the memory of a gateway does not."""
-
-    kind: ClassVar[str] = "changed_frames"
-    carriers = (CAN_BUS,)
-    effect: ClassVar[type[Stage]] = _Changed
 
 
 class _Destroyed(_HitFrames):
@@ -147,12 +133,8 @@ class _Destroyed(_HitFrames):
 
 
 @dataclass(frozen=True)
-class ErrorFrames(HitFault):
+class ErrorFrames(HitFault, carriers=(CAN_BUS,), effect=_Destroyed):
     """Frames that are destroyed on the bus: an error frame, then the frame again. Only time is lost."""
-
-    kind: ClassVar[str] = "error_frames"
-    carriers = (CAN_BUS,)
-    effect: ClassVar[type[Stage]] = _Destroyed
 
 
 @dataclass(frozen=True)
@@ -193,21 +175,13 @@ class _Dead(BusStage):
 
 
 @dataclass(frozen=True)
-class BusOff(_OfBus):
+class BusOff(_OfBus, carriers=(CAN_BUS,), effect=_Off):
     """The camera's controller has counted too many errors and left the bus; it returns at the end of the fault."""
-
-    kind: ClassVar[str] = "bus_off"
-    carriers = (CAN_BUS,)
-    effect: ClassVar[type[Stage]] = _Off
 
 
 @dataclass(frozen=True)
-class DeadBus(_OfBus):
+class DeadBus(_OfBus, carriers=(CAN_BUS,), effect=_Dead):
     """The bus is cut at the camera: it receives no frames, and no node receives its frames."""
-
-    kind: ClassVar[str] = "dead_bus"
-    carriers = (CAN_BUS,)
-    effect: ClassVar[type[Stage]] = _Dead
 
 
 class Babbler(BusStage):
@@ -231,7 +205,7 @@ class Babbler(BusStage):
 
 
 @dataclass(frozen=True)
-class BabblingIdiot(_OfBus):
+class BabblingIdiot(_OfBus, carriers=(CAN_BUS,), effect=Babbler):
     """A node that floods the bus.
 
     Attributes
@@ -240,9 +214,6 @@ class BabblingIdiot(_OfBus):
     load : share of the bus's time that it requests.
     """
 
-    kind: ClassVar[str] = "babbling_idiot"
-    carriers = (CAN_BUS,)
-    effect: ClassVar[type[Stage]] = Babbler
     identifier: Annotated[int, Meta(ge=0, le=2047)] = 0
     load: Annotated[float, Meta(gt=0, le=1)] = 1.0
 

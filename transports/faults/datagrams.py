@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
@@ -25,25 +25,17 @@ from transports.faults.script import FaultPlan, Faulty, pass_through
 
 
 @dataclass(frozen=True)
-class LostDatagrams(HitFault):
+class LostDatagrams(HitFault, carriers=(DATAGRAMS, GIGE_STREAM), effect=Loss):
     """Datagrams that never arrive, as when a queue on the path is full."""
 
-    kind: ClassVar[str] = "lost_datagrams"
-    carriers = (DATAGRAMS, GIGE_STREAM)
-    effect: ClassVar[type[Stage]] = Loss
-
 
 @dataclass(frozen=True)
-class RepeatedDatagrams(HitFault):
+class RepeatedDatagrams(HitFault, carriers=(DATAGRAMS, GIGE_STREAM), effect=Repetition):
     """Datagrams that arrive twice."""
 
-    kind: ClassVar[str] = "repeated_datagrams"
-    carriers = (DATAGRAMS, GIGE_STREAM)
-    effect: ClassVar[type[Stage]] = Repetition
-
 
 @dataclass(frozen=True)
-class LateDatagrams(HitFault):
+class LateDatagrams(HitFault, carriers=(DATAGRAMS, GIGE_STREAM)):
     """Datagrams that later datagrams overtake.
 
     Attributes
@@ -51,8 +43,6 @@ class LateDatagrams(HitFault):
     overtaken_by : number of datagrams that pass each.
     """
 
-    kind: ClassVar[str] = "late_datagrams"
-    carriers = (DATAGRAMS, GIGE_STREAM)
     overtaken_by: Annotated[int, Meta(ge=1, le=1000)] = 1
 
     def stage(self, random: np.random.Generator, carrier: None) -> Stage:

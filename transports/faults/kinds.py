@@ -1,8 +1,9 @@
 """Base classes of faults, which a rig writes as tables with a `kind`.
 
-A fault is one frozen dataclass: its attributes are the keys of the table, `carriers` are those that can have it, and
-`effect` is the class of its effect on one, a `Stage`. A fault whose effect needs other parameters overrides `stage`.
-`FAULTS` contains all of them by kind.
+A fault is one frozen dataclass: its attributes are the keys of the table. Its class statement has the `carriers` that
+can have it and `effect`, the class of its effect on one, a `Stage`; a fault whose effect needs other parameters
+overrides `stage`. Its kind is the class's name in small letters: BitFlips is "bit_flips". `FAULTS` contains all of them
+by kind.
 
 A fault begins at `at_s` of stream time and lasts `for_s`. Faults of single bits, bytes or frames hit each one with
 probability `rate` and end after `count` hits.
@@ -13,6 +14,7 @@ probability `rate` and end after `count` hits.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
@@ -21,7 +23,7 @@ from typing import Annotated, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from msgspec import Meta
 
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded
 from transports.registry import Registry
 
 SERIAL_LINE = "a serial line"
@@ -67,7 +69,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Fault:
+class Fault(Bounded):
     """Common attributes of all faults.
 
     Attributes
@@ -89,8 +91,11 @@ class Fault:
     at_s: StreamSeconds = 0.0
     for_s: StreamSeconds = 0.0
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
+    def __init_subclass__(cls, *, carriers: tuple[str, ...] = (), effect: type[Stage] | None = None) -> None:
+        if "kind" not in vars(cls):
+            cls.kind = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        cls.carriers = carriers or cls.carriers
+        cls.effect = effect or cls.effect
 
     def stage(self, random: np.random.Generator, carrier: Any) -> Stage:
         """Return the effect of this fault on a carrier; `random` draws the hits."""

@@ -66,12 +66,8 @@ class _Flips(ByteStage):
 
 
 @dataclass(frozen=True)
-class BitFlips(HitFault):
+class BitFlips(HitFault, carriers=(SERIAL_LINE, DATAGRAMS), effect=_Flips):
     """Single inverted bits: noise on the line. `rate` is the bit error rate."""
-
-    kind: ClassVar[str] = "bit_flips"
-    carriers = (SERIAL_LINE, DATAGRAMS)
-    effect: ClassVar[type[Stage]] = _Flips
 
 
 class _Insertions(ByteStage):
@@ -92,12 +88,8 @@ class _Insertions(ByteStage):
 
 
 @dataclass(frozen=True)
-class InsertedBytes(HitFault):
+class InsertedBytes(HitFault, carriers=(SERIAL_LINE,), effect=_Insertions):
     """Random bytes that the camera did not send, inserted before the bytes that are hit."""
-
-    kind: ClassVar[str] = "inserted_bytes"
-    carriers = (SERIAL_LINE,)
-    effect: ClassVar[type[Stage]] = _Insertions
 
 
 class _Runs(ByteStage):
@@ -142,11 +134,8 @@ class _Runs(ByteStage):
 
 
 @dataclass(frozen=True)
-class LostBytes(HitFault):
+class LostBytes(HitFault, carriers=(SERIAL_LINE,)):
     """Single bytes that never arrive."""
-
-    kind: ClassVar[str] = "lost_bytes"
-    carriers = (SERIAL_LINE,)
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
         """Return the loss of runs of one byte."""
@@ -154,7 +143,7 @@ class LostBytes(HitFault):
 
 
 @dataclass(frozen=True)
-class Overrun(HitFault):
+class Overrun(HitFault, carriers=(SERIAL_LINE,)):
     """The receiver empties its FIFO too late: it keeps the bytes that fit, and loses the others until then.
 
     Attributes
@@ -163,8 +152,6 @@ class Overrun(HitFault):
     fifo_bytes : number of bytes that it keeps until then: 16 in a 16550, 1 in a UART without a FIFO.
     """
 
-    kind: ClassVar[str] = "overrun"
-    carriers = (SERIAL_LINE,)
     late_us: Annotated[float, Meta(gt=0, le=1e7)] = 1000.0
     fifo_bytes: Annotated[int, Meta(ge=1, le=65_536)] = 16
 
@@ -185,7 +172,7 @@ class _Noise(_Runs):
 
 
 @dataclass(frozen=True)
-class Burst(HitFault):
+class Burst(HitFault, carriers=(SERIAL_LINE,)):
     """A burst of noise: a run of bytes replaced by random ones.
 
     Attributes
@@ -193,8 +180,6 @@ class Burst(HitFault):
     length : bytes of one burst.
     """
 
-    kind: ClassVar[str] = "burst"
-    carriers = (SERIAL_LINE,)
     length: Annotated[int, Meta(ge=1, le=1_000_000)] = 32
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
@@ -214,7 +199,7 @@ class _Stuck(ByteStage):
 
 
 @dataclass(frozen=True)
-class StuckLine(LastingFault):
+class StuckLine(LastingFault, carriers=(SERIAL_LINE,), effect=_Stuck):
     """The line stays at one level: bytes sent in this time are lost.
 
     Attributes
@@ -222,9 +207,6 @@ class StuckLine(LastingFault):
     level : "low": a break, from which a UART makes one zero byte; "high": a broken wire, on which nothing arrives.
     """
 
-    kind: ClassVar[str] = "stuck_line"
-    carriers = (SERIAL_LINE,)
-    effect: ClassVar[type[Stage]] = _Stuck
     level: Literal["low", "high"] = "low"
 
 
@@ -237,12 +219,8 @@ class _Hold(ByteStage):
 
 
 @dataclass(frozen=True)
-class Stall(LastingFault):
+class Stall(LastingFault, carriers=(SERIAL_LINE,), effect=_Hold):
     """The receiver stops the sender (XOFF, RTS, a full buffer): no byte leaves, and the camera's queue fills."""
-
-    kind: ClassVar[str] = "stall"
-    carriers = (SERIAL_LINE,)
-    effect: ClassVar[type[Stage]] = _Hold
 
 
 class _Absence(_Hold):
@@ -254,13 +232,10 @@ class _Absence(_Hold):
 
 
 @dataclass(frozen=True)
-class Unplugged(LastingFault):
+class Unplugged(LastingFault, carriers=(SERIAL_LINE,), effect=_Absence):
     """The port disappears and returns, like an adapter that is unplugged; it is found again within half a second."""
 
-    kind: ClassVar[str] = "unplugged"
-    carriers = (SERIAL_LINE,)
     disconnects: ClassVar[bool] = True
-    effect: ClassVar[type[Stage]] = _Absence
 
 
 class _Resampled(ByteStage):
@@ -303,7 +278,7 @@ class _Resampled(ByteStage):
 
 
 @dataclass(frozen=True)
-class WrongBaud(LastingFault):
+class WrongBaud(LastingFault, carriers=(SERIAL_LINE,), effect=_Resampled):
     """The receiver samples the line at another baud rate: garbage, computed from the bits.
 
     Attributes
@@ -311,7 +286,4 @@ class WrongBaud(LastingFault):
     ratio : baud rate of the receiver over that of the sender.
     """
 
-    kind: ClassVar[str] = "wrong_baud"
-    carriers = (SERIAL_LINE,)
-    effect: ClassVar[type[Stage]] = _Resampled
     ratio: Annotated[float, Meta(ge=0.1, le=10)] = 2.0

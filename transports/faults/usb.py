@@ -62,7 +62,7 @@ class ControlStage(Stage, ABC):
 
 
 @dataclass(frozen=True)
-class UsbSilence(LastingFault):
+class UsbSilence(LastingFault, carriers=(USB_LINK,)):
     """The endpoint sends no data (NAK): the host's transfers wait, and the camera's FIFO fills.
 
     Attributes
@@ -70,8 +70,6 @@ class UsbSilence(LastingFault):
     endpoint : number of the IN endpoint; 2 carries a DAVIS346's data, 1 an EVK4's.
     """
 
-    kind: ClassVar[str] = "usb_silence"
-    carriers = (USB_LINK,)
     endpoint: int = 2
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
@@ -80,7 +78,7 @@ class UsbSilence(LastingFault):
 
 
 @dataclass(frozen=True)
-class UsbStall(Fault):
+class UsbStall(Fault, carriers=(USB_LINK,)):
     """The endpoint halts (STALL) until the host clears the halt: libcaer treats this as an unplugged camera.
 
     Attributes
@@ -89,8 +87,6 @@ class UsbStall(Fault):
     count : number of halts: it halts again when the host has cleared a halt.
     """
 
-    kind: ClassVar[str] = "usb_stall"
-    carriers = (USB_LINK,)
     endpoint: int = 2
     count: Count = 1
 
@@ -100,7 +96,7 @@ class UsbStall(Fault):
 
 
 @dataclass(frozen=True)
-class ShortTransfers(LastingFault):
+class ShortTransfers(LastingFault, carriers=(USB_LINK,)):
     """Transfers end early, with a short packet: a host must not rely on full buffers.
 
     Attributes
@@ -109,8 +105,6 @@ class ShortTransfers(LastingFault):
     most_bytes : largest size of a transfer.
     """
 
-    kind: ClassVar[str] = "short_transfers"
-    carriers = (USB_LINK,)
     endpoint: int = 2
     most_bytes: int = 34
 
@@ -125,7 +119,7 @@ class ShortTransfers(LastingFault):
 
 
 @dataclass(frozen=True)
-class EmptyTransfers(HitFault):
+class EmptyTransfers(HitFault, carriers=(USB_LINK,)):
     """Transfers without data, in place of data or silence: a host must request again.
 
     `rate` is the probability of each transfer that the host requests.
@@ -135,8 +129,6 @@ class EmptyTransfers(HitFault):
     endpoint : number of the IN endpoint.
     """
 
-    kind: ClassVar[str] = "empty_transfers"
-    carriers = (USB_LINK,)
     endpoint: int = 2
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
@@ -145,7 +137,7 @@ class EmptyTransfers(HitFault):
 
 
 @dataclass(frozen=True)
-class FifoOverflow(LastingFault):
+class FifoOverflow(LastingFault, carriers=(USB_LINK,)):
     """The endpoint is silent until the camera's FIFO was full and has dropped events, for `for_s` at most.
 
     Attributes
@@ -153,8 +145,6 @@ class FifoOverflow(LastingFault):
     events : lowest number of dropped events at which it ends.
     """
 
-    kind: ClassVar[str] = "fifo_overflow"
-    carriers = (USB_LINK,)
     for_s: Length = 10.0
     events: Count = 1
 
@@ -164,7 +154,7 @@ class FifoOverflow(LastingFault):
 
 
 @dataclass(frozen=True)
-class UsbUnplugged(LastingFault):
+class UsbUnplugged(LastingFault, carriers=(USB_LINK,)):
     """The camera is unplugged and plugged in again: its host loses it, and finds it without power until then.
 
     Attributes
@@ -172,8 +162,6 @@ class UsbUnplugged(LastingFault):
     serial : serial number with which it returns, as if another camera were plugged in; empty: its own.
     """
 
-    kind: ClassVar[str] = "usb_unplugged"
-    carriers = (USB_LINK,)
     disconnects: ClassVar[bool] = True
     serial: str = ""
 
@@ -188,7 +176,7 @@ class UsbUnplugged(LastingFault):
 
 
 @dataclass(frozen=True)
-class WrongVersion(Fault):
+class WrongVersion(Fault, carriers=(USB_LINK,)):
     """The camera reports versions that its host may not support; -1 leaves a version unchanged.
 
     Attributes
@@ -198,8 +186,6 @@ class WrongVersion(Fault):
     chip : chip identifier: 5 is a DAVIS346B.
     """
 
-    kind: ClassVar[str] = "wrong_version"
-    carriers = (USB_LINK,)
     firmware: _Octet = _SAME
     logic_version: _Version = _SAME
     logic_patch: _Version = _SAME
@@ -211,7 +197,7 @@ class WrongVersion(Fault):
 
 
 @dataclass(frozen=True)
-class RegisterFlip(Fault):
+class RegisterFlip(Fault, carriers=(USB_LINK,)):
     """One inverted bit of a register, as by radiation; until the host writes the register, or until power-on.
 
     Attributes
@@ -220,8 +206,6 @@ class RegisterFlip(Fault):
     bit : 0 to 31.
     """
 
-    kind: ClassVar[str] = "register_flip"
-    carriers = (USB_LINK,)
     module: Annotated[int, Meta(ge=0, le=0xFFFF)] = 1
     parameter: Annotated[int, Meta(ge=0, le=0xFFFF)] = 3
     bit: Annotated[int, Meta(ge=0, le=31)] = 0
@@ -246,7 +230,7 @@ class _Refusal(ControlStage):
 
 
 @dataclass(frozen=True)
-class ControlStall(Fault):
+class ControlStall(Fault, carriers=(USB_LINK,), effect=_Refusal):
     """Vendor requests are refused (STALL).
 
     Attributes
@@ -255,9 +239,6 @@ class ControlStall(Fault):
     count : number of refused requests.
     """
 
-    kind: ClassVar[str] = "control_stall"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _Refusal
     request: _Octet = -1
     count: Count = 1
 
@@ -279,7 +260,7 @@ class _Slowness(ControlStage):
 
 
 @dataclass(frozen=True)
-class SlowControl(LastingFault):
+class SlowControl(LastingFault, carriers=(USB_LINK,), effect=_Slowness):
     """Vendor requests are answered late: neuromorphic_drivers gives up after a second, libcaer never.
 
     Attributes
@@ -287,8 +268,5 @@ class SlowControl(LastingFault):
     delay_ms : time from each request to its answer, in stream time.
     """
 
-    kind: ClassVar[str] = "slow_control"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _Slowness
     for_s: Length = 5.0
     delay_ms: Annotated[float, Meta(gt=0, le=1e6)] = 200.0

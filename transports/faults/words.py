@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -113,7 +113,7 @@ class _OddEnds(WordStage):
 
 
 @dataclass(frozen=True)
-class OddBytes(HitFault):
+class OddBytes(HitFault, carriers=(USB_LINK,), effect=_OddEnds):
     """Transfers of an odd length, while the camera sends words of two bytes.
 
     `rate` is the probability of each transfer.
@@ -124,9 +124,6 @@ class OddBytes(HitFault):
         follows.
     """
 
-    kind: ClassVar[str] = "odd_bytes"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _OddEnds
     change: Literal["missing", "extra"] = "missing"
 
 
@@ -148,12 +145,8 @@ class _Repetition(WordStage):
 
 
 @dataclass(frozen=True)
-class RepeatedEvents(HitFault):
+class RepeatedEvents(HitFault, carriers=(USB_LINK,), effect=_Repetition):
     """Events that arrive twice, one after the other. `rate` is the probability of each event."""
-
-    kind: ClassVar[str] = "repeated_events"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _Repetition
 
 
 class _MissedWraps(WordStage):
@@ -172,15 +165,11 @@ class _MissedWraps(WordStage):
 
 
 @dataclass(frozen=True)
-class MissedWraps(HitFault):
+class MissedWraps(HitFault, carriers=(USB_LINK,), effect=_MissedWraps):
     """Wraps that never arrive: the host's clock is behind from then on, 32.768 ms each, until a timestamp reset.
 
     `rate` is the probability of each wrap.
     """
-
-    kind: ClassVar[str] = "missed_wraps"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _MissedWraps
 
 
 def _is_wrap(words: Words) -> npt.NDArray[np.bool_]:
@@ -206,7 +195,7 @@ class _Ahead(WordStage):
 
 
 @dataclass(frozen=True)
-class TimeAhead(Fault):
+class TimeAhead(Fault, carriers=(USB_LINK,), effect=_Ahead):
     """Additional wraps: the host's clock is ahead from then on, until a timestamp reset.
 
     Attributes
@@ -214,9 +203,6 @@ class TimeAhead(Fault):
     wraps : number of wraps, of 32.768 ms each.
     """
 
-    kind: ClassVar[str] = "time_ahead"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _Ahead
     wraps: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
@@ -236,7 +222,7 @@ class _Back(WordStage):
 
 
 @dataclass(frozen=True)
-class TimeBack(LastingFault):
+class TimeBack(LastingFault, carriers=(USB_LINK,), effect=_Back):
     """Timestamps that are too low for a time, but never below the last wrap.
 
     Attributes
@@ -244,9 +230,6 @@ class TimeBack(LastingFault):
     by_us : error of the timestamps.
     """
 
-    kind: ClassVar[str] = "time_back"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _Back
     by_us: Annotated[int, Meta(ge=1, le=_WRAP_US - 1)] = 1000
 
 
@@ -271,12 +254,8 @@ class _Frozen(WordStage):
 
 
 @dataclass(frozen=True)
-class TimeFrozen(LastingFault):
+class TimeFrozen(LastingFault, carriers=(USB_LINK,), effect=_Frozen):
     """No timestamps and no wraps for a time: all events have the last time; then all wraps arrive at once."""
-
-    kind: ClassVar[str] = "time_frozen"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _Frozen
 
 
 class _Stale(WordStage):
@@ -307,7 +286,7 @@ class _Stale(WordStage):
 
 
 @dataclass(frozen=True)
-class StaleData(Fault):
+class StaleData(Fault, carriers=(USB_LINK,), effect=_Stale):
     """Words of an earlier session arrive first when the host starts the data endpoint the next time.
 
     Attributes
@@ -315,7 +294,4 @@ class StaleData(Fault):
     events : number of events in them, each with its own time and row.
     """
 
-    kind: ClassVar[str] = "stale_data"
-    carriers = (USB_LINK,)
-    effect: ClassVar[type[Stage]] = _Stale
     events: Annotated[int, Meta(ge=1, le=1000)] = 100

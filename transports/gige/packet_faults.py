@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, HitStage, ItemStage, LastingFault, Length, Loss, Stage
+from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, HitStage, ItemStage, LastingFault, Length, Loss
 from transports.faults.script import FaultPlan, Faulty, pass_through
 
 
@@ -36,12 +36,8 @@ class _Refusal(HitStage[Packet]):
 
 
 @dataclass(frozen=True)
-class RefusedResends(HitFault):
+class RefusedResends(HitFault, carriers=(GIGE_STREAM,), effect=_Refusal):
     """Packets that a host requests again and that the camera no longer holds, like one with a small memory."""
-
-    kind: ClassVar[str] = "refused_resends"
-    carriers = (GIGE_STREAM,)
-    effect: ClassVar[type[Stage]] = _Refusal
 
 
 class _Taking(ItemStage[Packet]):
@@ -56,13 +52,10 @@ class _Taking(ItemStage[Packet]):
 
 
 @dataclass(frozen=True)
-class LostHeartbeat(Fault):
+class LostHeartbeat(Fault, carriers=(GIGE_STREAM,), effect=_Taking):
     """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
 
-    kind: ClassVar[str] = "lost_heartbeat"
-    carriers = (GIGE_STREAM,)
     disconnects: ClassVar[bool] = True
-    effect: ClassVar[type[Stage]] = _Taking
 
 
 class _Down(ItemStage[Packet]):
@@ -75,13 +68,10 @@ class _Down(ItemStage[Packet]):
 
 
 @dataclass(frozen=True)
-class LinkDown(LastingFault):
+class LinkDown(LastingFault, carriers=(GIGE_STREAM,), effect=_Down):
     """The cable is unplugged and plugged in again: no data pass in either direction in between."""
 
-    kind: ClassVar[str] = "link_down"
-    carriers = (GIGE_STREAM,)
     disconnects: ClassVar[bool] = True
-    effect: ClassVar[type[Stage]] = _Down
 
 
 class _Moving(_Down):
@@ -98,7 +88,7 @@ class _Moving(_Down):
 
 
 @dataclass(frozen=True)
-class IpChange(LastingFault):
+class IpChange(LastingFault, carriers=(GIGE_STREAM,), effect=_Moving):
     """The camera leaves its IP address and returns with another one, as after a new DHCP lease or a FORCEIP.
 
     Attributes
@@ -108,10 +98,7 @@ class IpChange(LastingFault):
         IPv4 address that it has afterwards, to the end of the run; one of this machine's, on loopback any 127.x.y.z.
     """
 
-    kind: ClassVar[str] = "ip_change"
-    carriers = (GIGE_STREAM,)
     disconnects: ClassVar[bool] = True
-    effect: ClassVar[type[Stage]] = _Moving
     for_s: Length = 0.5
     address: str = "127.0.0.254"
 

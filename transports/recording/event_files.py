@@ -134,7 +134,15 @@ def _decompressor_of(compression: int) -> Any:
     for path in _DECOMPRESSORS[compression]:
         with suppress(ImportError):
             return imported(path)
-    raise LibraryMissing(f"its packets are compressed: {install_command('files')}")
+    missing = install_command("files") if compression < 3 else "pip install backports.zstd"
+    raise LibraryMissing(f"its packets are compressed: {missing}")
+
+
+def library_of(path: Path) -> str:
+    """Return the optional package that decompresses an AEDAT 4.0 file; "" for none, as for each other file."""
+    with suppress(OSError, RecordingError):
+        return "lz4" if opened(Aedat4Head, path, _AEDAT4_HEAD_BYTES).compression in (1, 2) else ""
+    return ""
 
 
 _COPY_BYTES = 1 << 20

@@ -38,6 +38,7 @@ from transports.recording.format import FORMATS, Format, format_to_read, reason,
 from transports.recording.part import (
     IMU,
     MOST_PIXELS,
+    DamagedRecording,
     Facts,
     Frame,
     LibraryMissing,
@@ -383,7 +384,8 @@ class OpenRecording:
             for values in self._reader.values():
                 yield from pipe.feed(values["messages"].tobytes())
         except ForeignFileError as error:
-            raise (LibraryMissing if error.lacks else RecordingError)(str(error)) from None
+            named = DamagedRecording if error.kind == DamagedRecording.__name__ else RecordingError
+            raise (LibraryMissing if error.lacks else named)(str(error)) from None
 
     def close(self) -> None:
         """End the child process."""

@@ -38,7 +38,7 @@ class Format:
     holds : streams that are written with it: "events", "edges", "imu", "frames".
     ordered : streams that share one order of time; each of the others has its own packets or list.
     readers : programs that open it, for people.
-    needs : the optional package that it needs, of the extra `files`; "" for none.
+    needs : the optional package that it needs, of the extra `files`; "" for none. faery writes files, and reads none.
     size_px : largest (width, height) that it can number.
     until_us : first time that it cannot represent.
     is_folder : True if it is a folder of files.

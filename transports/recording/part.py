@@ -17,35 +17,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from firmware_protocol.events import EDGE, EVENT, Events
-from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, RecordingSummary, counts_of, named
-
-__all__ = [
-    "IMU",
-    "MOST_PIXELS",
-    "Facts",
-    "Frame",
-    "LibraryMissing",
-    "Part",
-    "PipeReader",
-    "Reached",
-    "Reader",
-    "RecordingError",
-    "RecordingSummary",
-    "Restart",
-    "Size",
-    "Writer",
-    "counts_of",
-    "encoded_end",
-    "encoded_facts",
-    "encoded_part",
-    "encoded_reached",
-    "encoded_restart",
-    "facts_of",
-    "named",
-    "values_of",
-    "wrong_event",
-]
-
+from firmware_protocol.recordings.part import IMU as IMU
+from firmware_protocol.recordings.part import Facts as Facts
+from firmware_protocol.recordings.part import Frame as Frame
+from firmware_protocol.recordings.part import Part as Part
+from firmware_protocol.recordings.part import RecordingSummary as RecordingSummary
+from firmware_protocol.recordings.part import counts_of as counts_of
+from firmware_protocol.recordings.part import named as named
 
 Size = tuple[int, int]
 """(width, height) of a sensor, pixels."""
@@ -55,6 +33,10 @@ MOST_PIXELS = 1 << 24
 
 class RecordingError(Exception):
     """Error: a recording cannot be read or written; the message gives the reason, without the file's name."""
+
+
+class DamagedRecording(RecordingError):
+    """Error: a recording is cut or damaged before the first of its events."""
 
 
 class LibraryMissing(RecordingError, ImportError):

@@ -21,6 +21,7 @@ compressed member of an `.npz` may grow to 100 times its size in the file, or to
 Source of the format: NEP 1, `numpy.lib.format`.
 
 `NpzWriter` and `NpzReader` are those of the format "npz": a record is read in pieces, so that memory stays constant.
+The directory of an archive is at its end: of one that was cut, `_CutArchive` finds the members by their local headers.
 `RawEvents` recovers the raw events of a run that was killed.
 """
 
@@ -29,11 +30,12 @@ from __future__ import annotations
 import math
 import os
 import re
+import struct
 import warnings
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -43,7 +45,7 @@ from numpy.lib import format as npy
 
 from firmware_protocol.events import EDGE, EVENT, Events, make_events
 from transports.output_file import OutputFile
-from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, RecordingSummary, Size
+from transports.recording.part import IMU, DamagedRecording, Facts, Frame, Part, RecordingError, RecordingSummary, Size
 
 _MOST_GROWTH = 100
 _ALWAYS_BYTES = 1 << 26
@@ -68,12 +70,20 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, _Array]:
     _require_regular(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            members = set(archive.namelist())
-            return {name: _member(archive, f"{name}.npy") for name in names if f"{name}.npy" in members}
+            return _members(archive, names)
     except (ArrayFileError, OSError):
         raise
     except Exception as error:  # zipfile raises errors of any type for a damaged archive
-        raise ArrayFileError(f"it is no sound .npz archive: {_text_of(error)}") from error
+        raise ArrayFileError(_UNSOUND + _text_of(error)) from error
+
+
+_UNSOUND = "it is no sound .npz archive: "
+
+
+def _members(archive: zipfile.ZipFile, names: Iterable[str]) -> dict[str, _Array]:
+    """Read those of the named arrays that an archive has."""
+    members = set(archive.namelist())
+    return {name: _member(archive, f"{name}.npy") for name in names if f"{name}.npy" in members}
 
 
 def _require_regular(path: Path) -> None:
@@ -335,30 +345,77 @@ _SEQUENCE = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
 """Arrays of the events of a sequence of `evstim dataset`, below "events/"."""
 
 
+_LOCAL = struct.Struct("<4s4xH4xIIIHH")
+_SIZES = struct.Struct("<4xQQ")  # of the extra field, where sizes have 64 bits
+
+
+class _CutArchive(zipfile.ZipFile):
+    """Archive by the local headers of its members; `cut` is the name of the last one where its end is missing."""
+
+    cut = ""
+
+    def _RealGetContents(self) -> None:  # by which ZipFile reads its directory
+        file: Any = self.fp
+        end, at = file.seek(0, os.SEEK_END), file.seek(0)
+        while not self.cut and len(head := file.read(_LOCAL.size)) == _LOCAL.size and head.startswith(b"PK\x03\x04"):
+            _, method, crc, packed, size, name_length, extra_length = _LOCAL.unpack(head)
+            member = zipfile.ZipInfo(file.read(name_length).decode())
+            extra = file.read(extra_length)
+            if packed == 0xFFFFFFFF and len(extra) >= _SIZES.size:
+                size, packed = _SIZES.unpack_from(extra)
+            left = max(0, end - file.tell())
+            if 0 < packed <= left:
+                member.CRC = crc
+            else:  # 0: it was not closed
+                self.cut = member.filename.removesuffix(".npy")
+                packed, size = left, 1 << 62
+            member.header_offset, member.compress_type = at, method
+            member.compress_size, member.file_size = packed, size
+            self.filelist.append(member)
+            at = file.seek(packed, os.SEEK_CUR)
+        self.NameToInfo = {member.filename: member for member in self.filelist if member.filename}
+        if not self.NameToInfo:
+            raise zipfile.BadZipFile("it has neither a directory nor a member")
+
+
 class NpzReader:
     """Reader of a record, each stream from the last restart of the camera's clock on, or of a data set's sequence."""
 
     def __init__(self, path: Path, size: Size | None) -> None:
-        self._path = path
+        self._damage, cut = "", ""
+        archive: zipfile.ZipFile | None = None
         try:
-            arrays = load_arrays(path, (*_RESTARTS.values(), "size"))
+            with suppress(Exception):  # of any type for a damaged directory
+                self._archive = archive = zipfile.ZipFile(path)
+            if archive is None:
+                self._archive = archive = _CutArchive(path)
+                cut = archive.cut
+                self._damage = f"it is cut at octet {path.stat().st_size}, in {cut or 'its directory'}"
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+            arrays = _members(archive, {*_RESTARTS.values(), "size"} - {cut})
             self._starts = {name: _last(arrays.get(key, _NONE)) for name, key in _RESTARTS.items()}
-        except (ArrayFileError, ValueError, TypeError) as error:
+            pictures = {name for name in names if re.fullmatch("pictures/(light|depth|flow|labels)", name)} - {cut}
+            if pictures:
+                with archive.open(f"{min(pictures)}.npy") as file:
+                    _, height, width = (*_header(file)[0], 0, 0, 0)[:3]
+                size = (width, height) if width and height else size
+        except (ArrayFileError, OSError) as error:
             raise RecordingError(str(error)) from error
+        except Exception as error:
+            raise RecordingError(_UNSOUND + _text_of(error)) from error
         stored = arrays.get("size", np.zeros(0))
         if stored.shape == (2,):
             size = int(stored[0]), int(stored[1])
-        with zipfile.ZipFile(path) as archive:
-            names = {name.removesuffix(".npy") for name in archive.namelist()}
-            if pictures := sorted(name for name in names if re.fullmatch("pictures/(light|depth|flow|labels)", name)):
-                with archive.open(f"{pictures[0]}.npy") as file:
-                    _, height, width = (*_header(file)[0], 0, 0, 0)[:3]
-                size = (width, height) if width and height else size
         missing = [f"events/{name}" for name in _SEQUENCE if f"events/{name}" not in names]
         self._is_sequence = "events" not in names
         if self._is_sequence and missing:
             parts = f"a record has events; a sequence of `evstim dataset` lacks {', '.join(missing)}"
-            raise RecordingError(f"it holds no events, only {', '.join(sorted(names)[:9]) or 'nothing'}: {parts}")
+            only = f"it holds no events, only {', '.join(sorted(names)[:9]) or 'nothing'}: {parts}"
+            if self._damage:
+                raise DamagedRecording(f"{self._damage}; before that {only}")
+            raise RecordingError(only)
+        if self._damage and "resets" not in arrays:
+            self._damage += "; where its clock was restarted is behind the cut"
         self.facts = Facts(size, "npz", streams=frozenset({"edges", "imu", "frames"} & names))
 
     def parts(self) -> Iterator[Part]:
@@ -375,11 +432,13 @@ class NpzReader:
             yield Part(due, edges.until(until_us), imu.until(until_us), _frames(frames.until(until_us)))
         if any(queue.left for queue in queues):
             raise RecordingError("it holds times beyond 2^63 us")
+        if self._damage:
+            raise RecordingError(self._damage)
 
     def _sequence(self) -> Iterator[Events]:
         """Yield the events of a sequence."""
-        with zipfile.ZipFile(self._path) as archive, ExitStack() as stack:
-            files = {name: stack.enter_context(archive.open(f"events/{name}.npy")) for name in _SEQUENCE}
+        with ExitStack() as stack:
+            files = {name: stack.enter_context(self._archive.open(f"events/{name}.npy")) for name in _SEQUENCE}
             counts = {_count(files[name], np.dtype(dtype)) for name, dtype in _SEQUENCE.items()}
             if len(counts) != 1:
                 raise RecordingError("its events/t, x, y and p are not of the same length")
@@ -392,22 +451,26 @@ class NpzReader:
                     raise RecordingError("its events are cut short")
 
     def _pieces(self, name: str, dtype: np.dtype[np.void]) -> Iterator[npt.NDArray[Any]]:
-        if name == "events" and self._is_sequence:
-            yield from self._sequence()
+        """Yield the records of a stream, in a file that is cut those before the cut."""
+        try:
+            yield from self._sequence() if name == "events" and self._is_sequence else self._records(name, dtype)
+        except Exception:  # zipfile raises errors of any type
+            if not self._damage:
+                raise
+
+    def _records(self, name: str, dtype: np.dtype[np.void]) -> Iterator[npt.NDArray[Any]]:
+        if f"{name}.npy" not in self._archive.namelist():
             return
-        with zipfile.ZipFile(self._path) as archive:
-            if f"{name}.npy" not in archive.namelist():
-                return
-            with archive.open(f"{name}.npy") as file:
-                count = _count(file, dtype)
-                for n in _piece_counts(self._starts[name], dtype):
-                    file.read(n * dtype.itemsize)
-                for n in _piece_counts(count - self._starts[name], dtype):
-                    data = file.read(n * dtype.itemsize)
-                    whole_records = len(data) // dtype.itemsize
-                    yield np.frombuffer(data, dtype, whole_records)
-                    if whole_records < n:
-                        raise RecordingError(f"its {name} are cut short")
+        with self._archive.open(f"{name}.npy") as file:
+            count = _count(file, dtype)
+            for n in _piece_counts(self._starts[name], dtype):
+                file.read(n * dtype.itemsize)
+            for n in _piece_counts(count - self._starts[name], dtype):
+                data = file.read(n * dtype.itemsize)
+                whole_records = len(data) // dtype.itemsize
+                yield np.frombuffer(data, dtype, whole_records)
+                if whole_records < n:
+                    raise RecordingError(f"its {name} are cut short")
 
 
 class _Waiting:

@@ -3,7 +3,9 @@
 Of `event_camera_msgs`, packets of the encodings "evt3" and "mono" are read, and "evt3" is written: each message
 begins with its time and row, so that a reader may start anywhere. Its times are those of the camera; the stamp of its
 header is Unix time. The times of `dvs_msgs` are Unix time themselves. Frames and samples of the inertial unit have
-topics of their own beside that of the events.
+topics of their own beside that of the events; t = 0 is that of the camera, or the first sample where that is earlier.
+
+A ROS 1 bag that was cut or not closed has no index: `_CutBag` finds the messages in the chunks that are there.
 
 Messages of ROS with events: `event_camera_msgs/EventPacket`, and `dvs_msgs/EventArray` as bytes. That of
 `prophesee_event_msgs` is the same.
@@ -27,22 +29,29 @@ from __future__ import annotations
 import dataclasses
 import math
 import struct
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack
-from pathlib import Path
+from bz2 import BZ2Decompressor
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from io import BytesIO
+from pathlib import Path, PosixPath
 from typing import Any, Final
 
 import numpy as np
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader as IndexedBag
+from rosbags.rosbag1 import ReaderError
 from rosbags.rosbag1 import Writer as Bag1
+from rosbags.rosbag1.reader import Chunk, Header, IndexData, RecordType, read_uint32
 from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from firmware_protocol.events import EVENT, Events, make_events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
-from transports.recording.part import Facts, Part, RecordingError, Size
+from transports.recording.part import DamagedRecording, Facts, Part, RecordingError, Size
 
 _HEADER = "std_msgs/Header header\nuint32 height\nuint32 width\n"
 EVENT_PACKET = f"{_HEADER}uint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n"
@@ -300,6 +309,68 @@ class Ros2DvsWriter(Ros1DvsWriter):
     _store = Stores.ROS2_HUMBLE
 
 
+class _Bag1Path(PosixPath):
+    """Path of a ROS 1 bag of any name, such as a.bag.active: rosbags goes by the suffix alone."""
+
+    suffix = ".bag"
+
+
+class _CutBag(IndexedBag):
+    """Reader of a ROS 1 bag without a sound index, up to its first record that is damaged; `damage` names its place."""
+
+    damage = "it is cut or was not closed: its index is missing, and every message before it is read"
+
+    def open(self) -> None:
+        """Find the connections and the messages in the chunks of the file."""
+        self.bio = file = self.path.open("rb")
+        size, at = self.path.stat().st_size, len(file.readline())
+        connections, indexes = dict[int, Connection](), defaultdict[int, list[IndexData]](list)
+        try:
+            while at < size:
+                header, length = Header.read(file), read_uint32(file)
+                start = file.tell()
+                missing = max(0, start + length - size)
+                if header.get_uint8("op") == RecordType.CHUNK:
+                    unpack = _UNPACK[header.get_string("compression")]
+                    self.chunks[at] = Chunk(length - missing, start, unpack)
+                    with suppress(*[ReaderError] if missing else ()):
+                        self._find(BytesIO(unpack(file.read(length - missing))), at, connections, indexes)
+                if missing:
+                    raise ReaderError(f"its last {missing} octets are missing")
+                at = file.seek(start + length)
+        except (ReaderError, LookupError, OSError, ValueError, EOFError, RuntimeError, MemoryError) as error:
+            self.damage = f"it is cut or damaged in its record at octet {at} of {size}: {error}"
+        self.bio = file
+        self.indexes = {number: sorted(indexes[number]) for number in connections}
+        self.connections = [c._replace(msgcount=len(self.indexes[number])) for number, c in connections.items()]
+
+    def _find(
+        self, chunk: BytesIO, place: int, connections: dict[int, Connection], indexes: dict[int, list[IndexData]]
+    ) -> None:
+        """Add the connections and the messages of a chunk; raises ReaderError behind the last that is not cut."""
+        self.bio, at = chunk, 0
+        while at < len(chunk.getbuffer()):
+            header, length = Header.read(chunk), read_uint32(chunk)
+            end, kind = chunk.tell() + length, header.get_uint8("op")
+            if end > len(chunk.getbuffer()):
+                raise ReaderError("a record in it is cut")
+            if kind == RecordType.CONNECTION:
+                chunk.seek(at)
+                connection = self.read_connection()
+                connections.setdefault(connection.id, connection)
+            elif kind == RecordType.MSGDATA:
+                indexes[header.get_uint32("conn")].append(IndexData(header.get_time("time"), place, at))
+            at = chunk.seek(end)
+
+
+_UNPACK: dict[str, Callable[[bytes], bytes]] = {
+    "none": bytes,
+    "bz2": lambda data: BZ2Decompressor().decompress(data),
+    "lz4": lambda data: LZ4FrameDecompressor().decompress(data),
+}
+"""Decompressors of a chunk, or of its first octets, by the name of its compression."""
+
+
 class BagReader:
     """Reads a topic with events of a ROS 1 bag or of a folder with a ROS 2 bag, and the frames and samples beside it.
 
@@ -307,14 +378,27 @@ class BagReader:
     """
 
     def __init__(self, path: Path, size: Size | None, topic: str = "") -> None:
-        self._bag = AnyReader([path], default_typestore=_typestore(Stores.ROS2_HUMBLE))
-        self._bag.open()
+        named = path if path.is_dir() else _Bag1Path(path)
+        self._bag = AnyReader([named], default_typestore=_typestore(Stores.ROS2_HUMBLE))
+        self._damage = ""
+        try:
+            self._bag.open()
+        except Exception:  # rosbags raises errors of any type for an index that is cut
+            if self._bag.is2:
+                raise
+            bag = _CutBag(path)
+            self._bag.readers = [bag]
+            self._bag.open()
+            self._damage = bag.damage
         counts: Counter[str] = Counter()
         for connection in self._bag.connections:
             if connection.msgtype in (_PACKET, *_ARRAYS):
                 counts[connection.topic] += connection.msgcount
         if not counts:
-            raise RecordingError("it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray")
+            lacking = "it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray"
+            if self._damage:
+                raise DamagedRecording(f"{self._damage}; before that {lacking}")
+            raise RecordingError(lacking)
         if topic and topic not in counts:
             raise RecordingError(f"it has no events of the topic {topic}, but of {', '.join(counts)}")
         topic = topic or next(iter(counts))
@@ -324,7 +408,7 @@ class BagReader:
         self._is_array = any(c.topic == topic and c.msgtype in _ARRAYS for c in self._connections)
         self._seen_size: Size | None = None
         self._decoder = Evt3Decoder()
-        self._start_us = self._first_us()
+        self._zero_us, self._start_us = self._first_us()
         self._decoder = Evt3Decoder()
         streams = frozenset(beside) if self._is_array else frozenset({"edges", *beside})
         self.facts = Facts(self._seen_size or size, topic, self._start_us, streams, topics=dict(counts))
@@ -335,31 +419,43 @@ class BagReader:
         name_space = topic.rpartition("/")[0]
         return next((candidate for candidate in topics if candidate.rpartition("/")[0] == name_space), None)
 
-    def _first_us(self) -> int:
-        """Return the Unix time of t = 0, us, or 0, by the messages up to the first one with events."""
-        earliest_us = _FOREVER_US
+    def _first_us(self) -> tuple[int, int]:
+        """Return the Unix times of an event of time 0 and of t = 0, us, or 0, by the messages up to the first events.
+
+        They differ where samples are earlier than the camera's zero: all times count from the first one then.
+        """
+        earliest_us = sample_us = _FOREVER_US
         for part, stamp_us in self._stamped():
             times = [int(t[0]) for t in (part.events["t"], part.edges["t"]) if len(t)]
+            sample_us = min(sample_us, stamp_us) if len(part.imu) else sample_us
             if self._is_array:  # Unix time counts from the first message on
                 earliest_us = min([earliest_us, *(times or [stamp_us])])
                 if times:
-                    return earliest_us if earliest_us > _UNIX_US else 0
+                    return 0, earliest_us if earliest_us > _UNIX_US else 0
             elif times:
-                return max(0, stamp_us - min(times)) if stamp_us else 0
-        return 0
+                zero_us = max(0, stamp_us - min(times)) if stamp_us else 0
+                return zero_us, min(zero_us, sample_us)
+        return 0, 0
 
     def parts(self) -> Iterator[Part]:
         """Yield what each message holds."""
+        start_us, early = self._start_us, 0
+        later_us = self._zero_us - start_us
         for part, _ in self._stamped():
-            start_us = np.uint64(self._start_us if self._is_array else 0)
-            sound = int(np.append(part.events["t"] < start_us, True).argmax())
-            events = part.events[:sound]
-            events["t"] -= start_us
-            yield _later(dataclasses.replace(part, events=events), -self._start_us)
+            sound = int(np.append(part.events["t"] < np.uint64(max(0, -later_us)), True).argmax())
+            events, imu = part.events[:sound], part.imu[part.imu["t"] >= start_us]
+            for records, by_us in ((events, later_us), (part.edges, later_us), (imu, -start_us)):
+                records["t"] += np.int64(by_us).view(np.uint64)
+            early += len(part.imu) - len(imu)
+            yield Part(events, part.edges, imu, tuple(_later(frame, -start_us) for frame in part.frames))
             if sound < len(part.events):
                 time_us = part.events["t"][sound]
                 raise RecordingError(f"it is damaged: an event at {time_us} us is before its first message")
         self._bag.close()
+        if self._damage:
+            raise RecordingError(self._damage)
+        if early:
+            raise RecordingError(f"{early} samples of its inertial unit are before its first events, and are left out")
 
     def _stamped(self) -> Iterator[tuple[Part, int]]:
         """Yield what each message holds, and its stamp, us: frames and samples in Unix time, events as they are."""
@@ -395,17 +491,9 @@ class BagReader:
         raise RecordingError(f'its events are encoded as "{message.encoding}"; "evt3" and "mono" are read')
 
 
-def _later(part: Part, by_us: int) -> Part:
-    """Return the part with frames and samples later by `by_us`, none before zero."""
-    if not by_us or not (len(part.imu) or part.frames):
-        return part
-    imu = part.imu.copy()
-    imu["t"] = np.maximum(imu["t"].astype(np.int64) + by_us, 0)
+def _later(frame: Frame, by_us: int) -> Frame:
     times = ("t_us", "exposure_begin_us", "exposure_end_us")
-    frames = (
-        dataclasses.replace(frame, **{name: getattr(frame, name) + by_us for name in times}) for frame in part.frames
-    )
-    return Part(part.events, part.edges, imu, tuple(frames))
+    return dataclasses.replace(frame, **{name: getattr(frame, name) + by_us for name in times})
 
 
 def _mono(data: bytes, base_ns: int) -> Events:

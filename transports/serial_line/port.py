@@ -86,32 +86,37 @@ class Port(ABC):
         """Address at which the other side finds it."""
 
 
-class Descriptor:
-    """Non-blocking input and output on a file descriptor."""
+class _NonBlockingPort(Port):
+    """Port with non-blocking input and output on a file descriptor."""
 
     def __init__(self, fd: int) -> None:
-        self.fd = fd
+        self._fd = fd
         os.set_blocking(fd, False)
+
+    @property
+    def descriptor(self) -> int:
+        """Descriptor that is readable when bytes have arrived."""
+        return self._fd
 
     def write(self, data: bytes) -> int:
         """Accept as many bytes as there is room for."""
         try:
-            return os.write(self.fd, data)
+            return os.write(self._fd, data)
         except BlockingIOError:
             return 0
 
     def read(self) -> bytes:
         """Return the received bytes."""
         try:
-            return os.read(self.fd, _READ_BYTES)
+            return os.read(self._fd, _READ_BYTES)
         except BlockingIOError:
             return b""
 
-    def events(self) -> int:
+    def _events(self) -> int:
         """Return the events that poll reports."""
         poll = select.poll()
-        poll.register(self.fd, select.POLLIN)
-        return dict(poll.poll(0)).get(self.fd, 0)
+        poll.register(self._fd, select.POLLIN)
+        return dict(poll.poll(0)).get(self._fd, 0)
 
 
 def count_of(fd: int, request: int) -> int:
@@ -119,42 +124,33 @@ def count_of(fd: int, request: int) -> int:
     return int.from_bytes(fcntl.ioctl(fd, request, bytes(4)), sys.byteorder)
 
 
-class DescriptorPort(Port):
+class DescriptorPort(_NonBlockingPort):
     """Port of pyserial that has a file descriptor: a device, a socket."""
 
     def __init__(self, opened: serial.SerialBase) -> None:
         self._serial = opened
-        self._side = Descriptor(opened.fileno())
+        super().__init__(opened.fileno())
 
     @property
     def address(self) -> str:
         """Device or URL."""
         return str(self._serial.port)
 
-    def write(self, data: bytes) -> int:
-        """Accept as many bytes as there is room for."""
-        return self._side.write(data)
-
     def read(self) -> bytes:
         """Return the received bytes."""
-        events = self._side.events()
+        events = self._events()
         if not events:
             return b""
-        data = self._side.read()
+        data = super().read()
         if not data and events & (select.POLLIN | select.POLLHUP | select.POLLERR):
             raise ConnectionResetError(f"{self.address} has hung up")
         return data
 
     @property
-    def descriptor(self) -> int:
-        """Descriptor that is readable when bytes have arrived."""
-        return self._side.fd
-
-    @property
     def unsent(self) -> int:
         """Number of bytes in the kernel's transmit buffer; 0 if there is no such buffer."""
         with suppress(OSError):
-            return count_of(self._side.fd, termios.TIOCOUTQ)
+            return count_of(self._fd, termios.TIOCOUTQ)
         return 0
 
     def close(self) -> None:
@@ -271,7 +267,7 @@ def _refusal(path: Path, reason: str) -> str:
     return f"symlink = {str(path)!r}: {reason}; give a path that is free, in a folder that exists"
 
 
-class PtyPort(Port):
+class PtyPort(_NonBlockingPort):
     """Pty pair: one side is held here, the other is a path that a reader opens like any serial port.
 
     It has no modem lines, no parity and no break, and the kernel ignores its baud rate. Bytes that a reader left unread
@@ -283,7 +279,7 @@ class PtyPort(Port):
         tty.setraw(other)
         self._path = os.ttyname(other)
         os.close(other)  # so that poll reports if a reader has it open
-        self._side = Descriptor(master)
+        super().__init__(master)
         self._had_reader = False
         try:
             self._link = PtySymlink(Path(symlink), self._path) if symlink else None
@@ -300,30 +296,21 @@ class PtyPort(Port):
     @property
     def has_reader(self) -> bool:
         """True while a reader has the other side open."""
-        present = not self._side.events() & select.POLLHUP
+        present = not self._events() & select.POLLHUP
         if self._had_reader and not present:
             self._forget()
         self._had_reader = present
         return present
 
-    @property
-    def descriptor(self) -> int:
-        """Descriptor that is readable when bytes have arrived."""
-        return self._side.fd
-
-    def write(self, data: bytes) -> int:
-        """Accept as many bytes as there is room for."""
-        return self._side.write(data)
-
     def read(self) -> bytes:
         """Return the received bytes; b"" also while there is no reader, when the kernel returns EIO."""
-        return self._side.read() if self._had_reader else b""
+        return super().read() if self._had_reader else b""
 
     def close(self) -> None:
         """Close our side; for a reader its port hangs up."""
         if self._link is not None:
             self._link.close()
-        os.close(self._side.fd)
+        os.close(self._fd)
 
     @property
     def unsent(self) -> int:

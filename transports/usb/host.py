@@ -1,15 +1,4 @@
-"""Host side of a USB cable, as a driver uses it, its errors, and the common part of all drivers of cameras.
-
-UsbHostError
-StallError        the device refused a request
-TransferTimeout   the device did not answer in time
-DeviceAbsent      no such device: plug it in, or start the emulator
-DeviceBusy        another driver or host holds the device
-AccessDenied      this user may not open the device (a udev rule is missing)
-LibraryMissing    the machine lacks libusb
-PeerGone          the device or its server was lost
-PeerBroken        the device or its server sends invalid answers
-"""
+"""Host side of a USB cable, as a driver uses it, its errors, and the common part of all drivers of cameras."""
 
 from __future__ import annotations
 
@@ -41,7 +30,7 @@ class TransferTimeout(UsbHostError):
 
 
 class DeviceAbsent(UsbHostError):
-    """Error: there is no such device."""
+    """Error: there is no such device: plug it in, or start the emulator."""
 
 
 class DeviceBusy(UsbHostError):
@@ -53,11 +42,11 @@ class UnsuitableDevice(UsbHostError):
 
 
 class AccessDenied(UsbHostError):
-    """Error: the user may not open the device."""
+    """Error: the user may not open the device: a udev rule is missing."""
 
 
 class LibraryMissing(UsbHostError):
-    """Error: the machine lacks a library."""
+    """Error: the machine lacks libusb."""
 
 
 class PeerGone(UsbHostError):

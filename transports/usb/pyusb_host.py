@@ -9,7 +9,8 @@ from __future__ import annotations
 import errno
 import queue
 import threading
-from typing import NoReturn
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import usb.backend
 import usb.core
@@ -74,19 +75,15 @@ class PyusbHost:
 
     def configure(self) -> None:
         """Select configuration 1 unless it is active already, and claim interface 0."""
-        try:
+        with _errors("opening the camera"):
             if self._active_configuration() != 1:
                 self._device.set_configuration(1)
             usb.util.claim_interface(self._device, 0)
-        except usb.core.USBError as error:
-            _raise(error, "opening the camera")
 
     def clear_halt(self, endpoint: int) -> None:
         """Clear the halt of an IN endpoint, here and in the device."""
-        try:
+        with _errors(f"endpoint {endpoint}"):
             self._device.clear_halt(0x80 | endpoint)
-        except usb.core.USBError as error:
-            _raise(error, f"endpoint {endpoint}")
 
     def control_in(self, setup: SetupPacket) -> bytes:
         """Request at most `setup.length` bytes from the device."""
@@ -98,17 +95,13 @@ class PyusbHost:
 
     def bulk_out(self, endpoint: int, data: bytes) -> None:
         """Send `data` to an OUT endpoint."""
-        try:
+        with _errors(f"endpoint {endpoint}"):
             self._device.write(endpoint, data, self._timeout_ms)
-        except usb.core.USBError as error:
-            _raise(error, f"endpoint {endpoint}")
 
     def bulk_in(self, endpoint: int, length: int) -> bytes:
         """Read one transfer of at most `length` bytes from an IN endpoint."""
-        try:
+        with _errors(f"endpoint {endpoint}"):
             return bytes(self._device.read(0x80 | endpoint, length, self._timeout_ms))
-        except usb.core.USBError as error:
-            _raise(error, f"endpoint {endpoint}")
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> PyusbReader:
         """Start reading an IN endpoint; up to `transfers` transfers are queued for a slow caller."""
@@ -131,12 +124,10 @@ class PyusbHost:
             return 0  # not configured yet
 
     def _control(self, setup: SetupPacket, data_or_length: bytes | int) -> bytes:
-        try:
+        with _errors(str(setup)):
             result: bytes = self._device.ctrl_transfer(
                 setup.request_type, setup.request, setup.value, setup.index, data_or_length, self._timeout_ms
             )
-        except usb.core.USBError as error:
-            _raise(error, str(setup))
         return result
 
 
@@ -159,7 +150,8 @@ class PyusbReader:
         except queue.Empty:
             return None
         if isinstance(item, usb.core.USBError):
-            _raise(item, "reading the stream")
+            with _errors("reading the stream"):
+                raise item
         return item
 
     def close(self) -> list[bytes]:
@@ -186,17 +178,21 @@ class PyusbReader:
             self._arrived.put(bytes(data))
 
 
-def _raise(error: usb.core.USBError, attempt: str) -> NoReturn:
-    """Raise the project's own error for an error of libusb."""
-    match error.errno:
-        case errno.EACCES:
-            raise AccessDenied(_DENIED) from error
-        case errno.EBUSY:
-            raise DeviceBusy("another program has the camera open; close it first") from error
-        case errno.ENODEV | errno.EIO:
-            raise PeerGone(f"{attempt}: the camera went away") from error
-        case errno.EPIPE:
-            raise StallError(f"{attempt}: the device refused (STALL)") from error
-        case errno.ETIMEDOUT:
-            raise TransferTimeout(f"{attempt}: no answer in time") from error
-    raise UsbHostError(f"{attempt}: {error}") from error
+@contextmanager
+def _errors(attempt: str) -> Iterator[None]:
+    """Turn an error of libusb into the project's own."""
+    try:
+        yield
+    except usb.core.USBError as error:
+        match error.errno:
+            case errno.EACCES:
+                raise AccessDenied(_DENIED) from error
+            case errno.EBUSY:
+                raise DeviceBusy("another program has the camera open; close it first") from error
+            case errno.ENODEV | errno.EIO:
+                raise PeerGone(f"{attempt}: the camera went away") from error
+            case errno.EPIPE:
+                raise StallError(f"{attempt}: the device refused (STALL)") from error
+            case errno.ETIMEDOUT:
+                raise TransferTimeout(f"{attempt}: no answer in time") from error
+        raise UsbHostError(f"{attempt}: {error}") from error

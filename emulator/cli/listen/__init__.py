@@ -13,6 +13,8 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Generic, TypeVar
 
+from cyclopts import Parameter
+
 from emulator.cli.checks import check_output
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, failing, print_result, status
 from emulator.cli.signals import stop_on_signals
@@ -23,6 +25,7 @@ _R = TypeVar("_R", bound=Reception)
 _LINE_PERIOD_S = 1.0
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Limits:
     """Limits of a reception, and the file for the received events.
@@ -55,6 +58,9 @@ class Limits:
         finally:
             if recorder is not None:
                 recorder.close()
+
+
+NO_LIMITS = Limits()
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from contextlib import closing
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
-from emulator.cli.listen import Limits, Source, listen_to
+from emulator.cli.listen import NO_LIMITS, Limits, Source, listen_to
 from emulator.cli.output import LACKING, WRONG_USE, Failure, Json, failing, parsed_address, status
 from emulator.rig.kinds import LINKS
 from firmware_protocol.gige.gvcp import GVCP_PORT
@@ -19,7 +19,6 @@ from transports.usb.cameras import CameraReception, driver_of, first_on_the_bus,
 from transports.usb.host import CameraHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
-_NO_LIMITS = Limits()
 _USB_GONE = "the camera went away before the reception was to end: it was unplugged, or its run ended or died"
 
 
@@ -30,13 +29,7 @@ def usb_camera(usbip: str | None, busid: str) -> closing[CameraHost[Any]]:
     return closing(driver_of(UsbipHost.attach(*parsed_address("--usbip", usbip), busid, timeout_s=5.0)))
 
 
-def listen(
-    *,
-    usbip: str | None = None,
-    busid: str = "1-1",
-    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
-    json: Json = False,
-) -> int:
+def listen(*, usbip: str | None = None, busid: str = "1-1", limits: Limits = NO_LIMITS, json: Json = False) -> int:
     """Read a camera on USB, real or emulated, and count its data. Ctrl-C ends it.
 
     Parameters
@@ -61,12 +54,7 @@ _GIGE_GONE = "the camera went away before the reception was to end: its run ende
 
 
 def gige(
-    at: str = "127.0.0.1:3956",
-    /,
-    *,
-    packet_size: int = 1400,
-    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
-    json: Json = False,
+    at: str = "127.0.0.1:3956", /, *, packet_size: int = 1400, limits: Limits = NO_LIMITS, json: Json = False
 ) -> int:
     """Read a GigE Vision event camera, and count the losses. Ctrl-C ends it.
 

@@ -11,7 +11,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.listen import Limits, Source, listen_to
+from emulator.cli.listen import NO_LIMITS, Limits, Source, listen_to
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, RigName, console, failing, status
 from emulator.cli.run_summary import latency_text
 from emulator.rig.loading import Rig, load_rig
@@ -23,7 +23,6 @@ from transports.can_bus.node import CanReception, listen_can, peer_of
 from transports.link.pacing import MonotonicClock
 from transports.recording.record import Recorder
 
-_NO_LIMITS = Limits()
 _GONE = "the bus went away, and the camera's heartbeat had not reported a stop: its run died"
 
 
@@ -34,7 +33,7 @@ def can(
     link: str | None = None,
     interface: str | None = None,
     channel: str | None = None,
-    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
+    limits: Limits = NO_LIMITS,
     json: Json = False,
 ) -> int:
     """Join the CAN bus of a rig, decode the telemetry of its camera, and count the losses. Ctrl-C ends it.

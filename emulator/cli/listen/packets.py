@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.cli.checks import prepared
-from emulator.cli.listen import Limits, Source, listen_to
+from emulator.cli.listen import NO_LIMITS, Limits, Source, listen_to
 from emulator.cli.output import LACKING, WRONG_USE, Failure, Flag, Json, failing, parsed_address, status
 from emulator.cli.run_summary import latency_text
 from emulator.run.kernels import DECODER
@@ -25,6 +25,7 @@ from transports.serial_line.port import listen_serial
 from transports.udp_packets.endpoint import Ports, listen_udp
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Line:
     """Settings of the line; the same on both sides.
@@ -47,6 +48,7 @@ class Line:
     stop_bits: float = 1.0
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class TelecommandOptions:
     """Telecommands sent once, when the link is open, in this order.
@@ -97,18 +99,15 @@ class TelecommandOptions:
 
 _GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"
 _GoesOn = Callable[[InstrumentReception], bool]
-_NO_LIMITS = Limits()
-_LINE = Line()
-_NO_TELECOMMANDS = TelecommandOptions()
 
 
 def serial(
     port: str,
     /,
     *,
-    line: Annotated[Line, Parameter(name="*")] = _LINE,
-    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
-    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
+    line: Line = Line(),
+    orders: TelecommandOptions = TelecommandOptions(),
+    limits: Limits = NO_LIMITS,
     json: Json = False,
 ) -> int:
     """Read a camera on a serial line, decode its telemetry, and count the losses. Ctrl-C ends it.
@@ -139,8 +138,8 @@ def udp(
     *,
     camera: str = "127.0.0.1:10025",
     allow: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
-    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
+    orders: TelecommandOptions = TelecommandOptions(),
+    limits: Limits = NO_LIMITS,
     json: Json = False,
 ) -> int:
     """Read a camera whose packets come in UDP datagrams, and count the losses. Ctrl-C ends it.

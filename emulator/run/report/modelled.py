@@ -14,10 +14,11 @@ from typing import Any, Literal
 from emulator.light import Scene
 from emulator.plan.costs import EFFECTS
 from emulator.plan.plan import Decision, Plan, make_plan
-from emulator.plan.scene_probe import Probe, probe
+from emulator.plan.scene_probe import Probe
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.rig.remarks import remarks
+from emulator.run.assembly import is_drawn_here, plan_of
 
 _LENSES = {
     "none": "not modelled: the scene gives the light on the sensor",
@@ -79,11 +80,6 @@ class Modelled:
         return asdict(self)
 
 
-def is_drawn_here(rig: Rig) -> bool:
-    """Return whether the light of a rig is drawn by evstim, not by another program or played from a recording."""
-    return rig.scene.kind != "external" and not SCENES[rig.scene.kind].events
-
-
 def modelled(rig: Rig, scene: Scene | None, *, is_driven: bool = False) -> Modelled:
     """Return what a run models; `is_driven`: a simulation moves the scene. Without a scene there are no costs.
 
@@ -92,10 +88,8 @@ def modelled(rig: Rig, scene: Scene | None, *, is_driven: bool = False) -> Model
     notes = (*remarks(rig), *(scene.notes if scene is not None else ()))
     if SCENES[rig.scene.kind].events:
         return Modelled((Part("events", "played from a recording: no light and no pixel is modelled"),), notes=notes)
-    seen, step_ns = _STILL, rig.run.step_us * 1000
-    if probed := scene is not None and not is_driven and is_drawn_here(rig):
-        seen = probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0)
-    plan = make_plan(rig, seen)
+    probed = scene is not None and not is_driven and is_drawn_here(rig)
+    plan = plan_of(rig, scene) if scene is not None and probed else make_plan(rig, _STILL)
     tolerance = None if plan.pinned else plan.tolerance
     return Modelled(
         tuple(_parts(rig)),

@@ -1,12 +1,9 @@
 """A run is a function of the campaign's content and the run's index, and of nothing else."""
 
-import dataclasses
-
 import pytest
 
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.loading import CampaignError, laid_over, load_source, path_of, with_value, with_worker
-from emulator.tables.typed_table import TableError
+from emulator.campaign.loading import CampaignError, load_source, with_worker
 
 
 def test_values_lie_where_the_sampling_says(campaign):
@@ -19,11 +16,6 @@ def test_values_lie_where_the_sampling_says(campaign):
         assert rig.scene.speed_px_s == made.values(i)["scene.speed_px_s"]
         assert rig.run.seed == made.seed(i)
     assert len({made.seed(i) for i in range(64)}) == 64
-
-
-def test_a_run_does_not_depend_on_the_others(campaign):
-    forwards, backwards = campaign(), campaign()
-    assert [forwards.rig(i) for i in range(4)] == [backwards.rig(i) for i in (3, 2, 1, 0)][::-1]
 
 
 def test_what_does_not_change_the_runs_does_not_change_the_id(campaign_file):
@@ -88,24 +80,6 @@ def test_also_gives_other_keys_the_same_value(campaign_file):
     assert sensor.threshold_on == sensor.threshold_off
 
 
-def test_values_are_laid_into_tables_that_stay_as_they_are():
-    table = {"a": {"b": 1}, "list": [{"c": 2}]}
-    assert with_value(table, path_of("a.d.e"), 3) == {"a": {"b": 1, "d": {"e": 3}}, "list": [{"c": 2}]}
-    assert with_value(table, path_of("list[0].c"), 3)["list"] == [{"c": 3}]
-    assert table == {"a": {"b": 1}, "list": [{"c": 2}]}
-    with pytest.raises(TableError, match=r"list\[1\] is not in the rig, which has 1"):
-        with_value(table, path_of("list[1].c"), 3)
-    with pytest.raises(TableError, match=r"a\.b is no table"):
-        with_value(table, path_of("a.b.c"), 3)
-    assert laid_over(table, {"a": {"f": 4}, "list": []}) == {"a": {"b": 1, "f": 4}, "list": []}
-
-
 def test_a_worker_has_its_own_bus():
     table = {"links": [{"kind": "can", "channel": "vcan{worker}"}], "x": 3}
     assert with_worker(table, 2) == {"links": [{"kind": "can", "channel": "vcan2"}], "x": 3}
-
-
-def test_the_source_is_all_that_a_worker_needs(campaign):
-    made = campaign()
-    again = Campaign(type(made.source)(**dataclasses.asdict(made.source)))
-    assert (again.id, again.rig(3)) == (made.id, made.rig(3))

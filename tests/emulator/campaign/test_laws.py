@@ -25,12 +25,6 @@ def test_normal_is_the_cut_distribution_of_scipy():
     assert [law.at(u) for u in SHARES] == pytest.approx(known, rel=1e-9)
 
 
-def test_normal_is_cut_at_three_deviations_by_default():
-    law = Normal("a", mean=3.0, deviation=2.0)
-    assert law.at(0.0) == -3.0
-    assert law.at(1 - 1e-16) == pytest.approx(9.0, abs=1e-6)
-
-
 def test_integers_are_each_as_likely():
     law = Integers("a", low=-1, high=3)
     drawn = [law.at(k / 1000) for k in range(1000)]

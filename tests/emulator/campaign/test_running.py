@@ -132,17 +132,6 @@ def test_parts_of_a_job_array_have_every_run_once():
             part_of(wrong, 10)
 
 
-TERMINATOR = KILLER.replace(", 9)", ", 15); import time; time.sleep(60)")
-
-
-@pytest.mark.long
-def test_a_worker_that_somebody_else_ends_costs_no_run(campaign_file, tmp_path):
-    more = program(TERMINATOR, tmp_path, "tries{index}", "1")
-    rows = run_all(campaign_file(count=2, more=more), tmp_path / "out")
-    assert [row["outcome"] for row in rows] == ["ok", "ok"]
-    assert [(tmp_path / f"tries{i}").read_text() for i in range(2)] == ["xx", "xx"]
-
-
 @pytest.mark.long
 def test_a_worker_ends_its_run_when_its_campaign_is_killed(campaign_file, tmp_path):
     more = program("import os, time; print(os.getppid(), flush=True); time.sleep(600)", tmp_path)

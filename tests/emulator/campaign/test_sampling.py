@@ -1,11 +1,9 @@
 """Where runs lie: strata by counting, the design of Saltelli by its definition."""
 
-import itertools
-
 import numpy as np
 import pytest
 
-from emulator.campaign.sampling import grid_digits, unit_points
+from emulator.campaign.sampling import unit_points
 
 
 def test_sobol_has_one_point_in_each_stratum_and_goes_on_when_the_count_grows():
@@ -38,15 +36,3 @@ def test_the_design_of_saltelli_changes_one_column_at_a_time():
         assert np.array_equal(points[:, k + 1, k], b[:, k])
         others = [j for j in range(3) if j != k]
         assert np.array_equal(points[:, k + 1, others], a[:, others])
-
-
-def test_without_parameters_runs_differ_by_their_seed_alone():
-    assert unit_points("sobol", 5, 0, seed=1).shape == (5, 0)
-
-
-def test_a_grid_has_every_combination_once():
-    lengths = [2, 3, 4]
-    digits = [tuple(grid_digits(i, lengths)) for i in range(24)]
-    assert digits == list(itertools.product(range(2), range(3), range(4)))
-    with pytest.raises(IndexError):
-        grid_digits(24, lengths)

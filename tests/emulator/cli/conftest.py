@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from emulator.cli.app import _main
+from tests.read_here import ReadHere
 
 
 @pytest.fixture
@@ -18,3 +19,9 @@ def evstim(capsys):
         return SimpleNamespace(code=code, out=printed.out, err=printed.err)
 
     return run
+
+
+@pytest.fixture
+def reads_here(monkeypatch):
+    """Read recordings in this process, not in a child's."""
+    monkeypatch.setattr("transports.recording.files.GuardedReader", ReadHere)

@@ -93,8 +93,3 @@ def test_a_trajectory_is_read_always(tmp_path, capsys):
     assert {file["key"]: file["is_read"] for file in told["files"]} == {
         "scene.camera.path": True, "scene.bodies[0].shape": False,
     }  # fmt: skip
-
-
-def test_a_rig_without_files_has_no_line_on_them(capsys):
-    assert _main(["check", "checkerboard"]) == 0
-    assert "opened" not in capsys.readouterr().out

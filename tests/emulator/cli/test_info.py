@@ -14,6 +14,8 @@ from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
 
+pytestmark = pytest.mark.usefixtures("reads_here")
+
 DAT = b"% Data file containing CD events.\n% Version 2\n"
 DAT_EVENT = b"\x0c\x08" + (100).to_bytes(4, "little") + bytes.fromhex("01400010")
 KINDS = [("a.dat", DAT + DAT_EVENT), ("a.csv", b"t,x,y,on\n100,1,1,1\n")]
@@ -61,7 +63,9 @@ def test_the_lines_of_text_of_a_file_are_shown_without_their_control_characters(
     assert "header    serial_number: 00\\x1b[2Jca" in out
 
 
-def test_the_topics_of_two_cameras_are_named_with_their_counts(bag, evstim, tmp_path):  # noqa: F811
+@pytest.mark.sampled
+def test_the_topics_of_two_cameras_are_named_with_their_counts(bag, evstim, tmp_path, monkeypatch):  # noqa: F811
+    monkeypatch.undo()  # a bag that has been read stays open in the process of its reader
     path = bag([(LEFT, events_at([5, 9])), (RIGHT, events_at([7])), (LEFT, events_at([20]))])
     out = evstim("info", path).out
     assert (

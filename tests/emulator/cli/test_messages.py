@@ -7,11 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from emulator.cli import fault as fault_verb
 from emulator.cli.app import _main, app
 from emulator.cli.output import status
 from emulator.cli.picture import look
-from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import load_rig, parse_rig
 from emulator.rig.remarks import remarks
 from firmware_protocol.events import EVENT
@@ -123,17 +121,6 @@ def test_the_plan_of_a_recording_has_no_nan(tmp_path, capsys):
         told = capsys.readouterr().out
         assert "nan" not in told.lower().split()
         assert "plays events that exist already" in told
-
-
-def test_latencies_in_words():
-    assert quantile_text(150.0) == "150"
-    assert quantile_text(19e6) == "19000000"
-    assert quantile_text(None) == "-"
-
-
-def test_a_fault_without_a_reader_says_why_it_hit_nothing():
-    assert "the link is waiting for a reader" in fault_verb._why_no_hits({"state": "waiting for a reader of /tmp/x"})
-    assert "--for-s" in fault_verb._why_no_hits({"state": "open"})
 
 
 def test_quiet_leaves_the_result_and_the_errors(capfd):

@@ -24,6 +24,8 @@ from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
 
+pytestmark = pytest.mark.usefixtures("reads_here")
+
 SIZE, ON, OFF, BLACK = (346, 260), (230, 159, 0), (86, 180, 233), (0, 0, 0)
 START_US = 7_000_000  # a recording need not begin at zero
 EVENTS = np.array(
@@ -147,7 +149,7 @@ def test_a_terminal_larger_than_any_screen_gets_a_bounded_picture(evstim, termin
     terminal(65535, 65535)
     out = evstim("play", rig, "--seconds", "0.04").out
     assert len(out) < 3 * 20_000_000
-    assert [colours.shape for colours, _ in pictures(out)] == [(960, 1280, 3)] * 2
+    assert out.count("\u2580") == 2 * 480 * 1280
 
 
 def test_a_name_does_not_reach_the_terminal_as_a_command(evstim, terminal, clock, tmp_path):
@@ -242,12 +244,6 @@ def test_wrong_input_is_refused_before_the_terminal_changes(
     done = evstim("play", *arguments)
     assert (done.code, done.out) == (2, "")
     assert message in " ".join(done.err.split())
-
-
-def test_pictures_have_the_same_bounds(evstim, tmp_path, recording):
-    done = evstim("picture", recording, tmp_path / "a.png", "--at-s", "nan")
-    assert done.code == 2
-    assert "--at-s must be between 0 and 1e+09, got nan" in done.err
 
 
 def test_a_file_instead_of_a_terminal_is_that_of_picture(evstim, tmp_path, recording):

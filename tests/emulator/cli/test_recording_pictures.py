@@ -12,7 +12,7 @@ from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Frame, Part
 
-pytestmark = pytest.mark.system  # each command reads the file in a process
+pytestmark = pytest.mark.usefixtures("reads_here")
 SIZE, ON, OFF, BLACK = (346, 260), (230, 159, 0), (86, 180, 233), (0, 0, 0)
 START_US = 7_000_000  # a recording need not begin at zero
 EVENTS = np.array(
@@ -70,19 +70,6 @@ def test_a_movie_ends_with_the_recording(tmp_path, capsys):
     path = written(tmp_path / "a.raw", "evt3")
     answer, _, count = drawn(capsys, path, tmp_path / "a.gif", "--at-s", "0", "--seconds", "60")
     assert (answer["events"], count) == (len(EVENTS), 24)  # 0.9 s in steps of 40 ms, and the end
-
-
-def test_the_description_names_what_is_drawn_and_from_where_its_time_counts(tmp_path, capsys):
-    """No light where the recording has no frame, long windows in seconds."""
-    frames = (Frame(START_US, START_US, START_US + 10, np.full(SIZE[::-1], 9, np.uint8)),)
-    for path, place in ((written(tmp_path / "a.raw", "evt3"), "before"),
-                        (written(tmp_path / "b.npz", "npz", frames), "over the light at")):  # fmt: skip
-        assert _main(["picture", str(path), str(tmp_path / "a.png"), "--window-ms", "10000"]) == 0
-        printed = " ".join(capsys.readouterr().out.split())
-        assert printed.endswith(f"a.png: 3 events of 10 s {place} 0.5 s, counted from the first event")
-    assert _main(["picture", str(path), str(tmp_path / "a.gif"), "--seconds", "0.1"]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert printed.endswith("in 3 pictures from 0.5 s on, 25 a second, counted from the first event")
 
 
 @pytest.mark.parametrize(("name", "content", "message"), [

@@ -29,6 +29,7 @@ def told(capsys, *arguments):
     return code, json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
+@pytest.mark.usefixtures("reads_here")
 @pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("name", ["a.raw", "a.aedat2", "a.aedat31", "a.h5", "a.bag", "a.ros2", "a.npz"])
@@ -42,6 +43,7 @@ def test_a_conversion_there_and_back_keeps_every_event(name, tmp_path, capsys):
     np.testing.assert_array_equal(read_all(tmp_path / "back.aedat4")[1], EVENTS)
 
 
+@pytest.mark.usefixtures("reads_here")
 @pytest.mark.parametrize(("name", "left_out"), [("out.aedat4", {}), ("out.raw", {"frames": 1})])
 def test_frames_of_a_camera_are_kept_or_left_out_and_told(name, left_out, tmp_path, capsys):
     parts = dv_processing.io.MonoCameraWriter.Config("DAVIS346_00000346")
@@ -57,6 +59,7 @@ def test_frames_of_a_camera_are_kept_or_left_out_and_told(name, left_out, tmp_pa
     assert (code, done["events"], done["trouble"], done["left_out"]) == (0, 10, "", left_out)
 
 
+@pytest.mark.usefixtures("reads_here")
 def test_info_tells_what_a_file_holds(tmp_path, capsys):
     write(tmp_path / "a.aedat4", "aedat4", EVENTS, EDGES)
     code, info = told(capsys, "info", tmp_path / "a.aedat4")
@@ -110,6 +113,7 @@ def test_a_torn_file_is_converted_up_to_there_with_a_verdict(tmp_path, capsys):
     assert read_all(tmp_path / "b.aedat4")[1]["t"].tolist()[:3] == [1, 2, 5]
 
 
+@pytest.mark.usefixtures("reads_here")
 def test_a_table_without_a_header_is_read_in_the_order_that_is_given(tmp_path, capsys):
     table, picture = tmp_path / "a.txt", tmp_path / "a.png"
     table.write_text("10,20,1,0.5\n11,21,0,0.7\n12,22,0,0.6\n")
@@ -130,6 +134,7 @@ def test_a_table_without_a_header_is_read_in_the_order_that_is_given(tmp_path, c
     assert _main(["picture", "eros", str(picture), *options]) == 2
 
 
+@pytest.mark.usefixtures("reads_here")
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -243,28 +248,6 @@ def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera
         assert len(truth["events/t"]) == run["events"]["read_out"]
         assert len(record["edges"]) > 10
     assert all((np.diff(t.astype(np.float64)) >= 0).all() for t in streams)
-
-
-@pytest.mark.long
-@pytest.mark.system
-def test_info_lists_every_stream_with_its_times(camera, tmp_path, capsys):
-    told(capsys, "record", camera(10_000), tmp_path / "a.aedat4", "--seconds", "0.2")
-    code, info = told(capsys, "info", tmp_path / "a.aedat4")
-    streams = info["streams"]
-    assert code == 0
-    assert [streams[name]["count"] for name in ("edges", "frames")] == [7, 5] == [info["edges"], info["frames"]]
-    assert (streams["edges"]["first_us"], streams["edges"]["last_us"]) == (50_000, 200_000)
-    assert streams["frames"]["last_us"] - streams["frames"]["first_us"] == 4 * 40_000
-    assert streams["imu"]["first_us"] == 998
-    assert not any(stream["steps_back"] for stream in streams.values())
-    assert _main(["info", str(tmp_path / "a.aedat4")]) == 0
-    printed = capsys.readouterr().out
-    assert "triggers  7, from 50000 to 200000 us" in printed
-    assert f"frames    5, from {streams['frames']['first_us']} to {streams['frames']['last_us']} us" in printed
-    assert f"IMU       {info['imu']}, from 998 to" in printed
-    told(capsys, "convert", tmp_path / "a.aedat4", tmp_path / "a.raw")
-    assert _main(["info", str(tmp_path / "a.raw")]) == 0
-    assert "frames    none: the format holds none" in capsys.readouterr().out
 
 
 @pytest.mark.system

@@ -102,6 +102,7 @@ def test_every_result_that_cannot_be_written(stdout, arguments, run):
     assert bool(told) == (stdout == "full")
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("stdout", REASONS)
 def test_an_error_keeps_its_message_and_its_exit_code(stdout, run):

@@ -142,16 +142,19 @@ IN_A_RESULT = "_numba_unpickle(1, pickle.dumps(Sends()), b''); print('made')"
 IN_AN_IMPORT = "import sends"
 
 
+WAIT = "threading.Event().wait(300)"
+
+
 @pytest.mark.parametrize(
-    ("act", "printed"),
+    ("act", "printed", "then"),
     [
-        (IN_A_CALLBACK, []),  # the exception is discarded where it is raised
-        (IN_LLVM, ["stored"]),  # the code is used after it, so llvmlite's callbacks must come to their end
-        (IN_A_RESULT, ["made"]),  # the type of a named tuple: numba uses it unchecked
-        (IN_AN_IMPORT, ["imported"]),
+        (IN_A_CALLBACK, [], WAIT),  # the exception is discarded where it is raised
+        (IN_LLVM, ["stored"], WAIT),  # the code is used after it, so llvmlite's callbacks must come to their end
+        (IN_A_RESULT, ["made"], WAIT),  # the type of a named tuple: numba uses it unchecked
+        (IN_AN_IMPORT, ["imported"], WAIT),
+        (IN_AN_IMPORT, ["imported"], f"stop_on_signals(print); {WAIT}"),
     ],
 )
-@pytest.mark.parametrize("then", ["threading.Event().wait(300)", "stop_on_signals(print); threading.Event().wait(300)"])
 def test_an_interrupt_that_is_lost_where_it_arrives_comes_after_it(act, printed, then, tmp_path):
     (tmp_path / "sends.py").write_text("import __main__\n__main__.send()\nprint('imported')\n")
     program = BEFORE_A_RUN.format(act=act, then=then)

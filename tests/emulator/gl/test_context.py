@@ -67,6 +67,7 @@ def test_the_environment_decides_and_is_blamed(monkeypatch, variable, value, mea
     assert meaning in probe().reason
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("variable", ["LIBGL_DRIVERS_PATH", "__EGL_VENDOR_LIBRARY_FILENAMES", "GLCONTEXT_LINUX_LIBEGL"])
 def test_a_broken_driver_is_reported_once_and_not_on_stderr(variable):
     program = "from emulator.gl.context import probe; r = probe(); assert not r.available and 'apt install' in r.reason"

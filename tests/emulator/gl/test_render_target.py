@@ -70,23 +70,6 @@ def test_outside_its_reach_a_picture_is_black_whatever_was_there_before():
     stage.close()
 
 
-def test_depth_terms_reach_from_near_to_far():
-    a, b = depth_terms(2.0, 50.0)
-    assert (a * 2.0 + b) / 2.0 == pytest.approx(-1)
-    assert (a * 50.0 + b) / 50.0 == pytest.approx(1)
-    for bad in ((0.0, 1.0), (2.0, 2.0), (3.0, 2.0)):
-        with pytest.raises(ValueError, match="in this order"):
-            depth_terms(*bad)
-
-
-def test_a_closed_stage_draws_no_more():
-    stage = RenderTarget((4, 4), 1)
-    stage.close()
-    stage.close()
-    with pytest.raises(SceneError, match="was closed"):
-        stage.draw(lambda _: None, np.zeros((4, 4), np.float32))
-
-
 def test_a_picture_too_large_is_refused():
     with pytest.raises(SceneError, match="use fewer samples"):
         RenderTarget((16000, 4), 4)

@@ -4,10 +4,8 @@ import json
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from emulator.live_page.controls import ChangeList, Repeats, fault_menu, totals
+from emulator.live_page.controls import Repeats, fault_menu, totals
 from emulator.live_page.messages import ViewerCommands
 from emulator.run.changes import Change, Changes
 from emulator.run.outcome import Ledger, RunResult, RunStatus
@@ -131,26 +129,6 @@ def test_what_cannot_be_undone_has_its_reason(change, record, reason):
     assert ("error" in answer) == bool(reason)
     assert ended == ([] if reason else [("a", 1)])
     assert len(session.changes) == 1
-
-
-@given(st.integers().filter(bool))
-def test_an_undo_of_a_change_that_is_not_there_does_nothing(number):
-    session = Session()
-    commands, ended = _commands(session)
-    session.adjust("leak_hz", 2.0, "live page")
-    assert "error" in _undo(commands, number)
-    assert session.adjustable == {"threshold_on": 0.3, "leak_hz": 2.0}
-    assert ended == []
-
-
-def test_the_list_is_bounded_and_keeps_its_numbers():
-    session = Session()
-    for k in range(3000):
-        session.recorded.add(Change(k, "register", "leak_hz", "a", 1.0, 2.0))
-    table = ChangeList(session).table({})
-    assert table["changes_made"] == 3000
-    assert len(table["changes"]) < 100
-    assert [row["number"] for row in table["changes"]][-1] == 2999
 
 
 def _again(commands, seed):

@@ -67,15 +67,6 @@ def _every(count, until_us):
     return events
 
 
-def test_of_a_step_with_too_many_events_the_newest_are_shown():
-    view, light = SharedView((4, 3)), np.zeros((3, 4), np.float32)
-    view.viewers.value = 1
-    view.show(_every(1_000_000, 1_000_000), light, 1_000_000)
-    events, until_us = view.take()
-    assert (int(events["t"][-1]), until_us) == (1_000_000, 1_000_000)
-    assert len(events) == 1 << 19
-
-
 def test_the_shown_time_is_that_of_the_events_when_they_are_not_taken():
     """A step without room is left out whole; time and events of the ones before stay together."""
     view, light = SharedView((4, 3)), np.zeros((3, 4), np.float32)

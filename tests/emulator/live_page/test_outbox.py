@@ -31,20 +31,6 @@ def _received(pipe):
     return found
 
 
-def test_messages_and_the_number_heard_arrive_in_order(pipe):
-    outbox = Outbox(pipe[0])
-    outbox.put({"number": 1})
-    outbox.renew({"status": 1})
-    outbox.put({"number": 2})
-    outbox.flush(commands_done=5)
-    assert _received(pipe[1]) == [
-        {"number": 1, "commands_done": 5},
-        {"number": 2, "commands_done": 5},
-        {"status": 1, "commands_done": 5},
-    ]
-    assert not outbox.waits
-
-
 def test_what_a_slow_page_has_not_taken_is_sent_later_and_nothing_blocks(pipe):
     outbox = Outbox(pipe[0])
     taken = _fill(outbox)
@@ -58,16 +44,6 @@ def test_what_a_slow_page_has_not_taken_is_sent_later_and_nothing_blocks(pipe):
     found += _received(pipe[1])
     assert [message["number"] for message in found[:-1]] == list(range(taken + 2))
     assert found[-1] == {"status": 2, "commands_done": 7}
-
-
-def test_of_very_many_messages_the_newest_wait(pipe):
-    outbox = Outbox(pipe[0])
-    first = _fill(outbox)
-    for number in range(first + 1, first + 1000):
-        outbox.put({"number": number})
-    _received(pipe[1])
-    outbox.flush(commands_done=0)
-    assert [message["number"] for message in _received(pipe[1])] == list(range(first + 1000 - 64, first + 1000))
 
 
 def test_a_page_that_has_died_is_told_by_an_error(pipe):

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.live_page.page import ledger_table, status_table
+from emulator.live_page.page import ledger_table
 from emulator.run.outcome import Rates, RunStatus
 from emulator.run.pacing import Lateness
 from firmware_protocol.device.fates import Fates
@@ -62,10 +62,3 @@ def test_steps_that_were_late_before_the_last_second_are_not_late_now():
         if k == 9:
             assert (now["steps"], now["steps_late"]) == (18, 9)
     assert (now["steps"], now["steps_late"], late.frames_late) == (18, 0, 10)
-
-
-def test_the_table_names_each_link():
-    link = LinkReport("open", address="x:1", attach_command="read x")
-    table = status_table(_status(links={"a": link}), {"events_per_s": 1.0})
-    assert (table["links"]["a"]["address"], table["links"]["a"]["attach_command"]) == ("x:1", "read x")
-    assert table["t_s"] == 1.0

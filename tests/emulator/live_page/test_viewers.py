@@ -1,13 +1,11 @@
 """What waits for a viewer is bounded, whatever the viewer does."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from emulator.live_page.messages import BadMessage
 from emulator.live_page.process import Canvas
-from emulator.live_page.server import MOST_VIEWERS, STALLED_S, Viewer, Viewers
+from emulator.live_page.server import STALLED_S, Viewer, Viewers
 from firmware_protocol.events import EVENT
 
 
@@ -25,18 +23,6 @@ _PICTURE = Canvas((4, 3)).draw(_NO_EVENTS, np.zeros((3, 4), np.float32), 1)
 def _taken(viewer):
     """Return all that can be sent now."""
     return list(iter(viewer.take, None))
-
-
-def test_three_messages_are_on_the_way_and_the_newest_picture_waits():
-    viewer = Viewer(1, _Clock())
-    taken = []
-    for k in range(10):
-        viewer.put(dataclasses.replace(_PICTURE, number=k))
-        taken += _taken(viewer)
-    assert [picture.number for picture in taken] == [0, 1, 2]
-    viewer.has_seen(1)
-    assert [picture.number for picture in _taken(viewer)] == [9]
-    assert _taken(viewer) == []
 
 
 def test_a_viewer_that_missed_pictures_gets_their_events_at_their_times():
@@ -68,14 +54,6 @@ def test_a_viewer_that_missed_pictures_gets_their_events_at_their_times():
         assert abs(times_us[k] - t) < 700  # 2 of 127 parts, and rounding
         assert (picture.last[k] > 0, picture.count[k] & 15, picture.count[k] >> 4) == (on, min(ups, 15), min(downs, 15))
     assert picture.place.dtype == np.uint32
-
-
-def test_answers_go_before_a_status_and_a_status_before_a_picture():
-    viewer = Viewer(1, _Clock())
-    viewer.put(_PICTURE)
-    viewer.put("s")
-    viewer.answer("a")
-    assert _taken(viewer) == ["a", "s", _PICTURE]
 
 
 def test_answers_that_nobody_takes_are_bounded():
@@ -129,12 +107,3 @@ def test_who_shows_nothing_for_long_is_dropped_and_who_has_nothing_to_show_is_no
     assert dropped == [1]
     assert len(viewers) == 2
     assert idle.on_the_way == 0
-
-
-def test_there_is_a_most_of_viewers():
-    viewers = Viewers(_Clock())
-    entered = [viewers.enter(lambda: None) for _ in range(MOST_VIEWERS)]
-    assert None not in entered
-    assert viewers.enter(lambda: None) is None
-    viewers.leave(entered[0])
-    assert viewers.enter(lambda: None) is not None

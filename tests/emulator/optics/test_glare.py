@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.light import LightFrame, Region, Scene, SceneFrames
+from emulator.light import Region, Scene, SceneFrames
 from emulator.optics.glare import Veiled, veiled
 from emulator.optics.lens import LensParameters
 
@@ -153,9 +153,3 @@ def test_without_glare_the_scene_is_not_wrapped():
 def test_an_impossible_index_is_refused():
     with pytest.raises(ValueError, match="veiling_glare"):
         LensParameters(veiling_glare=0.6)
-
-
-def test_frames_keep_their_time():
-    frames = SceneFrames(Veiled(waves(), EVEN), with_rate=True)
-    assert isinstance(frames.draw(3 * MS), LightFrame)
-    assert frames.last.t_ns == 3 * MS

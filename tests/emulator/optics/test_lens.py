@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import correlate1d, gaussian_filter1d
 
-from emulator.geometry.camera import Pinhole
 from emulator.light import Scene, SceneError
 from emulator.optics.lens import Distortion, DistortionError, LensParameters
 from emulator.optics.through import Bilinear, BlurWorkers, Through, bend, gaussian_taps
@@ -188,25 +187,11 @@ def test_defocus_blurs_what_is_near_and_a_sharp_lens_costs_nothing():
     assert np.unique(near[5]).size > 4
 
 
-def test_closing_closes_the_scene():
-    made = []
-
-    def build(camera):
-        made.append(Plane(camera, lambda x, y, t: x))
-        return made[0]
-
-    through = Through(LensParameters(), CHIP, (8, 8), build)
-    assert (through.size, through.motion_bound_px_s, through.distance_m) == ((8, 8), 5.0, math.inf)
-    through.close()
-    assert made[0].closed
-    assert isinstance(made[0].camera, Pinhole)
-
-
-@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize(
     ("size", "part"), [((700, 350), (0, 350, 0, 700)), ((700, 350), (11, 343, 2, 697)), ((5, 4), (1, 4, 0, 3))]
 )
-@pytest.mark.parametrize("sigma_px", [0.3, 0.6, 2.0])
+@pytest.mark.parametrize("sigma_px", [0.3, 2.0])
 def test_threads_blur_and_scale_to_the_same_bits(threads, size, part, sigma_px):
     random, (width, height) = np.random.default_rng(1), size
     pictures = [random.random((height, width), np.float32) for _ in range(2)]

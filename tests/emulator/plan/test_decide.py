@@ -146,14 +146,6 @@ def test_what_the_rate_of_noise_depends_on_is_kept_with_it():
     assert still_hz(planned, 300.0) == pytest.approx(still_hz(noisy, 300.0), rel=1e-12)
 
 
-def test_dropping_takes_an_effect_out_of_the_sensor():
-    loose = list(decisions(1e12, 1.0).values())
-    bare = without(SENSOR, loose)
-    assert set(decisions(1.0, sensor=bare)) == ALWAYS
-    assert bare.dark_current_relative == SENSOR.dark_current_relative
-    assert (bare.width, bare.threshold_on, bare.readout) == (SENSOR.width, SENSOR.threshold_on, SENSOR.readout)
-
-
 @pytest.mark.parametrize("effect", sorted(ALL))
 def test_an_effect_goes_alone(effect):
     bare = without(SENSOR, [dataclasses.replace(decisions(1.0)[effect], kept=False)])
@@ -171,10 +163,6 @@ def test_a_photoreceptor_of_large_signals_is_dropped_where_it_hardly_matters():
     dropped = decisions(1.01 * bound_us, sensor=sensor)["large signals"]
     assert without(sensor, [dropped]).photoreceptor == "large_signal"
     assert not decisions(0.0)["large signals"].kept
-
-
-def test_kept_effects_stay_as_they_are():
-    assert without(SENSOR, list(decisions(0.0, 0.0).values())) == SENSOR
 
 
 def test_the_figures_of_the_table():
@@ -219,34 +207,6 @@ def test_in_a_still_scene_what_makes_events_is_kept():
     )
     kept = {name for name, d in decisions(100.0, scene=still).items() if d.kept}
     assert {"leak", "noise", "hot pixels", "radiation"} <= kept
-
-
-def test_the_comparator_costs_the_delay_of_the_slower_polarity():
-    """OFF at 53 us and 20 ln units a second: u - 1 + e^-u = q, q = 53 / 3570 us, so about sqrt(2 q) 3570 us."""
-    cost = decisions(1.0)["comparator"]
-    q = 53.0 / (0.0714 / 20 * 1e6)
-    assert math.sqrt(2 * q) * 3570 < cost.cost_us < 1.2 * math.sqrt(2 * q) * 3570
-    assert cost.cost_share == pytest.approx(cost.cost_us * 1e-6 * 20 / 0.2725)
-
-
-def test_reset_errors_add_up_over_a_run():
-    """Along ln(1 / 0.1) at a mean threshold of 0.2725, 8.45 events: an offset adds up, its noise by the square root."""
-    events = math.log(10) / 0.2725
-    found = decisions(1.0)
-    assert found["reset offset"].cost_us == pytest.approx(events * 0.01 / 20 * 1e6)
-    assert found["reset offset"].cost_share == pytest.approx(0.01 / 0.262)
-    assert found["reset noise"].cost_us == pytest.approx(2 * math.sqrt(events) * 0.002 / 20 * 1e6)
-
-
-def test_the_acknowledge_costs_the_mean_wait():
-    """A queue with constant service (M/D/1): 160 ns an event at 1e6 a second are a load of 0.16; of a scan, half."""
-    events, load = math.log(10) / 0.2725, 0.16
-    wait_us = 0.08 + 0.16 * load / (2 * (1 - load))
-    assert decisions(1.0)["acknowledge"].cost_us == pytest.approx(events * wait_us)
-    scanned = dataclasses.replace(SENSOR, readout=dataclasses.replace(SENSOR.readout, scan_us=200.0))
-    assert decisions(1.0, sensor=scanned)["acknowledge"].cost_us == pytest.approx(events * 100)
-    full = dataclasses.replace(SCENE, events_per_s=1e8)
-    assert decisions(1e9, 0.9, scene=full)["acknowledge"].kept
 
 
 def test_veiling_glare_costs_its_share_of_the_darkest_light_and_is_never_left_out():

@@ -37,12 +37,6 @@ def test_a_tolerance_sets_the_step_by_the_fourth_root():
     assert far.steps.bound == "the tolerance"
 
 
-def test_a_line_needs_far_more_pictures():
-    plan = with_tolerance(3.2)
-    assert plan.steps.line_step_us == pytest.approx(1000 * (3.2 / 5.0) ** 0.5)
-    assert plan.steps.step_us > 2.9 * plan.steps.line_step_us
-
-
 def test_the_longest_step_and_the_wrong_events_bound_it():
     assert with_tolerance(1e6, hermite_error_us=1e-3).steps.step_us == 100_000
     assert "longest" in with_tolerance(1e6, hermite_error_us=1e-3).steps.bound

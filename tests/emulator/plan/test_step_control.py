@@ -4,13 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from emulator.light import LightFrame
 from emulator.plan.step_control import (
     ControlledSteps,
-    FixedSteps,
     Limits,
     RefinementModel,
     error_us,
@@ -59,18 +56,10 @@ def test_a_line_gets_the_error_that_was_asked_for(tolerance_us):
     assert tolerance_us / 3 < measured < tolerance_us * 2
 
 
-def test_slopes_allow_steps_many_times_longer():
-    assert settled(10.0, with_rate=True) > 4 * settled(10.0, with_rate=False)
-
-
 @pytest.mark.parametrize(("with_rate", "order"), [(False, 2), (True, 4)])
 def test_a_tolerance_n_times_wider_allows_steps_longer_by_its_root(with_rate, order):
     ratio = settled(16.0, with_rate) / settled(1.0, with_rate)
     assert ratio == pytest.approx(16 ** (1 / order), rel=0.15)
-
-
-def test_where_the_first_step_begins_does_not_matter():
-    assert settled(10.0, True, first_ns=100_000) == pytest.approx(settled(10.0, True, first_ns=10_000_000), rel=0.15)
 
 
 def test_steps_stay_within_their_limits():
@@ -128,19 +117,3 @@ def test_light_that_is_not_a_number_is_left_out():
     error, weight = error_us(a, b, c)
     assert np.isfinite(error).all()
     assert weight[0] == 0
-
-
-@given(st.lists(st.tuples(st.floats(0, 10), st.floats(0, 5)), min_size=1, max_size=30), st.floats(0.01, 1))
-def test_a_weighted_quantile_has_that_much_weight_below_it(pairs, share):
-    values, weights = (np.array(column) for column in zip(*pairs, strict=True))
-    quantile = weighted_quantile(values, weights, share)
-    total = weights.sum()
-    if total > 0:
-        assert weights[values <= quantile].sum() >= share * total * (1 - 1e-9)
-        assert weights[values < quantile].sum() <= share * total * (1 + 1e-9)
-
-
-def test_fixed_steps_are_fixed():
-    steps = FixedSteps(5)
-    steps.observe(sine(0))
-    assert steps.step_ns == 5

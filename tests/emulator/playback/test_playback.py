@@ -13,7 +13,6 @@ from emulator.run.assembly import build_sensor
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.events import EVENT
 from tests.npz_records import save_record
-from tests.transports.recording.samples import sample_events, write
 
 SENSOR = PRESETS["davis346"]
 DARK = np.zeros((260, 346), np.float32)
@@ -121,18 +120,3 @@ def test_a_rig_without_a_file_is_refused():
         parse_rig('[scene]\nkind = "recording"\n', "r.toml", "r")
     with pytest.raises(ValueError, match="time_scale must be"):
         RecordingParameters("a.npz", time_scale=0.0)
-
-
-@pytest.mark.system
-@pytest.mark.parametrize(
-    ("name", "file"), [("aedat2", "a.aedat"), ("ros1", "a.bag"), ("dsec", "a.h5"), ("evt2", "a.evt2")]
-)
-def test_recordings_in_other_formats_play_too(name, file, tmp_path):
-    events = sample_events()
-    write(tmp_path / file, name, events)
-    read = load_recording(tmp_path / file, (346, 260))
-    read["t"] += events["t"][0]
-    np.testing.assert_array_equal(read, events)
-    (tmp_path / f"damaged-{file}").write_bytes((tmp_path / file).read_bytes()[:5])
-    with pytest.raises(SceneError, match=f"damaged-{file}: "):
-        load_recording(tmp_path / f"damaged-{file}", (346, 260))

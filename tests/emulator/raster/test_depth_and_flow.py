@@ -11,7 +11,6 @@ from emulator.optics.lens import LensParameters
 from emulator.optics.through import Through
 from emulator.raster.surfaces import NearestSurface
 from emulator.rig.kinds import CAMERA_MODELS
-from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
@@ -19,7 +18,6 @@ from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import MovingPoint, StarsParameters
-from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.trajectory.laws import Gate
@@ -143,16 +141,6 @@ def test_a_nearer_surface_hides_and_one_that_reaches_behind_the_camera_is_cut():
     assert np.abs(inverse_depth - np.where(is_floor, down, 1 / 20)).max() < 1e-12
 
 
-def test_each_surface_has_its_label():
-    left = np.array([[-9.0, -9.0, 5.0], [0.0, -9.0, 5.0], [0.0, 9.0, 5.0], [-9.0, 9.0, 5.0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    surface = NearestSurface([(faces, 4, True), (faces, 4, True)], CAMERA, 1e-3)
-    labels, inverse_depth = np.zeros(SIZE[::-1], np.uint16), np.zeros(SIZE[::-1])
-    surface.look(np.concatenate([left, left + [9.0, 0.0, 1.0]]), Rays.straight(CAMERA), labels, inverse_depth)
-    assert (labels == np.where(directions(LENS)[..., 0] < 0, 1, 2)).all()
-    assert np.allclose(inverse_depth, np.where(labels == 1, 1 / 5, 1 / 6))
-
-
 def test_a_ball_is_as_far_as_a_sphere():
     ball = BodyTable(shape="globe", path=FixedPath((0.1, 0.2, 5.0)))
     with RasterBodies(BodiesParameters(bodies=(ball,), detail_px=0.0), CAMERA) as scene:
@@ -205,13 +193,6 @@ def test_depth_behind_a_lens_is_that_of_the_bent_rays():
     assert geometry.places(0).bodies_m.tolist() == [[0.0, 0.0, 30.0]]
 
 
-def test_a_graphics_card_has_the_same_truth(gl):
-    with RasterBodies(BODIES, CAMERA) as a, GlBodies(BODIES, CAMERA) as b:
-        (_, one), (_, other) = seen_by(a, 500 * MS), seen_by(b, 500 * MS)
-    assert (one.depth == other.depth).all()
-    assert (one.labels == other.labels).all()
-
-
 RIDGE = Ridge(size_m=1024.0, finest_m=2.0, posts=128, ridge_m=100.0, seed=4)
 GATES = (Gate(0.0, 400.0, 0.0, 10.0, 50.0), Gate(60.0, 30.0, 0.0, 3.0, 80.0), Gate(70.0, 8.0))
 
@@ -246,14 +227,6 @@ def test_terrain_that_was_not_drawn_at_that_time_is_drawn_for_it(tmp_path, monke
         scene.light(40_000 * MS, light)
         _, second = seen_by(scene, 40_000 * MS)
     assert (first.depth == second.depth).all()
-
-
-def test_a_graphics_card_has_the_same_truth_of_terrain(gl, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    parameters = TerrainParameters(ground=RIDGE, camera=DescentPath(GATES), sun_elevation_deg=20.0)
-    with RasterTerrain(parameters, CAMERA) as a, GlTerrain(parameters, CAMERA) as b:
-        (_, one), (_, other) = seen_by(a, 2_000 * MS), seen_by(b, 2_000 * MS)
-    assert (one.depth == other.depth).all()
 
 
 SKY = StarsParameters(

@@ -53,54 +53,6 @@ def test_parts_cover_each_facet_once():
         assert used == {0, 1, 2} | {p for p in range(3, 9) if cut >> (p - 3) // 2 & 1} | ({9} if cut == 7 else set())
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 1.0])
-def test_neighbours_are_those_of_the_same_facets_prepared_anew(share):
-    facets = Facets(surfaces(), POINTS)
-    for seed in range(5):
-        facets.cut(marked(share, seed))
-        found = facets.on(*NO_PATCHES)
-        fresh = prepare(found.faces)
-        np.testing.assert_array_equal(found.across, fresh.across)
-        np.testing.assert_array_equal(found.smooth, fresh.smooth)
-        assert (found.across >= 0).all()
-        assert found.vertices == fresh.vertices == len(VERTICES) + marked(share, seed)[len(VERTICES) :].sum()
-
-
-def test_vertices_and_radiances_are_of_the_same_points():
-    facets, marks = Facets(surfaces(), POINTS), marked(0.4, 9)
-    facets.cut(marks)
-    found = facets.on(*NO_PATCHES)
-    number = np.flatnonzero(marks)  # the whole vertices come first in both
-    np.testing.assert_array_equal(number[found.faces], found.shades)
-
-
-def test_a_surface_without_cuts_and_its_patches_are_as_before():
-    facets, plain = Facets(surfaces(), POINTS), Facets(surfaces())
-    facets.cut(marked(0.6, 1))
-    facets.on(np.array([[0, 1, 2]], np.int32), np.array([3], np.int32))
-    facets.cut(marked(0.0, 1))
-    patch = np.array([[0, 1, 2], [2, 1, 3]], np.int32), np.array([5, 6], np.int32)
-    found, wanted = facets.on(*patch), plain.on(*patch)
-    for name in ("faces", "shades", "across", "smooth", "two_sided", "over", "vertices", "entries"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
-
-
-def test_rows_of_parts_belong_to_their_facets():
-    facets = Facets(surfaces(), POINTS)
-    facets.cut(marked(0.5, 2))
-    half = len(FACES) // 2
-    first, second = facets.parts_of(0, half), facets.parts_of(half, len(FACES))
-    assert first[0] == len(FACES)
-    assert first[1] == second[0]
-    assert second[1] == len(facets.shades)
-    wholes = set(range(half)), set(range(half, len(FACES)))
-    owner = {tuple(sorted(p)): f for f in range(len(FACES)) for p in [FACES[f].tolist(), POINTS[f].tolist()]}
-    for rows, own in zip((first, second), wholes, strict=True):
-        for row in range(*rows):
-            corners = set(facets.shades[row].tolist())
-            assert any(corners <= set(key) | set(POINTS[f]) | set(FACES[f]) for key, f in owner.items() if f in own)
-
-
 def test_cuts_of_flat_sides_change_no_light():
     """The points in the planes of facets, with the light between their corners, too far away for perspective."""
     light, places = VERTICES[:, 2] ** 2, VERTICES + [0.1, 0.05, 1e5]

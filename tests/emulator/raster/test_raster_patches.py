@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from emulator.light import NOTHING
 from emulator.raster import Facets, Renderer, Screen, View, join, prepare
 
 SCREEN = Screen(24, 18, 100.0, (12.0, 9.0))
@@ -120,28 +119,3 @@ def test_a_patch_on_a_facet_that_the_camera_cuts_is_drawn_on_what_is_left(pictur
     px = corners[:, :2] / corners[:, 2:] * SCREEN.focal_px + SCREEN.centre_px
     e, f = px[1] - px[0], px[2] - px[0]
     assert (whole - light).sum() == pytest.approx(1.5 * abs(e[0] * f[1] - e[1] * f[0]) / 2, rel=1e-3)
-
-
-def test_a_picture_without_patches_is_as_before(picture):
-    topology, view = ground()
-    none = Facets(topology).on(np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
-    assert (picture(Renderer(none, SCREEN), view)[0] == picture(Renderer(topology, SCREEN), view)[0]).all()
-    assert (
-        Renderer(none, SCREEN)
-        .draw(view, np.zeros((18, 24), np.float32), np.zeros((18, 24), np.float32), NOTHING)
-        .last_row
-    )
-
-
-def test_patches_in_arrays_that_are_used_again_are_those_of_fresh_ones():
-    """More of them, fewer, none: nothing of an earlier picture is left."""
-    topology, _ = ground()
-    kept, random = Facets(topology), np.random.default_rng(3)
-    for n in (2, 40, 3, 0, 90, 5):
-        faces, over = random.integers(0, 3 * n + 1, (n, 3)).astype(np.int32), random.integers(0, 2, n).astype(np.int32)
-        found, fresh = kept.on(faces, over), Facets(topology).on(faces, over)
-        for name in ("faces", "shades", "across", "smooth", "two_sided", "over"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(fresh, name))
-        assert (found.vertices, found.entries) == (fresh.vertices, fresh.entries)
-        np.testing.assert_array_equal(found.faces[2:], faces + topology.vertices)
-        np.testing.assert_array_equal(found.over[2:], over)

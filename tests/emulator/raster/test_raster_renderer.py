@@ -37,26 +37,6 @@ def test_threads_change_no_bit(picture):
     with_two.close()
 
 
-def test_threads_take_bands_in_small_shares(picture, monkeypatch):
-    topology, view = soup(4)
-    screen = Screen(40, 640, 60.0, (20.0, 320.0))
-    with_one, with_two = Renderer(topology, screen), Renderer(topology, screen, threads=2)
-    taken = []
-
-    def each(work, count):  # the second thread gets one share, since its core is busy
-        for item in range(count):
-            work(item, thread := int(item == 3))
-            taken.append(thread)
-
-    monkeypatch.setattr(with_two._pool, "each", each)
-    expected, found = (np.zeros((2, 640, 40), np.float32) for _ in range(2))
-    with_one.draw(view, *expected)
-    with_two.draw(view, *found)
-    np.testing.assert_equal(found, expected)
-    assert expected.any()
-    assert 8 <= len(taken) <= 20
-
-
 def test_only_what_changes_is_written():
     topology, corners = grid(1)
     renderer = Renderer(topology, SCREEN)
@@ -111,20 +91,6 @@ def test_ground_that_reaches_behind_the_camera(picture, sample, height_m):
     assert 500 < light.sum() < 600
 
 
-def test_camera_inside_a_closed_body(picture):
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    for two_sided, expected in ((True, 1.0), (False, 0.0)):
-        renderer = Renderer(prepare(ball.faces, two_sided=two_sided), SCREEN)
-        points = np.asarray(ball.vertices) + [0.1, 0.05, -0.2]
-        light, rate, _ = picture(
-            renderer, View(points, np.ones_like(points), np.ones(len(points)), np.zeros(len(points)))
-        )
-        np.testing.assert_allclose(light, expected, atol=1e-6)
-        np.testing.assert_allclose(rate, 0.0, atol=1e-5)
-
-
 def test_light_of_one_layer_is_conserved_however_fine(picture):
     """Facets far below a pixel, in several sheets whose borders only touch."""
     left, corners = grid(60)
@@ -176,19 +142,3 @@ def test_what_a_view_must_have():
         View(np.zeros((4, 3)), np.zeros((3, 3)), np.zeros(4), np.zeros(4))
     with pytest.raises(ValueError, match="below 0"):
         prepare([[0, 1, -2]])
-
-
-def test_no_facets_at_all(picture):
-    light, rate, box = picture(Renderer(join([]), SCREEN), View(*(np.zeros((0, 3)),) * 2, *(np.zeros(0),) * 2))
-    assert box.empty
-    assert not light.any()
-    assert not rate.any()
-
-
-def test_neighbours():
-    topology = prepare([[0, 1, 2], [2, 1, 3], [1, 2, 4]], shades=[[0, 1, 2], [2, 1, 3], [5, 6, 4]])
-    assert topology.across.tolist() == [[-1, -1, -1], [-1, -1, -1], [-1, -1, -1]]  # a side with three facets
-    topology = prepare([[0, 1, 2], [2, 1, 3]], shades=[[0, 1, 2], [2, 4, 3]])
-    assert topology.across.tolist() == [[-1, 1, -1], [0, -1, -1]]
-    assert not topology.smooth.any()
-    assert prepare([[0, 1, 2], [2, 1, 3]]).smooth.tolist() == [[0, 1, 0], [1, 0, 0]]

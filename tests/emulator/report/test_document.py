@@ -31,19 +31,6 @@ def test_a_long_table_is_cut_and_the_rest_counted():
     assert "and 99900 more, listed in report.json" in made
 
 
-def test_records_have_all_rows_and_columns_of_numbers_set_as_such():
-    made = Section().records([{"name": str(k), "events": k, "is_late": k > 2} for k in range(120)]).html()
-    assert made.count("<tr") == 121
-    assert made.count('class="number"') == 2 * 121
-    assert ">yes</td>" in made
-
-
-def test_a_document_without_a_verdict_has_no_box():
-    page = Document("t").html()
-    assert "<title>t</title>" in page
-    assert 'class="verdict' not in page
-
-
 def test_texts_of_others_are_escaped_cut_and_printable():
     nasty = '<script>alert("x")</script>\x00\udcff'
     page = Document(nasty, nasty, "bad", nasty).add(Section(nasty).text("z" * 10_000).code(nasty[:27])).html()

@@ -45,12 +45,6 @@ def test_a_hot_pixel_of_a_large_sensor_stays_visible():
     assert "the largest of 3 x 3 pixels is shown" in count_map(counts, ColourScale(9), "ON events")
 
 
-def test_a_map_has_a_text_in_its_place():
-    assert 'alt="ON &lt;events&gt;, 3 x 2 pixels, row 0 on top; at most 5 in a pixel"' in count_map(
-        np.array([[0, 5, 0], [0, 0, 0]]), ColourScale(5), "ON <events>"
-    )
-
-
 def test_a_picture_has_events_over_dimmed_light():
     light = np.array([[0.0, 1.0], [0.5, 1.0]], np.float32)
     polarity = np.array([[0, 1], [-1, 0]], np.int8)
@@ -58,9 +52,3 @@ def test_a_picture_has_events_over_dimmed_light():
     assert rgb[0, 0].tolist() == [0, 0, 0]
     assert (tuple(rgb[0, 1]), tuple(rgb[1, 0])) == (ON_RGB, OFF_RGB)
     assert rgb[1, 1, 0] == pytest.approx(255 * 0.45, abs=1)
-
-
-def test_a_dark_scene_is_black_and_has_its_events():
-    rgb = pixels_of(scene_picture(np.zeros((2, 2), np.float32), np.array([[1, 0], [0, 0]], np.int8), "0 s"))
-    assert tuple(rgb[0, 0]) == ON_RGB
-    assert not rgb[1].any()

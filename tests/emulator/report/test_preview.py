@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from emulator.light import MachineLacks, SceneError
-from emulator.report.pictures import OFF_RGB, ON_RGB, captioned, event_picture, save_movie, save_png, scaled, white_of
+from emulator.report.pictures import OFF_RGB, ON_RGB, captioned, event_picture, save_movie, save_png, white_of
 from firmware_protocol.events import EVENT, empty_events
 
 LIGHT = np.array([[0.0, 0.5, 1.0], [2.0, 0.25, 0.0]], np.float32)
@@ -32,10 +32,6 @@ def test_light_is_encoded_for_a_screen_and_dimmed():
     assert grey[..., 0].tolist() == [[0, 188, 255], [255, 137, 0]]  # sRGB of 0.5 and 0.25
     assert (grey == grey[..., :1]).all()
     assert event_picture(LIGHT, empty_events()).max() == 64  # 25 % for white
-
-
-def test_a_black_picture_is_black():
-    assert not event_picture(np.zeros((2, 2), np.float32), empty_events()).any()
 
 
 def test_events_of_another_sensor_are_refused():
@@ -77,12 +73,6 @@ def test_both_colours_differ_for_people_who_cannot_tell_red_from_green(seen_red_
     on, off = ((np.dot(seen_red_green, rgb[:2]), rgb[2]) for rgb in (ON_RGB, OFF_RGB))
     assert abs(on[1] - off[1]) > 150  # blue stays
     assert min(luminance(ON_RGB), luminance(OFF_RGB)) > 0.3  # both brighter than light at 40 % of white
-
-
-def test_small_pictures_are_drawn_twice_as_large():
-    assert scaled(np.zeros((260, 346, 3), np.uint8)).shape == (520, 692, 3)
-    assert scaled(np.zeros((720, 1280, 3), np.uint8)).shape == (720, 1280, 3)
-    assert scaled(np.arange(6, dtype=np.uint8).reshape(1, 2, 3))[:, :, 0].tolist() == [[0, 0, 3, 3]] * 2
 
 
 def test_a_caption_stands_below_the_picture():

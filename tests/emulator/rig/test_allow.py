@@ -1,10 +1,7 @@
 """A rig that other machines can reach says who may connect, or is refused."""
 
-import json
-
 import pytest
 
-from emulator.cli.app import _main
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import link_setups
 
@@ -36,16 +33,3 @@ def test_the_list_reaches_the_link(kind):
 def test_an_entry_that_is_no_address_is_refused_at_its_line(kind):
     with pytest.raises(RigError, match=r"line 7: links\[0\].allow: .*'bench' is neither an address nor a network"):
         rig(kind, 'allow = ["bench"]')
-
-
-def test_check_refuses_it_too(tmp_path, capsys):
-    path = tmp_path / "open.toml"
-    path.write_text(SCENE + LINKS["usbip"] + 'host = "0.0.0.0"\n')
-    assert _main(["check", str(path)]) == 2
-    assert "set allow, for example" in " ".join("".join(capsys.readouterr()).split())
-
-
-def test_the_schema_knows_the_list(capsys):
-    assert _main(["schema"]) == 0
-    defined = json.loads(capsys.readouterr().out)["$defs"]
-    assert all("allow" in defined[name]["properties"] for name in ("UsbipLink", "CanLink"))

@@ -25,7 +25,6 @@ from emulator.run.control import (
 from emulator.run.outcome import RunStatus
 from emulator.run.pacing import Lateness
 from transports.faults.bus import DeadBus
-from transports.faults.kinds import FAULTS
 from transports.faults.line import BitFlips
 from transports.faults.script import FaultRecord
 from transports.link.pacing import MonotonicClock
@@ -277,9 +276,3 @@ def test_a_run_of_another_terminal_is_reached_by_name_alone(verb, runs, options,
     printed = capsys.readouterr()
     assert text in " ".join((printed.err if code else printed.out).split())
     assert {request for _, request in sent} == {"faults"} | ({"trigger"} if verb == "trigger" and not code else set())
-
-
-def test_every_kind_is_in_the_schema(capsys):
-    assert _main(["schema"]) == 0
-    defined = json.loads(capsys.readouterr().out)["$defs"]
-    assert all(cls.__name__ in defined for cls in FAULTS.values())

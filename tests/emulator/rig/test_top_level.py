@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 import tomllib
 from pathlib import Path
 
@@ -80,14 +79,6 @@ def test_loader_and_schema_take_what_is_right_and_refuse_what_is_wrong(key):
     with pytest.raises(RigError, match=rf"r\.toml, line \d+: {key}"):
         parse_rig(wrong, "r.toml", "r")
     assert not valid(wrong)
-
-
-@pytest.mark.parametrize("key", TOP_LEVEL)
-def test_the_reference_has_each_key_and_its_tables(key):
-    page = (ROOT / "docs/rigs.md").read_text()
-    assert re.search(rf"^\|`\[*{key}\]*`\|", page, re.MULTILINE)
-    for kind in TOP_LEVEL[key].kinds():
-        assert re.search(rf'id="{key}-{kind}"' if kind else rf"^## `\[+{key}\]", page, re.MULTILINE), kind
 
 
 def test_a_key_that_is_none_is_refused_by_loader_and_schema():

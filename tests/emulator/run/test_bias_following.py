@@ -104,14 +104,6 @@ def test_the_biases_of_several_links_have_one_bound(factor, bound, caplog):
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.2)
 
 
-def test_factors_of_links_multiply_within_the_bound():
-    sensor = Adjusted()
-    following = BiasFollowing(sensor)
-    following.follow("usbip", report(threshold_on=4.0))
-    following.follow("serial", report(threshold_on=0.5))
-    assert sensor.adjustable["threshold_on"] == pytest.approx(0.4)
-
-
 def test_each_change_is_recorded_with_its_time_its_origin_and_both_values():
     sensor, changes = Adjusted(refuses=("corner_max_hz",)), Changes()
     following = BiasFollowing(sensor, changes)
@@ -129,19 +121,6 @@ def test_figures_that_the_sensor_lacks_or_refuses_are_left():
     sensor = Adjusted(refuses=("threshold_on",))
     BiasFollowing(sensor).follow("usbip", report(threshold_on=2.0, refractory_us=3.0, corner_max_hz=2.0))
     assert sensor.adjustable == {"threshold_on": 0.2, "corner_max_hz": 6000.0}
-
-
-def test_a_sensor_that_cannot_be_adjusted_is_left_alone():
-    BiasFollowing(object()).follow("usbip", report(threshold_on=2.0))
-
-
-def test_a_figure_that_was_refused_is_not_multiplied_on_the_way_back():
-    sensor = Adjusted(refuses=("threshold_on",))
-    following = BiasFollowing(sensor)
-    following.follow("gige", report(threshold_on=0.1))
-    sensor.refuses = ()
-    following.follow("gige", report(threshold_on=1.0))
-    assert sensor.adjustable["threshold_on"] == 0.2
 
 
 def test_what_has_no_effect_is_told_once(caplog):

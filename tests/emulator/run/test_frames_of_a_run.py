@@ -7,7 +7,6 @@ import pytest
 
 from emulator.cli.app import _main
 from emulator.rig.loading import RigError, parse_rig
-from emulator.run.assembly import build_scene, link_setups, reading_sources
 from emulator.sensor.parameters import FrameParameters
 from tests.npz_records import load_frames
 
@@ -27,14 +26,6 @@ def test_the_table_is_typed_and_its_mistakes_are_told():
         rig("[camera.frames]\nreset_dn = 100\n")
     with pytest.raises(RigError, match=r"camera\.frames\.kicks\.share"):
         rig("[camera.frames.kicks]\nshare = 2\n")
-
-
-def test_without_the_table_there_are_no_rings_and_no_sources():
-    plain = rig("")
-    (setup,) = link_setups(plain)
-    assert setup.readings == ()
-    assert reading_sources(plain, build_scene(plain)) == []
-    assert not setup.device().settings.frames
 
 
 @pytest.mark.system

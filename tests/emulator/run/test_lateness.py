@@ -57,11 +57,6 @@ def test_the_lead_needed_is_from_when_computing_was_to_begin_until_ready():
     assert Lateness().lead_needed_us.p50 is None
 
 
-def test_a_step_must_last():
-    with pytest.raises(ValueError, match="at least 1 ns"):
-        FixedSteps(0)
-
-
 def result_of(late, steps, rig):
     lateness = Lateness()
     for _ in range(late):

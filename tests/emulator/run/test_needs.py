@@ -3,6 +3,7 @@
 import importlib.metadata
 import json
 import re
+import struct
 import tomllib
 from pathlib import Path
 
@@ -12,7 +13,10 @@ from emulator.cli.app import _main
 from emulator.gl.context import WANTED
 from emulator.rig.loading import load_rig, parse_rig, shipped_rigs
 from emulator.run.machine import needs_of
+from firmware_protocol.recordings.aedat4 import MAGIC
+from tests.transports.recording.samples import sample_events, write
 from transports import needs
+from transports.recording.format import FORMATS
 
 ROOT = Path(__file__).parents[3]
 BOARD = '[scene]\nkind = "checkerboard"\n'
@@ -58,7 +62,7 @@ def test_the_needs_of_each_shipped_rig(name):
         ('[scene]\nkind = "terrain"\n', []),
         ('[scene]\nkind = "terrain"\n[scene.ground]\nkind = "heightmap"\npath = "a.tif"\n', ["extra report (pillow)"]),
         ('[scene]\nkind = "recording"\npath = "a.npz"\n', []),
-        ('[scene]\nkind = "recording"\npath = "a.aedat4"\n', ["extra files (faery)"]),
+        ('[scene]\nkind = "recording"\npath = "not_there.aedat4"\n', []),
         ('[scene]\nkind = "recording"\npath = "not_there.bag"\n', ["extra files (rosbags)"]),
         (BOARD + '[[links]]\nkind = "usb_gadget"\n', ["kernel module libcomposite and a USB device controller"]),
         (BOARD + '[[links]]\nkind = "can"\n', []),
@@ -76,11 +80,25 @@ def test_the_needs_of_each_kind(text, needed):
     assert names(text) == needed
 
 
-def test_the_environment_may_add_gl(monkeypatch):
-    assert "OpenGL 4.3 by EGL" not in [need.name for need in needs_of(load_rig("eros"))]
-    monkeypatch.setenv(WANTED, "gl")
-    assert "OpenGL 4.3 by EGL" in [need.name for need in needs_of(load_rig("eros"))]
-    assert names(BOARD) == [], "no GL painter draws it"
+@pytest.mark.parametrize(
+    ("name", "needed"),
+    [("csv", []), ("dat", []), ("es", []), ("evt3", []), ("aedat2", []), ("npz", []), ("dsec", ["extra files (h5py)"]),
+     ("ros1", ["extra files (rosbags)"]), ("ros2-dvs", ["extra files (rosbags)"]), ("aedat4", ["extra files (lz4)"])],
+)  # fmt: skip
+def test_a_recording_needs_what_reads_it(name, needed, tmp_path):
+    """Files by the writers; that of AEDAT 4.0 compresses."""
+    form = FORMATS[name]
+    write(tmp_path / f"a{form.suffixes[0]}", name, sample_events())
+    assert names(f'[scene]\nkind = "recording"\npath = "{tmp_path}/a{form.suffixes[0]}"\n') == needed
+
+
+@pytest.mark.parametrize("compression", range(5))
+def test_aedat4_needs_the_library_of_its_compression(compression, tmp_path):
+    xml = b"<dv/>"
+    table = struct.pack("<I4s6xHHHHHiiIq4xI", 24, b"IOHE", 10, 24, 4, 12, 8, 10, compression, 16, -1, len(xml)) + xml
+    (tmp_path / "a.aedat4").write_bytes(MAGIC + struct.pack("<I", len(table)) + table)
+    needed = names(f'[scene]\nkind = "recording"\npath = "{tmp_path}/a.aedat4"\n')
+    assert needed == (["extra files (lz4)"] if compression in (1, 2) else [])
 
 
 def test_each_package_is_in_the_extra_that_brings_it():

@@ -2,15 +2,16 @@
 
 import dataclasses
 import os
+import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 import emulator
-from emulator.cli import checks
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import kernels as preparation
 from emulator.run.assembly import build_scene
@@ -76,20 +77,6 @@ def test_a_camera_on_usb_that_sends_evt3_needs_its_coder():
     assert EVT not in parts_of(load_rig("stars"))
 
 
-def test_a_dvxplorer_on_usb_needs_its_coder():
-    (coder,) = (part for part in parts_of(load_rig("stars-dvxplorer")) if part.name == "DVXplorer coder")
-    assert coder not in parts_of(load_rig("stars"))
-    assert prepare([coder]) == []
-
-
-def test_a_camera_with_activity_filter_needs_its_kernel():
-    rig = load_rig("stars")
-    with_filter = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, activity_filter=True))
-    (kernel,) = (part for part in parts_of(with_filter) if part.name == "activity filter")
-    assert kernel not in parts_of(rig)
-    assert prepare([kernel]) == []
-
-
 @pytest.mark.system
 def test_a_part_waits_for_those_that_it_needs(notes):
     first = Part("first", 1.0, partial(os.mkdir, notes / "made"))
@@ -109,24 +96,6 @@ def test_nothing_is_prepared_where_numba_is_told_not_to_compile(notes, monkeypat
     assert uncompiled([DECODER]) == [DECODER]
     monkeypatch.setattr(preparation.config, "DISABLE_JIT", 1)
     assert uncompiled([DECODER]) == []
-
-
-def test_each_line_of_progress_in_a_pipe_has_the_time_left(monkeypatch, capsys):
-    now_s = [0.0]
-    monkeypatch.setattr(checks.status, "get_time", lambda: now_s[0])
-    monkeypatch.setattr(checks, "uncompiled", list)
-
-    def compile_evenly(parts, show):
-        """A tenth of the work each second, and the parts one after the other."""
-        for k in range(1, 11):
-            now_s[0] = float(k)
-            show(preparation.Preparation(tuple(part.name for part in parts[: k * len(parts) // 10]), k / 10))
-        return []
-
-    monkeypatch.setattr(checks, "prepare", compile_evenly)
-    assert checks.prepared([Part("first", 5.0, os.getpid), Part("second", 5.0, os.getpid)]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[1:] == ["compiled: first (1 of 2), about 5 s left", "compiled: second (2 of 2)"]
 
 
 def test_the_detail_of_bodies_is_in_the_cache_for_the_run(tmp_path, monkeypatch):
@@ -161,3 +130,15 @@ def test_the_program_is_compiled_and_not_the_sources_in_the_working_directory(tm
     command = [sys.executable, "-c", _ELSEWHERE, own]
     subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=300)
     assert (tmp_path / "found").read_text() == emulator.__file__
+
+
+@pytest.mark.system
+def test_a_process_that_compiles_ends_when_the_run_is_ended():
+    process = preparation._started(Part("a long one", 1.0, partial(time.sleep, 600))).process
+    try:
+        assert process.is_alive()
+        process.terminate()
+        process.join(120)
+        assert process.exitcode == -signal.SIGTERM
+    finally:
+        process.kill()

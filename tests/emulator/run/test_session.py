@@ -1,7 +1,6 @@
 """A run without links: pacing, stopping, and sums, with a clock and a scene that the test holds."""
 
 import dataclasses
-import gc
 import logging
 import signal
 
@@ -132,25 +131,6 @@ def test_the_last_step_ends_at_the_end():
     scene = Flashing(clock)
     session(scene, clock, 700_000).run(Schedule(duration_ns=1_000_000, paced=False))
     assert scene.times == [0, 700_000, 1_000_000]
-
-
-def test_no_collection_in_a_run_visits_the_objects_from_before_it():
-    gc.unfreeze()
-    clock, frozen = FakeClock(), []
-    made = session(Flashing(clock), clock)
-    made.run(Schedule(duration_ns=5 * STEP_NS), on_events=lambda _: frozen.append(gc.get_freeze_count()))
-    assert min(frozen) > 10_000
-    assert gc.get_freeze_count() == 0
-
-
-def test_objects_that_a_program_has_frozen_stay_so():
-    clock = FakeClock()
-    gc.freeze()
-    try:
-        session(Flashing(clock), clock).run(Schedule(duration_ns=5 * STEP_NS))
-        assert gc.get_freeze_count() > 10_000
-    finally:
-        gc.unfreeze()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

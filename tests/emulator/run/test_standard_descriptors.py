@@ -24,7 +24,7 @@ kind = "loopback"
 """
 CLOSED = ("<&-", ">&-", "2>&-")
 ONE_OR_ALL_CLOSED = [*CLOSED, " ".join(CLOSED)]
-SOME_CLOSED = [" ".join(some) for count in (1, 2, 3) for some in itertools.combinations(CLOSED, count)]
+SOME_CLOSED = [" ".join(some) for count in (3, 2, 1) for some in itertools.combinations(CLOSED, count)]
 COMMAND = """
 from emulator.cli import main
 main()
@@ -88,6 +88,7 @@ def test_a_program_counts_and_records_every_event(closed, rig, tmp_path):
     check(json.loads(result.read_text()), record)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("closed", SOME_CLOSED)
 def test_child_processes_have_the_descriptors_too(closed):

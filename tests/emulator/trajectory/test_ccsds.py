@@ -66,14 +66,6 @@ def test_attitudes_between_the_epochs_of_places_are_not_lost(tmp_path):
     assert yaw_deg(path.pose(60 * S)) == pytest.approx(12.0, abs=1e-6)
 
 
-def test_each_file_has_its_own_beginning(tmp_path):
-    """Attitudes begin 5 minutes before the places and turn 5 degrees a minute: 25 degrees at the first place."""
-    path = built(tmp_path, oem(("", orbit([300, 600, 900]))), aem([(0, 0), (300, 25), (600, 50), (900, 75)]))
-    assert yaw_deg(path.pose(0)) == pytest.approx(25.0, abs=1e-6)
-    assert yaw_deg(path.pose(300 * S)) == pytest.approx(50.0, abs=1e-6)
-    np.testing.assert_allclose(path.pose(0).position_m, true_m(300), atol=1e-3)
-
-
 def test_files_in_different_time_systems_are_brought_together(tmp_path):
     """TT is ahead of UTC by 69.184 s in 2020: the attitude of 00:01:09.184 TT is that of 00:00:00 UTC."""
     turning = aem([(0, 0), (60, 12), (120, 24)], "REF_FRAME_A=ICRF\nREF_FRAME_B=SC_BODY_1\nTIME_SYSTEM = TT\n")

@@ -11,7 +11,7 @@ from emulator.geometry.camera import Cycle
 from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Elements, Orbit
-from emulator.trajectory.live import LivePoses, SimulatedPath, known_motion
+from emulator.trajectory.live import SimulatedPath, known_motion
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
 
@@ -65,26 +65,6 @@ def test_a_closed_form_agrees_with_differences_of_poses(name):
         np.testing.assert_allclose(closed.velocity_m_s, differenced.velocity_m_s, atol=1e-4, rtol=1e-5)
         np.testing.assert_allclose(closed.acceleration_m_s2, differenced.acceleration_m_s2, atol=2e-4 + 2e-11 * scale_m)
         np.testing.assert_allclose(closed.turn_rad_s, differenced.turn_rad_s, atol=3e-5)
-
-
-def test_a_circular_orbit_has_the_acceleration_and_speed_of_a_circle():
-    path, elements = _orbit(0.0), Elements(4.4628e5, 35e3)
-    w = elements.mean_motion_rad_s
-    motion, pose = path.motion(777 * SECOND), path.pose(777 * SECOND)
-    assert np.linalg.norm(motion.velocity_m_s) == pytest.approx(w * 35e3, rel=1e-12)
-    np.testing.assert_allclose(motion.acceleration_m_s2, -w * w * pose.position_m, rtol=1e-9, atol=1e-15)
-
-
-def test_a_camera_on_a_circle_that_looks_at_its_middle_turns_once_a_revolution():
-    """About its own y axis, which lies along -up = -z: an orbit in the sense of +z turns the camera by -w about it."""
-    w = Elements(4.4628e5, 35e3).mean_motion_rad_s
-    path = Looking(Orbit(Elements(4.4628e5, 35e3)), (0, 0, 0), (0, 0, 1), [0, SECOND])
-    np.testing.assert_allclose(path.motion(5 * SECOND).turn_rad_s, [0, -w, 0], atol=1e-12)
-
-
-def test_a_spin_about_one_axis_has_its_rate_about_that_axis():
-    path = Spinning((0, 0, 0), (0, 1, 0), Cycle(Fraction(1, 8)))
-    np.testing.assert_allclose(path.motion(3_141_592_653).turn_rad_s, [0, 0, 2 * math.pi / 8], atol=1e-14)
 
 
 def test_constant_acceleration_between_keyframes_is_exact():
@@ -144,9 +124,3 @@ def test_a_simulated_path_is_at_rest_until_it_is_known_to_move():
     for t_ns, pose in _samples(10_000_000, 4, np.array([0, 0, 3.0])):
         path.add(t_ns, pose)
     np.testing.assert_allclose(path.motion(25_000_000).acceleration_m_s2, [0, 0, 3.0], atol=1e-8)
-
-
-def test_a_live_path_rests_where_nothing_has_come():
-    path = LivePoses()
-    assert not path.motion(0).acceleration_m_s2.any()
-    assert not path.motion(0).turn_rad_s.any()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from emulator.geometry.attitude import multiply
-from emulator.trajectory.pose import STILL, Fixed, Pose
+from emulator.trajectory.pose import STILL, Pose
 
 numbers = st.floats(-1, 1)
 quaternions = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: np.linalg.norm(q) > 0.1)
@@ -67,9 +67,3 @@ def test_what_is_no_unit_quaternion_is_refused(q, says):
 def test_a_place_must_be_finite():
     with pytest.raises(ValueError, match="three finite metres"):
         Pose(np.array([np.inf, 0, 0]), STILL.q_world_from_body)
-
-
-def test_what_is_fixed_stays():
-    fixed = Fixed()
-    assert fixed.pose(10**18) is STILL
-    assert fixed.speed_bound_m_s == fixed.turn_bound_rad_s == 0

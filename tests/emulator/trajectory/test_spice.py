@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 from emulator.rig.loading import RigError, load_rig
 from emulator.rig.remarks import open_files
 from emulator.scene.bodies.table import BodiesParameters
-from emulator.tables.typed_table import beside
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import SpicePath
 from emulator.trajectory.pose import Trajectory, TrajectoryError
@@ -129,11 +128,6 @@ def test_a_missing_or_damaged_kernel_is_named(kernels: tuple[str, ...], tmp_path
     Path(kernels[2]).write_bytes(b"DAF/SPK " + b"\xff" * 2000)
     with pytest.raises(TrajectoryError, match="SPICE"):
         fly_by(kernels)
-
-
-def test_kernels_lie_beside_the_rig(kernels: tuple[str, ...], tmp_path: Path) -> None:
-    p = SpicePath(kernels=("made.tls", "none.bsp"), observer="-900", target="SUN", start_utc="2020-01-01")  # type: ignore[arg-type]
-    assert beside(p, tmp_path).kernels == (kernels[0], "none.bsp")
 
 
 def test_a_kernel_that_ends_spice_by_a_signal_is_refused_by_name(kernels: tuple[str, ...]) -> None:

@@ -1,15 +1,16 @@
 """The pytest plugin, used as a flight-software project uses it: pytest in a process of its own, on files of its own."""
 
 import json
-import os
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.system
+pytest_plugins = ["pytester"]
 
 RIG = """
 title = "small"
@@ -30,16 +31,15 @@ kind = "{kind}"
 
 
 @pytest.fixture
-def project(tmp_path):
-    """(test source, rig kind, more keys, keys of [run], options) -> the finished pytest."""
+def project(pytester):
+    """(test source, rig kind, more keys, keys of [run], options) -> the finished pytest, in this process."""
 
     def run(source, *options, kind="loopback", more="", run="max_late_ms = 0"):
-        (tmp_path / "small.toml").write_text(RIG.format(kind=kind, more=more, run=run))
-        (tmp_path / "test_it.py").write_text("import pytest\n" + source)
+        (pytester.path / "small.toml").write_text(RIG.format(kind=kind, more=more, run=run))
+        (pytester.path / "test_it.py").write_text("import pytest\n" + source)
         plugin = () if _is_installed() else ("-p", "evstim.testing.plugin")
-        command = [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", *plugin, *options]
-        environment = os.environ | {"PYTEST_ADDOPTS": "", "PYTHONPATH": os.pathsep.join(sys.path)}
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, env=environment)
+        done = pytester.runpytest_inprocess("-q", "-rs", "-p", "no:cacheprovider", *plugin, *options)
+        return SimpleNamespace(returncode=done.ret, stdout=done.stdout.str())
 
     return run
 
@@ -59,35 +59,22 @@ def test_it(evstim_rig):
     assert result.ledger.read_out > 1000
     assert len(evstim_rig.recent_events()) == result.ledger.read_out
 """)
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.returncode == 0, done.stdout
     assert "1 passed" in done.stdout
 
 
-@pytest.mark.long
-def test_two_rigs_of_one_port_run_at_once(project):
-    source = """
-from evstim.testing.running_rig import RunningRig
-@pytest.mark.rig("small.toml")
-def test_it(evstim_rig, tmp_path):
-    with RunningRig("small.toml", tmp_path) as other:
-        assert other.address != evstim_rig.address
-        assert not other.address.endswith(":3240")
-"""
-    done = project(source, kind="usbip", more="port = 3240")
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-def test_of_a_failed_test_the_events_and_counts_are_kept(project, tmp_path):
+def test_of_a_failed_test_the_events_and_counts_are_kept(project, pytester):
     faery = pytest.importorskip("faery", reason="AEDAT 4.0 (extra files)")
     done = project("""
+import time
 @pytest.mark.rig("small.toml", pace="free", seconds=0.2, keep_s=0.05)
 def test_it(evstim_rig):
     while evstim_rig.status.sim_seconds < 0.15:
-        pass
+        time.sleep(0.01)
     assert False, "the flight software is wrong"
 """)
     assert done.returncode == 1
-    (folder,) = (tmp_path / "evstim-artefacts").iterdir()
+    (folder,) = (pytester.path / "evstim-artefacts").iterdir()
     assert str(folder / "events.aedat4") in done.stdout
     assert (folder / "report.html").exists()
     counts = json.loads((folder / "summary.json").read_text())
@@ -98,7 +85,7 @@ def test_it(evstim_rig):
 
 
 @pytest.mark.long
-def test_the_page_of_a_failed_test_names_it_and_does_not_judge_lateness(project, tmp_path):
+def test_the_page_of_a_failed_test_names_it_and_does_not_judge_lateness(project, pytester):
     done = project(
         """
 @pytest.mark.rig("small.toml", seconds=0.05)
@@ -110,7 +97,7 @@ def test_it(evstim_rig):
         run="max_late_ms = 0.001\nmax_late_share = 0.0\nlead_us = 0",
     )
     assert "1 failed" in done.stdout, done.stdout
-    (folder,) = (tmp_path / "evstim-artefacts").iterdir()
+    (folder,) = (pytester.path / "evstim-artefacts").iterdir()
     page = (folder / "report.html").read_text()
     assert "run by the test test_it.py::test_it" in page
     assert "GOOD</strong>All 2 rules were kept." in page
@@ -126,16 +113,6 @@ def test_the_plugin_loads_pytest_alone():
     code = f"import sys, evstim.testing.plugin; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
     assert done.stdout.strip() == "[]"
-
-
-@pytest.mark.long
-def test_of_a_good_test_nothing_is_kept(project, tmp_path):
-    project("""
-@pytest.mark.rig("small.toml", pace="free", seconds=0.02)
-def test_it(evstim_rig):
-    pass
-""")
-    assert not (tmp_path / "evstim-artefacts").exists()
 
 
 LACKING = """

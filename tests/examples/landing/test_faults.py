@@ -6,10 +6,8 @@ import dataclasses
 import json
 from pathlib import Path
 
-import compare
 import numpy as np
 import pytest
-from compare import FAULTS, fault_line
 from links import Fault, Faults
 from report import verdict
 from spacecraft import Spacecraft, TouchDown
@@ -116,30 +114,6 @@ def test_the_verdict_lists_what_went_wrong(tmp_path: Path) -> None:
         "fault unplugged on events from 4.0 s on: 9 events lost",
         "the camera's run was not good: in real time: worst step 2000 ms late",
     ]
-
-
-def test_each_flight_has_arguments_that_can_be_read() -> None:
-    """Its faults, and tables that are there."""
-    for arguments in FAULTS.values():
-        words = arguments.split()
-        for option, value in zip(words[::2], words[1::2], strict=True):
-            assert option in ("--fault", "--table", "--answer-s")
-            assert option != "--fault" or Fault.parse(value)
-            assert option != "--table" or (Path(compare.__file__).parent / value).is_file()
-
-
-def test_a_flight_becomes_a_line_of_the_table(tmp_path: Path) -> None:
-    """Landed or not, with or without a divergence; a flight that has its verdict is not flown again."""
-    found = verdict(LANDED, tmp_path, frames_lost=3) | {"error_median": 0.008, "error_p90": 0.025}
-    up = {"touched": False, "height_m": 4.31, "why": []}
-    for name, judged in (("crash", found), ("none", up)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "verdict.json").write_text(json.dumps(judged))
-    assert fault_line("crash", tmp_path) == (
-        "| crash: `--fault crash@5` | 0.50 m/s | 0.8 % / 2.5 % | "
-        "the flight computer answered no SYNC; 3 attitudes and commands were lost on the bus |"
-    )
-    assert fault_line("none", tmp_path) == "| none | not landed, 4.3 m up | | |"
 
 
 @pytest.mark.parametrize(("down_m_s", "touched"), [(1.2, True), (0.5, False)])

@@ -8,7 +8,6 @@ import struct
 
 import numpy as np
 import pytest
-from compare import table
 from divergence import Motion
 from frames import PUSH, RANGE, STAR, nearest_number, pack_words, unpack_words
 from navigation import Filter, Known, of_events, of_range, of_star
@@ -46,15 +45,6 @@ def test_the_allan_variance_is_that_of_white_noise_and_drift(seconds: float, dri
     found = (np.diff(means, axis=0) ** 2).mean() / 2
     markov = 2 * drift**2 / x * (1 - (3 - 4 * math.exp(-x) + math.exp(-2 * x)) / (2 * x))
     assert found == pytest.approx(1e-6 / x + markov, rel=4 * math.sqrt(3 / means.size))
-
-
-def test_a_sample_does_not_depend_on_what_was_read_before() -> None:
-    """One sensor read from the beginning, one read at a late sample alone; and two axes, two seeds, two purposes."""
-    all_read, one_read = sensors(), sensors()
-    errors = [all_read.turn_rad(k, ROLLING, ROLLING) for k in range(1500)]
-    assert np.array_equal(errors[1234], one_read.turn_rad(1234, ROLLING, ROLLING))
-    assert not np.allclose(errors[1234], sensors(seed=6).turn_rad(1234, ROLLING, ROLLING), atol=1e-9)
-    assert abs(np.corrcoef(np.array(errors).T)[0, 1]) < 4 / math.sqrt(1500)
 
 
 def test_a_sample_does_not_depend_on_the_step_of_the_dynamics() -> None:
@@ -102,14 +92,6 @@ def test_frames_of_sensors_carry_what_was_put_in() -> None:
     assert nearest_number(number, 70_000) == 70_001
     with pytest.raises(struct.error, match="8 bytes"):
         unpack_words(b"ab")
-
-
-def test_a_range_is_sent_in_millimetres() -> None:
-    """The true one, rounded, with the number of its time."""
-    exact = SensorErrors(range_white_m=0.0, range_white_scale=0.0, range_scale=0.0)
-    unit, level = Sensors(exact, Lander(), 1, lambda x, y: 0.0), State(np.array([0.0, 0.0, 1499.9996]), np.zeros(3))
-    sent = [frame for number in (5, 7) for frame in unit.frames(number, level, level) if frame[0] == RANGE]
-    assert sent == [(RANGE, (1_500_000).to_bytes(4, "little") + (5).to_bytes(4, "little"))]
 
 
 KNOWN = Known((0.0, 0.0, 100.0), (0.0, 0.0, -8.0), 5.0, 5.0, 0.7)
@@ -227,24 +209,3 @@ def test_each_bound_is_judged(
     found = judgement(TouchDown(30.0, state, touched=True, fuel_kg=5.0), lambda x, y: 0.0)
     assert found["beyond"] == beyond
     assert found["soft"] == (not beyond)
-
-
-def test_the_site_is_judged_apart() -> None:
-    """A plane of 14 degrees, and a rock between the feet; neither is the navigation's fault."""
-    end = TouchDown(30.0, State(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, -0.5])), touched=True, fuel_kg=5.0)
-    steep = judgement(end, lambda x, y: 0.25 * y)
-    assert (steep["soft"], steep["site_good"]) == (True, False)
-    assert steep["slope_deg"] == pytest.approx(math.degrees(math.atan(0.25)))
-    rock = judgement(end, lambda x, y: 0.5 * (math.hypot(x, y) < 0.5))
-    assert (rock["rock_m"], rock["site_good"]) == (0.5, False)
-    assert judgement(dataclasses.replace(end, touched=False), lambda x, y: 0.0)["soft"] is False
-
-
-def test_the_table_counts_and_has_exact_intervals() -> None:
-    """7 of 8 good: Clopper and Pearson's interval is 47 to 100 %; one that did not touch down has no figures."""
-    row = {"navigation": "events", "touched": True, "soft": True, "beyond": [], "site_good": True}
-    row |= {"vertical_m_s": 0.5, "horizontal_m_s": 0.02, "tilt_deg": 0.1, "place_m": 3.0}
-    rows = [row] * 7 + [row | {"touched": False, "soft": False}]
-    last = table(rows).splitlines()[-1]
-    assert last.startswith("| events | 7 of 8 | 47 to 100 % | 0.50 / 0.50 / 0.50 |")
-    assert "not landed 1" in last

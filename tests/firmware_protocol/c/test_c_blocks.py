@@ -133,12 +133,6 @@ def test_random_payloads_are_judged_alike(library, mode, size):
     check(library, blocks, size=size)
 
 
-def test_random_bytes_are_no_block(library):
-    rng = np.random.default_rng(3)
-    blocks = [rng.bytes(int(rng.integers(0, 100))) for _ in range(3000)]
-    assert library("b", request(blocks), size=SIZE).counters[1:3] == [3000, 0]
-
-
 def block_of(mode, size, bits, *, n=1, codes=0x30):
     """A block with a right header around a payload written as a string of 0 and 1."""
     w, h = size[0] - 1, size[1] - 1

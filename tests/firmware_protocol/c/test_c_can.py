@@ -119,14 +119,6 @@ def test_the_count_of_lost_events_stays_at_the_bounds_of_an_int32(library, step,
     assert library("n", request(back)).counters[3] == (bound + inwards) & 0xFFFFFFFF
 
 
-@pytest.mark.parametrize("fd", [False, True])
-def test_random_frames_do_no_harm(library, fd):
-    rng = np.random.default_rng(5)
-    frames = [Frame(EPOCH, bytes(8))]
-    frames += [Frame(EVENTS, rng.bytes(64 if fd else 8), fd=fd) for _ in range(3000)]
-    same_as_python(library, frames)
-
-
 @pytest.mark.parametrize("cells", [19, 20, 27, 255])
 def test_a_frame_longer_than_any_is_refused(library, cells):
     epoch = struct.pack("<HBB", EPOCH, 0, 8) + bytes(8)

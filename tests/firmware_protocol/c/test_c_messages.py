@@ -11,12 +11,9 @@ from hypothesis import strategies as st
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 from firmware_protocol.can_frames.transport import CfpReceiver, IsoTpReceiver, IsoTpSender, IsoTpSettings, cfp_frames
 from firmware_protocol.events import empty_events
-from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, decode_block
-from transports.can_bus.carriage import sources
-from transports.can_bus.kind import CanLink
 
 SIZE = (346, 260)
 TELEMETRY, TELECOMMAND, CAPACITY = 0x4A2, 0x522, 1050
@@ -90,21 +87,6 @@ def test_messages_by_isotp_come_back(library, fd, block_size):
     reply = same_isotp(library, frames, block_size)
     assert (reply.counters[0], reply.counters[3]) == (6, 0)
     assert len(reply.events) == 6 * 40
-
-
-@pytest.mark.parametrize(("carriage", "fd"), [("isotp", False), ("isotp", True), ("cfp", False)])
-def test_what_a_links_sources_send_is_read(library, carriage, fd):
-    parameters = CanLink(interface="virtual", carriage=carriage, fd=fd, flow_control=False)
-    instrument = Instrument(SIZE)
-    events = stream(SIZE, 500, 3000, 5, 1000)
-    instrument.offer(events)
-    (source,) = sources(instrument, None, parameters)
-    frames = []
-    while (frame := source.next_frame(1 << 60)) is not None:
-        frames.append(frame)
-        source.left()
-    reply = library("I" if carriage == "isotp" else "F", request(frames), piece=CAPACITY)
-    assert np.array_equal(np.sort(reply.events), np.sort(events))
 
 
 @given(st.data())

@@ -77,12 +77,6 @@ def same_as_python(library, name, data, piece=1 << 20):
 CSP_PAGE = bytes.fromhex("c00100289200000000000001800000 6120626c6f636b cb252902")
 
 
-@pytest.mark.system
-def test_the_csp_packet_of_the_page(library):
-    assert library("Y", CSP_PAGE).counters[:7] == [1, 0, 0, 0, 0, 0, 1]
-    assert library("X", b"\xc0\x00\xdb\xdc" + CSP_PAGE[1:] + b"\xc0").counters[0] == 1
-
-
 def csp_sealed(packet):
     return sealed(bytes(packet))
 
@@ -118,10 +112,6 @@ def test_events_and_edges_by_csp_have_counts_of_their_own(library):
     frames = [profile.wrap(m) for seed in range(5) for m in (events_message(seed, 1000), edges_message(1000))]
     reply = library("X", b"".join(frames[:2] + frames[4:7] + frames[9:]), size=SIZE)
     assert reply.counters[:5] == [6, 0, 0, 1 + 1 + 1, 0]
-
-
-def test_the_packet_of_the_page(library):
-    assert library("P", PAGE).counters[:7] == [1, 0, 0, 0, 0, 0, 1]  # a sound packet, whose payload is no block
 
 
 @pytest.mark.parametrize("name", MODES)

@@ -120,20 +120,6 @@ def test_the_crc_of_can():
     assert crc15(int.from_bytes(b"123456789", "big"), 72) == 0x059E
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 1.0])
-@pytest.mark.parametrize("period_ns", [50_000, 500_000])
-def test_load_is_kept_at_the_share_within_two_percent_of_it(share, period_ns):
-    rates = BitRates(1_000_000)
-    bucket = BusShare(rates, share)
-    frame = Frame(0x1A2, bytes(range(8)))
-    now_ns, end_ns = 0, 1_000_000_000
-    while now_ns < end_ns:
-        while bucket.has_room(now_ns):
-            bucket.spend(frame, now_ns)
-        now_ns += period_ns
-    assert bucket.busy_ns / end_ns == pytest.approx(share, rel=0.02)
-
-
 def test_what_urgent_frames_take_is_missing_for_the_others():
     bucket = BusShare(BitRates(1_000_000), 0.5)
     ordinary, urgent = Frame(0x1A2, bytes(8)), Frame(0x080)

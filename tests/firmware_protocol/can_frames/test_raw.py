@@ -62,26 +62,6 @@ def test_two_events_in_eight_bytes():
     assert list(first) == [0]
 
 
-def test_one_event_says_that_there_is_no_second():
-    data, _ = pack_events(made((7, 0, 0, False)), 1, 0)
-    assert data == [(7 | 127 << 19).to_bytes(8, "little")]
-
-
-@pytest.mark.parametrize(("gap", "frames"), [(126, 1), (127, 2)])
-def test_two_events_share_a_frame_up_to_126_ticks(gap, frames):
-    packed, _ = sent_in_parts(made((500, 1, 2, True), (500 + gap, 3, 4, False)), RawSettings(EVENTS, EPOCH), 1)
-    assert [len(p.events) for p in packed] == [0, *([2] if frames == 1 else [1, 1])]
-
-
-@pytest.mark.parametrize(("gap", "frames"), [(30, 1), (31, 1), ((1 << 19) - 1, 1), (1 << 19, 2)])
-def test_an_fd_frame_skips_up_to_19_bits_of_ticks(gap, frames):
-    events = made((500, 1, 2, True), (500 + gap, 3, 4, False))
-    packed = pack_fd_events(events, 1, 0)
-    assert len(packed) == frames
-    got = [unpack_fd_events(data, 1, 500).events for data, _ in packed]
-    assert np.array_equal(np.concatenate(got), events)
-
-
 def test_an_epoch_frame():
     data = bytes(Epoch(ticks=(1 << 30) + 5, tick_us=100, sent=65_537, dropped=3))
     assert data == (5 | 2 << 30).to_bytes(4, "little") + b"\x01\x00\x03\x00"
@@ -140,18 +120,6 @@ def test_reordered_frames_keep_their_times():
     assert np.array_equal(np.sort(got, order="t"), events)
     assert receiver.counters.lost == 0
     assert receiver.counters.gaps == 3
-
-
-def test_eight_frames_lost_in_a_row_are_found_by_the_counts():
-    events = np.zeros(40, EVENT)
-    events["t"] = np.arange(40) * 50
-    packed, sender = sent_in_parts(events, RawSettings(EVENTS, EPOCH), 1)
-    receiver = RawReceiver(EVENTS, EPOCH)
-    for p in packed[:5] + packed[13:]:
-        receiver.push(p.frame)
-    assert receiver.counters.gaps == 0
-    tell(receiver, sender.epoch(100_000, 0))
-    assert receiver.counters.lost == 16
 
 
 def test_what_was_dropped_before_it_could_be_sent_is_told():

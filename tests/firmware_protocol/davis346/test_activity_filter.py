@@ -82,36 +82,6 @@ def some_events(count=4000, seed=1, start_us=5000, step_us=150, size=(40, 30), c
     return events
 
 
-@pytest.mark.system
-@pytest.mark.parametrize(
-    ("place", "supported"),
-    [
-        ((5, 5), {(dx, dy) for dx in range(4, 8) for dy in range(4, 8)}),  # within its cell: that cell alone
-        ((6, 4), {(dx, dy) for dx in range(4, 8) for dy in range(8)}),  # at its upper side: the cell above too
-        ((7, 7), {(dx, dy) for dx in range(4, 12) for dy in range(4, 12)}),  # at a corner: three others
-        ((0, 0), {(dx, dy) for dx in range(4) for dy in range(4)}),  # in the corner of the array
-    ],
-)
-def test_an_event_passes_where_a_cell_that_it_touches_was_heard(place, supported):
-    passed = set()
-    for x in range(13):
-        for y in range(13):
-            bench = Bench()
-            bench.write({BACKGROUND: 1})
-            sent = events_at((10_000, x, y), (11_000, *place))
-            passed |= {(x, y)} if len(bench.show(sent)) else set()
-    assert passed == supported
-
-
-def test_the_ages_that_pass_are_those_of_the_registers():
-    bench = Bench()
-    bench.write({BACKGROUND: 1, BACKGROUND_TIME: 4, REFRACTORY: 1, REFRACTORY_TIME: 2})
-    times_us = np.cumsum([100_000, 250, 500, 1000, 1250, 499])  # ages in ticks: old, 1, 2, 4, 5, 1 or 2
-    assert bench.show(events_at(*((t, 9, 9) for t in times_us)))["t"].tolist() == [100_750, 101_750]
-    counters = bench.model.counters
-    assert (counters.dropped_background, counters.dropped_refractory) == (2, 2)
-
-
 def test_all_passes_while_the_stamps_are_as_the_power_left_them():
     bench = Bench()
     bench.write({BACKGROUND: 1})

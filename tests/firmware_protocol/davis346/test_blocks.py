@@ -207,18 +207,3 @@ def test_registers_tell_what_the_host_asks_of_frames():
     assert not FrameSettings(*camera.reading_settings(FRAMES)).run
     assert camera.reading_settings(ReadingKind.IMU) == ()
     assert dataclasses.replace(expected, run=True).roi == (10, 0, 345, 100)
-
-
-def test_a_frame_after_a_reset_is_kept_apart_from_those_before():
-    camera, host = running()
-    lines, _ = frame(Layout.UPRIGHT, (0, 0, 3, 3))
-    camera.offer_readings(FRAMES, lines)
-    camera.advance(2000)
-    before = camera.read(2, 8192)
-    camera.sent(before)
-    host.reset_timestamps()
-    camera.offer_readings(FRAMES, frame(Layout.UPRIGHT, (0, 0, 3, 3), start_us=3000)[0])
-    camera.advance(5000)
-    decoded = host.decoder.feed(before.data + host.data())
-    assert len(decoded.frames) == 2
-    assert [one.start_us for one in decoded.since_reset().frames] == [1000]

@@ -10,12 +10,9 @@ from davis_host import RUN, SENSORS, Host, events_of, steady
 from firmware_protocol.davis346 import DAVIS240C, Davis240c, Davis240cSettings, Layout
 from firmware_protocol.davis346.biases import sensor_factors
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.davis346.registers import registers
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.frames import LineKind, line_record
-from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import DescriptorType, Speed
-from firmware_protocol.usb.device import Stall
 from transports.usb.davis_host import Davis240cHost
 from transports.usb.host import StreamSettings
 from transports.usb.loopback import DirectHost
@@ -56,12 +53,6 @@ def test_descriptors_are_those_of_the_published_firmware(speed, packet):
     assert found.find(DescriptorType.DEVICE_QUALIFIER, 0) == bytes.fromhex("0a 06 0002 00 00 00 40 01 00")
     assert found.find(DescriptorType.BOS, 0) is None
     assert found.find(DescriptorType.STRING, 2)[2:].decode("utf-16-le") == "DAViS FX2"
-
-
-def test_there_is_no_debug_endpoint():
-    _, host = running()
-    with pytest.raises(Stall):
-        host.camera.read(1, 64)
 
 
 def test_its_system_registers():
@@ -207,8 +198,3 @@ def test_every_source_runs_with_the_registers_that_drivers_write():
 def test_settings_that_it_cannot_have_are_refused(wrong):
     with pytest.raises(ValueError, match=r"layout must be upright|no filters of activity|imu_unit 2"):
         Davis240cSettings(**wrong)
-
-
-def test_no_register_is_declared_twice():
-    keys = [(r.module, r.address) for r in registers((240, 180), Layout.UPRIGHT, SystemInfo(), model=DAVIS240C)]
-    assert len(set(keys)) == len(keys)

@@ -73,51 +73,16 @@ class Plain:
             self.faults["column_outside"] += 1
 
 
-def test_wraps_honour_their_number_of_steps():
-    _, decoded = decode([0x8005, 0x1001, 0x2001, 0x7003, 0x3002, 0x8001, 0x2003])
-    assert rows(decoded.events) == [(5, 1, 1, False), (98304, 2, 1, True), (98305, 3, 1, False)]
-
-
-def test_a_column_before_any_row_is_in_row_zero():
-    _, decoded = decode([0x8001, 0x3005])
-    assert rows(decoded.events) == [(1, 5, 0, True)]
-
-
 def test_reset_sets_time_to_zero_and_is_reported_between_events():
     _, decoded = decode([0x7001, 0x8005, 0x1002, 0x3001, 0x3002, 0x0001, 0x3003, 0x8001, 0x3004, 0x0001])
     assert rows(decoded.events) == [(32773, 1, 2, True), (32773, 2, 2, True), (0, 3, 2, True), (1, 4, 2, True)]
     assert decoded.resets.tolist() == [2, 4]
 
 
-def test_specials_carry_code_time_and_place():
-    _, decoded = decode([0x8007, 0x0002, 0x1001, 0x2001, 0x8009, 0x0003])
-    assert decoded.specials[["t", "code", "index"]].tolist() == [(7, 2, 0), (9, 3, 1)]
-
-
-def test_a_bad_row_leaves_the_old_one_and_a_bad_column_is_no_event():
-    decoder, decoded = decode([0x8001, 0x1005, 0x1104, 0x2001, 0x215A, 0x2159])
-    assert rows(decoded.events) == [(1, 1, 5, False), (1, 345, 5, False)]
-    assert decoder.faults == WordFaults(row_outside=1, column_outside=1)
-
-
 def test_turned_layout_swaps_back():
     decoder, decoded = decode([0x8001, 0x1159, 0x3103], turned=True)
     assert rows(decoded.events) == [(1, 345, 259, True)]
     assert decoder.faults == WordFaults()
-
-
-def test_repeated_and_falling_times_are_counted_and_used():
-    decoder, decoded = decode([0x8005, 0x1000, 0x2000, 0x8005, 0x2001, 0x8004, 0x2002])
-    assert decoded.events["t"].tolist() == [5, 5, 4]
-    assert decoder.faults.time_not_increasing == 2
-    assert decoder.time_us == 4
-
-
-def test_unknown_words_are_counted_apart():
-    decoder, decoded = decode([0x0000, 0x0006, 0x0020, 0x5400, 0x6400, 0x4123, 0x50FF, 0x6001])
-    assert decoder.faults == WordFaults(unknown_special=3, unknown_misc=2, not_interpreted=3)
-    assert decoder.faults.total == 5
-    assert len(decoded.specials) == 3
 
 
 def test_time_beyond_32_bits():
@@ -156,8 +121,3 @@ def test_blocks_leave_no_seam(seed, monkeypatch):
     assert len(whole.events) > 50
     assert np.array_equal(pieces.events, whole.events)
     assert np.array_equal(pieces.specials, whole.specials)
-
-
-def test_nothing_decodes_to_nothing():
-    decoded = Decoder().feed(b"")
-    assert len(decoded.events) == len(decoded.specials) == len(decoded.resets) == 0

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.events import EVENT
@@ -11,7 +9,6 @@ from transports.usb.davis_host import DavisHost
 from transports.usb.host import StreamSettings
 from transports.usb.loopback import DirectHost
 
-SIZE = (346, 260)
 STATISTICS_HOT = (1, 88)
 
 
@@ -85,16 +82,6 @@ def test_what_passes_is_what_the_rule_lets_pass(name, parts):
     counters = bench.model.counters
     assert counters.not_selected == len(sent) - len(received)
     assert counters.accounted == counters.offered == len(sent)
-
-
-@given(st.lists(st.integers(1, 500), max_size=20), st.integers(0, 9))
-def test_the_skip_filter_does_not_see_how_events_are_cut(cuts, every):
-    sent, bench = some_events(300), Bench()
-    bench.write({51: 1, 52: every})
-    parts = np.split(sent, sorted({cut for cut in cuts if cut < len(sent)}))
-    for part in parts:
-        bench.model.offer(part)
-    assert np.array_equal(bench.show(sent[:0]), by_rule(sent, {51: 1, 52: every}))
 
 
 @pytest.mark.parametrize("layout", Layout)

@@ -58,17 +58,6 @@ def test_the_steps_do_not_matter(cuts, scale):
     assert host.decoded().imu.tobytes() == told.tobytes()
 
 
-def test_a_timestamp_reset_sets_the_time_of_samples_too():
-    camera, host = running()
-    camera.advance(5000)
-    host.reset_timestamps()
-    told = samples(3, start_us=6000)
-    camera.offer_readings(IMU, told)
-    camera.advance(10_000)
-    decoded = host.decoded()
-    assert (decoded.since_reset().imu["t"] - (told["t"] - 5000)).tolist() == [0, 0, 0]
-
-
 def test_without_a_unit_the_register_says_so_and_samples_have_no_use():
     camera, host = running(unit=0)
     assert host.read(3, 0) == 0
@@ -105,17 +94,3 @@ def test_of_those_that_find_no_room_few_wait_and_the_rest_is_dropped():
     camera.advance(20_001)
     assert len(host.decoded().imu) > 0
     assert fates(camera).accounted == 100
-
-
-def test_a_sample_that_waited_is_told_with_the_time_that_the_host_reads():
-    camera, host = running(fifo_bytes=1024)
-    camera.offer_readings(IMU, samples(40, period_us=10))
-    told, read = [], []
-    for now_us in (20_000, 21_000):
-        camera.advance(now_us)
-        transfers = host.transfers()
-        told += [int(one.record["t"][0]) for transfer in transfers for one in transfer.readings]
-        read += [host.decoder.feed(transfer.data).imu["t"] for transfer in transfers]
-    assert told == np.concatenate(read).tolist()
-    assert told[0] == 1000
-    assert told[-1] == 20_000

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import WordEncoder
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.events import EVENT
 from firmware_protocol.fx3.words import MAX_STEPS, SINGLE_WRAPS, WordState, wrap_words
 
 CUTS = st.lists(st.integers(0, 200), max_size=5)
@@ -50,15 +49,6 @@ def test_turned_layout_sends_x_as_row_and_y_as_column():
     assert words_of(events_of((1, 345, 259, True)), size=(346, 260), turned=True) == [0x8001, 0x1159, 0x3103]
 
 
-def test_an_event_at_the_time_of_a_wrap_needs_no_timestamp():
-    assert words_of(events_of((32768, 1, 2, True))) == [0x7001, 0x1002, 0x3001]
-    assert words_of(events_of((3 * 32768 + 1, 1, 2, True))) == [0x7001, 0x7001, 0x7001, 0x8001, 0x1002, 0x3001]
-
-
-def test_an_event_at_time_zero_needs_no_timestamp():
-    assert words_of(events_of((0, 1, 2, False))) == [0x1002, 0x2001]
-
-
 def test_device_time_counts_from_the_epoch():
     assert WordEncoder().encode(events_of((1_000_007, 1, 2, True)), 1_000_000).words.tolist() == [
         0x8007,
@@ -88,16 +78,6 @@ def test_decoding_gives_the_events_back(events, cuts, turned):
     got = np.concatenate([decoder.feed(part).events for part in cut(data, cuts)])
     assert np.array_equal(got, events)
     assert decoder.faults.total == decoder.faults.not_interpreted == 0
-
-
-@given(streams())
-def test_times_in_the_stream_strictly_increase(events):
-    time = 0
-    for word in words_of(events):
-        if word >= 0x7000:
-            new = (time | 0x7FFF) + 1 if word < 0x8000 else time >> 15 << 15 | word & 0x7FFF
-            assert new > time
-            time = new
 
 
 @given(streams(), st.integers(0, 200))
@@ -188,7 +168,3 @@ def test_an_array_beyond_twelve_bits_is_refused(size):
 def test_the_largest_array_fits():
     events = events_of((1, 4095, 4095, True), (1, 0, 4095, False))
     assert words_of(events) == [0x8001, 0x1FFF, 0x3FFF, 0x2000]
-
-
-def test_no_events_make_no_words():
-    assert words_of(np.empty(0, EVENT)) == []

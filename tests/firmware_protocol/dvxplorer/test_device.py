@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from davis_host import OUT, events_of
+from davis_host import events_of
 from dvxplorer_host import MEASURE, RUN, Host, running, scans, scattered
 from dvxplorer_reader import read
 from hypothesis import given
@@ -342,45 +342,9 @@ def test_any_requests_leave_a_camera_that_counts_and_starts_again(requests):
     assert told == [(t - camera.epoch_us, x, y, on) for t, x, y, on in last.tolist()]
 
 
-@pytest.mark.parametrize("address", [0x3000, 0x3067, 0x3200, 0x3204, 0x3206, 0x3301, 0x3303, 0x3307, 0x325E, 0x1C])
-def test_registers_of_the_chip_hold_one_byte(address):
-    _, host = running()
-    host.write(5, address, 0xFFFF_FFFF)
-    assert host.read(5, address) == 0xFF
-    host.write(5, address, 0x100)
-    assert host.read(5, address) == 0
-
-
 @pytest.mark.parametrize(
     ("field", "value"), [("serial", ""), ("size", (346, 260)), ("imu_unit", 2), ("fifo_bytes", 1000), ("pulse_us", 0)]
 )
 def test_settings_that_it_cannot_have(field, value):
     with pytest.raises(ValueError, match=r"serial|640 x 480|imu_unit|small|pulse_us"):
         Dvxplorer(DvxplorerSettings(**{field: value}))
-
-
-def test_events_outside_are_refused_whole():
-    camera, host = running()
-    for bad in (events_of((5, 640, 0, True)), events_of((5, 0, 0, True), (6, 0, 480, True))):
-        with pytest.raises(ValueError, match="outside"):
-            camera.offer(bad)
-    assert camera.counters == Fates()
-    assert host.data() == b""
-
-
-def test_a_flush_keeps_the_stream_readable():
-    camera, host = running()
-    camera.offer(scans(2000))
-    host.decoded(max_bytes=700)
-    camera.offer(scattered(100, start_us=40_000))
-    first = camera.read(2, 301)
-    host.control(OUT, 0xC6, 0, 0) if first is None else camera.sent(first)
-    seen = [] if first is None else host.decoder.feed(first.data).events.tolist()
-    host.control(OUT, 0xC6, 0, 0)
-    later = scattered(100, start_us=41_000)
-    camera.offer(later)
-    seen += host.decoded().events.tolist()
-    assert seen[-100:] == later.tolist()
-    assert host.decoder.faults.total == 0
-    assert camera.counters.flushed > 0
-    assert camera.counters.balanced

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
 from firmware_protocol.events import empty_events
-from firmware_protocol.fx3.words import no_marks
 
 SIZE = (640, 480)
 
@@ -86,17 +85,6 @@ def test_vectors(name):
     rows, expected = VECTORS[name]
     assert words(*rows) == expected
     assert read(np.array(expected, "<u2").tobytes()).events == rows
-
-
-def test_without_compression_each_group_has_its_addresses():
-    rows = [(0, 1, 0, True), (0, 1, 8, True), (0, 1, 8, False)]
-    assert words(*rows, compressed=False) == [0x1801, 0x4000, 0x3001, 0x4001, 0x3001, 0x4001, 0x3101]
-
-
-def test_marks_come_before_events_of_their_time():
-    marks = no_marks(2)
-    marks["t"], marks["code"] = (5, 9), (3, 2)
-    assert words((5, 3, 29, True), marks=marks) == [0x8005, 3, 0x1803, 0x4003, 0x3020, 0x8009, 2]
 
 
 def test_a_long_gap_takes_few_words_and_days_are_refused():
@@ -185,11 +173,3 @@ def test_statistics_of_words():
     encoder.count(encoded.words[:100], encoded.words[100:])
     counted = encoder.groups + encoder.dropped_groups
     assert counted == sum(1 for word in encoded.words.tolist() if word >> 12 in (2, 3))
-
-
-@pytest.mark.parametrize("words", [[0x1001, 0x47FB, 0x20FF], [0x1001, 0x4FC0, 0x20FF], [0x1280, 0x4000, 0x30FF]])
-def test_pixels_of_a_group_or_column_outside_are_no_events(words):
-    own = GroupDecoder()
-    assert len(own.feed(np.array(words, "<u2").tobytes()).events) == 0
-    assert own.faults.row_outside + own.faults.column_outside == 1
-    assert len(own.feed(np.array([0x1001, 0x4000, 0x3001], "<u2").tobytes()).events) == 1

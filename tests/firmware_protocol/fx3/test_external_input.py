@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.device.fates import Counts
-from firmware_protocol.events import EDGE, EdgeKind, empty_edges, empty_events
+from firmware_protocol.events import EDGE, EdgeKind, empty_events
 from firmware_protocol.fx3.words import GENERATOR_FALLING, GENERATOR_RISING, MARK, WordState
 
 RISING, FALLING, PULSE = EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE
@@ -126,16 +126,6 @@ def test_a_pulse_is_told_as_the_registers_want_it(kinds, expected):
     assert balanced(edges)
 
 
-def test_edges_are_told_in_time_order_with_the_events():
-    camera, host = listening(RISING)
-    camera.offer_edges(edges_of((3, RISING), (7, RISING)))
-    camera.offer(steady(10))
-    decoded = host.decoded()
-    assert decoded.edges["t"].tolist() == [3, 7]
-    assert decoded.specials["index"].tolist() == [3, 7]
-    assert np.array_equal(decoded.events, steady(10))
-
-
 def test_a_detector_that_does_not_run_ignores():
     camera, host = listening(RISING)
     host.write(4, 0, 0)
@@ -176,23 +166,6 @@ def test_a_low_pulse_is_told_where_its_polarity_is_chosen():
     camera.offer_edges(edges_of((100, RISING), (200, FALLING), (250, RISING)))
     camera.advance(1000)
     assert told(host) == [(210, PULSE)]
-
-
-def test_a_pulse_is_told_when_time_reaches_its_length():
-    camera, host = listening(PULSE)
-    camera.offer_edges(edges_of((100, RISING)))
-    camera.advance(109)
-    assert told(host) == []
-    assert camera.counters.edges.queued == 1
-    camera.advance(110)
-    assert told(host) == [(110, PULSE)]
-
-
-def test_rising_edges_alone_are_all_told():
-    camera, host = listening(RISING)
-    camera.offer_edges(edges_of((10, RISING), (20, RISING), (30, RISING)))
-    camera.advance(1000)
-    assert told(host) == [(10, RISING), (20, RISING), (30, RISING)]
 
 
 def test_an_edge_of_the_past_is_stamped_now():
@@ -317,22 +290,3 @@ def test_marks_survive_events_that_are_refused():
         camera.offer(events_of((9, 400, 1, True)))
     camera.offer(events_of((9, 40, 1, True)))
     assert told(host) == [(5, RISING)]
-
-
-def test_transfers_carry_edges_and_their_fate():
-    camera, _ = listening(RISING)
-    camera.offer_edges(edges_of((5, RISING), (6, RISING)))
-    camera.offer(steady(10))
-    first = camera.read(2, 16)
-    assert first.edges["t"].tolist() == []
-    second = camera.read(2, 8192)
-    assert second.edges["t"].tolist() == [5, 6]
-    camera.sent(first)
-    camera.lost(second)
-    assert camera.counters.edges == Counts(offered=2, lost_on_link=2)
-
-
-def test_no_edges_are_nothing():
-    camera, _ = listening(RISING)
-    camera.offer_edges(empty_edges())
-    assert camera.counters.edges == Counts()

@@ -60,18 +60,6 @@ def test_events_far_apart_come_all_and_with_single_wraps(gap_us, fifo_bytes):
     assert link.time_without_steps_us() == int(events["t"][-1]) >> 15 << 15
 
 
-def test_no_event_after_the_silence_is_lost_in_it():
-    events = steady(4000, start_us=0, step_us=40_000)
-    link = FreeLink(events, start_delay_us=300_000, fifo_bytes=4096)
-    link.host.write_all(RUN)
-    for _ in range(5000):
-        link.tick()
-        link.read()
-    silent = int(np.count_nonzero(events["t"] < 300_000))
-    counters = link.camera.counters
-    assert (counters.not_running, counters.delivered) == (silent, len(events) - silent)
-
-
 def test_events_run_on_while_nobody_asks_for_them():
     events = steady(4000, start_us=0, step_us=40_000)
     link = FreeLink(events)

@@ -1,6 +1,5 @@
 """A Gen 3.1 between its sensor and its host: identity, gate, window, noise filter, instruments, biases, its life."""
 
-import os
 import struct
 
 import numpy as np
@@ -17,7 +16,6 @@ from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gen31.device import BOARDS, Gen31, Gen31Settings
 from firmware_protocol.usb.device import SetupPacket
 
-REQUESTS = int(os.environ.get("EVSTIM_HOSTILE_REQUESTS", "3000"))
 # As neuromorphic_drivers' source has them (SilkyEvCam); of the EVK3 only the identity is compared by a driver.
 AS_LISTED = {
     "silkyevcam_vga": ("31f7:0002", 0x00, "CenturyArks", "SilkyEvCam Gen3.1 v03.09.00C"),
@@ -187,45 +185,6 @@ class LifeOfGen31(Life):
 
 TestLife = LifeOfGen31.TestCase
 TestLife.settings = settings(stateful_step_count=25, max_examples=30)
-
-ADDRESSES = [*range(0, 0x20, 4), 0x1A0, *range(0x200, 0x250, 4), *range(0x34C, 0x368, 4), *range(0x400, 0x450, 4)]
-ADDRESSES += [*range(0x500, 0x540, 4), *range(0x800, 0x810, 4), 0x1FFC, 0x2000, 3, 0xFFFF_FFFC]
-PROPERTIES = [0x71, 0x72, 0x79, 0x7A, 0x1_0000, 0x1_0001, 0x1_0003, 0x1_0102, 0x4001_0102, 0x55, 0x56, 0x8000_0000]
-
-
-def hostile_request(rng):
-    """A write of registers, with a size or without, mostly; else any property with any payload."""
-    address = int(rng.choice(ADDRESSES))
-    value = (0, 1, 0x2B, 0x300, 0xC_1107, int(rng.integers(1 << 32)), 0xFFFF_FFFF)[int(rng.integers(7))]
-    kind = rng.random()
-    if kind < 0.5:
-        return struct.pack("<III2I", 0x4001_0102, 12, int(rng.integers(3)), address, value)
-    if kind < 0.7:
-        return struct.pack("<3I", 0x56, address, value)
-    if kind < 0.8:
-        return struct.pack("<5I", 0x1_0102, 12, int(rng.integers(3)), address, int(rng.integers(300)))
-    payload = rng.bytes(int(rng.choice([0, 1, 4, 8, 12, 13, 1016])))
-    size = len(payload) if rng.random() < 0.8 else int(rng.integers(1 << 32))
-    return struct.pack("<II", int(rng.choice(PROPERTIES)), size) + payload
-
-
-def test_hostile_requests_harm_nothing():
-    rng, camera = np.random.default_rng(7), Gen31(Gen31Settings(start_delay_us=0, fifo_bytes=4096))
-    host = Host(camera)
-    for k in range(REQUESTS):
-        if k % 100 == 0:
-            host.write(*START)
-        camera.write(2, hostile_request(rng))
-        answer = camera.read(2, 1024)
-        assert 8 <= len(answer.data) <= 1024
-        camera.sent(answer)
-        camera.offer(events_of((100 * k, k % 640, k // 7 % 480, True), (100 * k + 50, k % 640, k // 7 % 480, False)))
-        transfer = camera.read(DATA, 512)
-        if transfer is not None:
-            (camera.sent if k % 5 else camera.lost)(transfer)
-    assert camera.counters.balanced
-    assert camera.counters.offered == 2 * REQUESTS
-    assert camera.counters.delivered > 0
 
 
 def test_a_band_set_while_the_filter_is_on_begins_anew():

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from evt2_words import by_the_tables
-from genx320_host import OPEN, PROMPT, START, STOP, Host, events_of, octets, opened, running
+from genx320_host import PROMPT, START, STOP, Host, events_of, octets, opened, running
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -186,9 +186,3 @@ def test_events_outside_the_array_are_refused():
     for bad in (events_of((10, 320, 0, True)), events_of((10, 0, 320, True))):
         with pytest.raises(ValueError, match="320 x 320"):
             camera.offer(bad)
-
-
-def test_the_whole_opening_is_answered_twice():
-    camera, host = opened()
-    host.write(*START, *STOP, *OPEN)
-    assert not camera.streaming

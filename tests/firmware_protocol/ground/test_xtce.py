@@ -49,11 +49,6 @@ def test_a_packet_is_read_as_it_was_made(definition, sample):
     assert read["error_control"] == binascii.crc_hqx(sample.octets[:-2], 0xFFFF)
 
 
-def test_an_integer_beyond_53_bits_is_exact(definition):
-    read = definition.parse_bytes(SAMPLES[0].octets)
-    assert int(read["HOUSEKEEPING_events_offered"]) == 2**63 + 9
-
-
 def test_another_application_is_not_ours(definition):
     other = bytes([0x0A, 0xB0]) + SAMPLES[0].octets[2:]
     with pytest.raises(UnrecognizedPacketTypeError):

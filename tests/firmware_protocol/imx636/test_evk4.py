@@ -109,19 +109,6 @@ def test_the_buffer_is_bounded():
     assert camera.counters == Fates(offered=1000, dropped_fifo=600, delivered=400)
 
 
-@pytest.mark.parametrize("max_bytes", [2, 3, 64, 512, 1024, 131_072])
-def test_any_size_of_transfer_brings_the_same_words(max_bytes):
-    rng = np.random.default_rng(1)
-    events = np.zeros(5000, events_of((0, 0, 0, False)).dtype)
-    events["t"] = np.sort(rng.integers(0, 9_000_000, 5000))
-    events["x"], events["y"] = rng.integers(0, 1280, 5000), rng.integers(0, 720, 5000)
-    (camera, host), (_, other) = running(), running()
-    camera.offer(events)
-    other.camera.offer(events)
-    assert host.words(max_bytes) == other.words()
-    assert camera.counters == Fates(offered=5000, delivered=5000)
-
-
 def test_the_trigger_input_is_told_when_it_is_on():
     camera, host = running()
     edges = np.zeros(2, EDGE)
@@ -135,52 +122,6 @@ def test_the_trigger_input_is_told_when_it_is_on():
     assert (camera.counters.edges.ignored, camera.counters.edges.delivered) == (2, 2)
 
 
-def test_an_edge_that_comes_late_gets_the_time_told_last():
-    camera, host = running()
-    host.write((0x7004, 1 << 10))
-    camera.offer(events_of((100, 1, 1, True)))
-    host.words()
-    edges = np.zeros(1, EDGE)
-    edges["t"], edges["kind"] = 40, EdgeKind.RISING
-    camera.offer_edges(edges)
-    assert host.words() == [0xA001]
-
-
-def test_an_edge_amid_many_events_comes_at_its_time_in_small_transfers():
-    told = []
-    for max_bytes in (64, 131_072):
-        camera, host = running()
-        host.write((0x7004, 1 << 10))
-        edges = np.zeros(1, EDGE)
-        edges["t"], edges["kind"] = 95, EdgeKind.RISING
-        camera.offer_edges(edges)
-        camera.offer(events_of(*((t_us, t_us, 1, True) for t_us in range(100))))
-        told.append(host.words(max_bytes))
-    assert told[0] == told[1]
-    assert told[0][-11:-9] == [0x605F, 0xA001]
-
-
-def test_an_event_after_two_days_of_nothing_has_its_time():
-    camera, host = running()
-    t_us = 2 * 86_400_000_000 + 5
-    camera.offer(events_of((t_us, 1, 1, True)))
-    words = host.words()
-    assert words[-3:] == [0x6000 | t_us & 0xFFF, 0x0001, 0x2801]
-    highs = np.array([word & 0xFFF for word in words if word >> 12 == 8])
-    assert int((np.diff(highs) % 4096).sum()) == t_us >> 12
-
-
-def test_edges_are_sent_in_the_order_of_their_times():
-    camera, host = running()
-    host.write((0x7004, 1 << 10))
-    for t_us in (100, 90):
-        edges = np.zeros(1, EDGE)
-        edges["t"], edges["kind"] = t_us, EdgeKind.RISING
-        camera.offer_edges(edges)
-    camera.advance(200)
-    assert host.words() == [0x8000, 0x605A, 0xA001, 0x6064, 0xA001]
-
-
 def test_a_transfer_that_is_lost_is_counted():
     camera, _ = running()
     camera.offer(events_of((10, 1, 1, True)))
@@ -189,16 +130,6 @@ def test_a_transfer_that_is_lost_is_counted():
     camera.lost(transfer)
     camera.detached()
     assert camera.counters == Fates(offered=1, lost_on_link=1)
-
-
-def test_biases_are_kept_and_read_back_until_power_on():
-    camera, host = running()
-    assert camera.biases["diff_on"] == 0x66
-    host.write((0x1010, 0x11A1_00D6))
-    assert host.register(0x1010) == 0x11A1_00D6
-    assert camera.biases["diff_on"] == 0xD6
-    camera.attached()
-    assert camera.biases["diff_on"] == 0x66
 
 
 def test_biases_act_until_power_on_and_those_that_do_not_are_told():

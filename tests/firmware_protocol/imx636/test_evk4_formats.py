@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import pytest
 from evk4_requests import DATA, START, Host, events_of
 from evt2_words import by_the_tables
 
@@ -32,15 +31,6 @@ def octets(camera, max_bytes=131_072):
     return pieces
 
 
-def random_events(count, until_us):
-    rng = np.random.default_rng(5)
-    events = np.zeros(count, events_of((0, 0, 0, False)).dtype)
-    events["t"] = np.sort(rng.integers(0, until_us, count))
-    events["x"], events["y"] = rng.integers(0, 1280, count), rng.integers(0, 720, count)
-    events["on"] = rng.random(count) < 0.5
-    return events
-
-
 def test_the_octets_of_some_events():
     camera, _ = running(*EVT21)
     camera.offer(events_of((1_000_000, 64, 100, True), (1_000_000, 67, 100, True), (1_000_003, 64, 100, False)))
@@ -48,18 +38,6 @@ def test_the_octets_of_some_events():
         "00000080 00000000 093d0080 00000000 64000210 09000000 6400c200 01000000"  # time 0 and 1 000 000, ON, OFF
     )
     assert camera.counters == Fates(offered=3, delivered=3)
-
-
-@pytest.mark.parametrize("max_bytes", [8, 9, 15, 64, 1024, 131_072])
-def test_any_size_of_transfer_brings_whole_words_of_every_event(max_bytes):
-    camera, _ = running(*EVT21)
-    events = random_events(3000, 9_000_000)
-    camera.offer(events)
-    pieces = octets(camera, max_bytes)
-    assert {len(piece) % 8 for piece in pieces} == {0}
-    assert max(map(len, pieces)) <= max_bytes
-    np.testing.assert_array_equal(by_the_tables(b"".join(pieces), "evt21-legacy")[0], events)
-    assert camera.counters == Fates(offered=3000, delivered=3000)
 
 
 def test_a_host_without_room_for_a_word_gets_none():
@@ -83,15 +61,6 @@ def test_edges_and_silence_are_in_the_words():
     assert (edges.offered, edges.added, edges.delivered) == (3, 1, 4)
     highs = np.frombuffer(data, "<u4")[::2][-3:] & 0x0FFF_FFFF
     assert highs[-1] == 30_000_000 >> 6  # time high alone carries the time
-
-
-def test_device_time_is_that_of_the_sensor():
-    camera, host = running(*EVT21)
-    host.write((0x0004, 0xF000_5042), (0x9008, 0x644))
-    camera.advance(5_000_000_000)
-    host.write(*START)
-    camera.offer(events_of((5_000_000_007, 3, 4, True)))
-    assert by_the_tables(b"".join(octets(camera)), "evt21-legacy")[0].tolist() == [(7, 3, 4, True)]
 
 
 def test_events_that_wait_are_dropped_when_the_format_changes_amid_a_stream():

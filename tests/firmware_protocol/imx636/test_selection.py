@@ -44,10 +44,6 @@ def sensor():
     return Sensor()
 
 
-def test_everything_passes_at_first(sensor):
-    assert sensor.passing().all()
-
-
 def test_a_pixel_is_masked_by_its_row_or_its_column(sensor):
     sensor.mask(columns=(0, 700, 1279), rows=(1, 719))
     sensor.write((0x0004, ON | KEEP_INSIDE | TAKE_OVER))

@@ -25,19 +25,6 @@ def test_blocks_of_a_busy_stream_are_full():
     assert min(sizes[:-1]) > BLOCK_OCTETS - 24  # a turn of the loop, and the padding of eight octets
 
 
-@pytest.mark.parametrize("step_us", [0, 1, 700, 20_000, 3_000_000])
-def test_events_come_out_as_they_went_in(step_us):
-    host = Host()
-    host.start()
-    events = steady(30_000 if step_us < 1000 else 200, start_us=5, step_us=step_us)
-    host.camera.offer(events)
-    host.camera.advance(int(events["t"][-1]) + 2000)
-    seen, _ = host.collect()
-    assert seen.tobytes() == events.tobytes()
-    counters = host.camera.counters
-    assert (counters.offered, counters.delivered, counters.queued) == (len(events), len(events), 0)
-
-
 def test_time_is_zero_at_the_start_of_the_acquisition():
     host = Host()
     host.camera.advance(123_456_789_000)
@@ -89,18 +76,6 @@ def test_readers_skip_the_reserved_words(reserved, tmp_path):
     assert not reserved or all(len(block) % 8 == 0 for block in data)
     for seen in (Evt3Decoder().decode(b"".join(data))[0], by_evt3(b"".join(data)), by_faery(b"".join(data), tmp_path)):
         assert all((seen[name] == events[name]).all() for name in events.dtype.names)
-
-
-def test_a_silence_is_told_by_blocks_of_time():
-    host = Host()
-    host.start()
-    for second in range(1, 40):
-        host.camera.advance(second * 1_000_000)
-        assert len(host.collect()[0]) == 0
-    host.camera.offer(steady(1, start_us=39_500_000))
-    host.camera.advance(39_600_000)
-    assert host.collect()[0]["t"].tolist() == [39_500_000]
-    assert host.assembly.lost == 0
 
 
 def test_a_silence_is_told_each_second_since_decoders_lose_the_time_after_eight():

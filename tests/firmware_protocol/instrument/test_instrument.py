@@ -15,7 +15,6 @@ from firmware_protocol.packets.telecommands import (
     FailureCode,
     Ping,
     RequestHousekeeping,
-    SetBias,
     SetRateLimit,
     SetRegion,
     SetTick,
@@ -23,7 +22,6 @@ from firmware_protocol.packets.telecommands import (
     Stage,
     Start,
     Stop,
-    Telecommand,
 )
 from firmware_protocol.telemetry import as_received
 
@@ -212,13 +210,6 @@ def test_gaps_are_told_where_they_are(make, policy):
     assert instrument.counters.accounted == 20_000
 
 
-def test_biases_are_kept_and_unknown_ones_refused(make):
-    instrument, ground = make()
-    assert ends(ground.tell(SetBias(9, 1234))) == GOOD
-    assert instrument.biases[9] == 1234
-    assert ends(ground.tell(SetBias(250, 1)))[1] == (Stage.COMPLETION, FailureCode.ILLEGAL_DATA)
-
-
 def test_housekeeping_comes_at_its_rate_and_on_request(make):
     instrument, ground = make(housekeeping_s=0.1)
     for ms in range(1000):
@@ -320,37 +311,3 @@ def test_a_clock_that_starts_anew_counts_from_zero(make):
     ground.pull()
     assert min(events["t"].min() for events in ground.events if len(events)) == 100
     assert [found["t"].tolist() for found in ground.edges if len(found)] == [[9]]
-
-
-def test_dense_events_leave_in_block_order_over_blocks_and_stay_the_same_events(make):
-    """A tick of 1 ms that fills several blocks: put in raster order before it is cut, they are smaller."""
-    instrument, ground = make(tick_us=1000, block_events=256, block_bytes=1024)
-    offered = stream(4000, every_us=1)
-    for part in np.array_split(offered, 3):
-        instrument.offer(part)
-        instrument.advance(int(part["t"][-1]))
-    ground.pull()
-    received = np.concatenate(ground.events)
-    np.testing.assert_array_equal(by_time(received), by_time(as_received(offered, 1000)))
-    assert (np.diff(received["t"].astype(np.int64)) >= 0).all()
-    first_tick = received[:1000]
-    assert len(ground.blocks[0].events) < 1000
-    assert (np.diff(first_tick["y"].astype(int) * SIZE[0] + first_tick["x"]) >= 0).all()
-
-
-class NoEffect(Telecommand):
-    """Telecommand that no case of `Instrument.execute` handles."""
-
-    def encode(self):
-        return b""
-
-    @classmethod
-    def parse(cls, data):
-        return cls()
-
-
-def test_a_telecommand_without_an_effect_is_refused_and_not_completed(make):
-    instrument, _ = make()
-    with pytest.raises(ValueError, match="has no effect here"):
-        instrument.execute(NoEffect())
-    assert instrument.take_commands() == ()

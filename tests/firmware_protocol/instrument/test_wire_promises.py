@@ -8,18 +8,13 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.housekeeping import Housekeeping, TimeStatus
-from firmware_protocol.packets.telecommands import RequestHousekeeping, SetRegion, SetTick, SetTime, Stage, Stop
+from firmware_protocol.packets.telecommands import RequestHousekeeping, SetRegion, SetTick, SetTime, Stop
 
 QUIET = {"housekeeping_s": 0}
 
 
 def ground_of(**more):
     return Ground(Instrument(SIZE, InstrumentSettings(**{**QUIET, **more})))
-
-
-def test_success_is_told_by_acceptance_and_completion_only():
-    ground = ground_of()
-    assert [v.stage for v in ground.tell(SetTick(10))] == [Stage.ACCEPTANCE, Stage.COMPLETION]
 
 
 def test_a_packet_of_events_has_the_time_of_its_first_event():
@@ -78,12 +73,3 @@ def test_the_tick_may_change_while_events_wait():
     (block,) = ground.blocks
     assert block.tick_us == 1
     assert block.events["t"].tolist() == [100, 200, 300, 300, 300, 300, 700, 800, 900]
-
-
-def test_a_tick_that_began_before_the_stream_is_sent():
-    ground = ground_of(tick_us=1000)
-    ground.instrument.set_time(600)
-    ground.instrument.offer(stream(1, start_us=50))
-    ground.pull()
-    assert ground.events[0]["t"].tolist() == [0]
-    assert ground.outgoing[-1].message.t_us == 600 - 600

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from packet_strategies import MESSAGES, TELECOMMANDS, pieces
-from spacepackets.ecss.tm import PusTm
 
 from firmware_protocol.framing import cobs_frame, kiss_frame, sealed
 from firmware_protocol.packets.addresses import Addresses, Message, MessageKind, Received, SequenceFollower
@@ -84,12 +83,6 @@ CSP = "01 00 28 92 00 00 00 00 00 00 01 80 00 00 61 20 62 6c 6f 63 6b cb 25 29 0
 )
 def test_golden_bytes(name, line):
     assert Profile(name).wrap(EVENTS).hex(" ") == line
-
-
-def test_spacepackets_reads_our_telemetry():
-    oracle = PusTm.unpack(Profile("ccsds").wrap(EVENTS), timestamp_len=7)
-    assert (oracle.service, oracle.message_subtype, oracle.apid) == (128, 129, 0x2A1)
-    assert (oracle.timestamp, oracle.source_data) == (bytes.fromhex("00000001800000"), b"a block")
 
 
 @pytest.mark.parametrize("name", PROFILES)

@@ -27,14 +27,3 @@ def test_the_newest_are_kept_in_order(steps):
         waiting += range(put, put + step)
         put, dropped, waiting = put + step, dropped + max(0, len(waiting) - 20), waiting[-20:]
     assert inbox.events_not_taken == inbox.edges_not_taken == dropped
-
-
-def test_what_was_taken_once_is_not_given_again():
-    inbox = Inbox()
-    inbox.put_events(numbered(EVENT, 0, 3))
-    inbox.put_report("pong")
-    assert len(inbox.take_events()) == 3
-    assert inbox.take_reports() == ("pong",)
-    assert len(inbox.take_events()) == 0
-    assert inbox.take_reports() == ()
-    assert inbox.counts == {}

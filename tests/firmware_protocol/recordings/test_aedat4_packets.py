@@ -58,10 +58,14 @@ def test_times_that_go_back_are_kept_and_other_cameras_left_out():
     assert decoder.damage == ""
 
 
-def test_a_time_before_zero_ends_the_packet():
-    decoder = Aedat4Decoder(head())
-    assert len(decoder.decode(0, events_packet([ROWS[0], (999, 1, 1, True), ROWS[1]])).events) == 1
-    assert decoder.damage == "it is damaged: a record has the time -1 us"
+@pytest.mark.parametrize("t_us", [999, 0, -1, -(2**63)])
+def test_a_time_before_zero_ends_the_packet(t_us):
+    for stream, packet in ((0, events_packet([ROWS[0], (t_us, 1, 1, True), ROWS[1]])),
+                           (3, triggers_packet([(1500, 1), (t_us, 2), (1600, 1)]))):  # fmt: skip
+        decoder = Aedat4Decoder(head())
+        part = decoder.decode(stream, packet)
+        assert len(part.events) + len(part.edges) == 1
+        assert decoder.damage == f"it is damaged: a record has the time {t_us - 1000} us"
 
 
 @pytest.mark.parametrize("xml", [b"", b"<dv", b"<dv/>", XML.replace(b"EVTS", b"POSE"), XML.replace(b'"3"', b'"x"')])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import slow_decoder
-from block_strategies import SIZES, TICKS, blocks_of, events_of, in_order, stream, streams
+from block_strategies import TICKS, blocks_of, events_of, in_order, stream, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -49,21 +49,6 @@ def test_the_chosen_mode_is_the_smallest(drawn, tick_us):
         sizes[mode] = len(data)
     same = [mode for mode in MODES if taken[mode] == taken["smallest"]]
     assert sizes["smallest"] == min(sizes[mode] for mode in same)
-
-
-@pytest.mark.parametrize("tick_us", TICKS)
-@pytest.mark.parametrize("mode", MODES)
-def test_one_event(mode, tick_us):
-    for size in SIZES:
-        (data,) = check(size, stream(size, 1, 0, 7, 123_456_789), BlockSettings(tick_us, mode, max_bytes=32))
-        assert len(data) <= 23
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_the_same_pixel_over_and_over(mode):
-    events = events_of(*[(t // 3, 345, 259, t % 2) for t in range(90)])
-    check((346, 260), events, BlockSettings(1, mode))
-    check((346, 260), events, BlockSettings(1000, mode))
 
 
 def test_a_full_picture_at_one_time_is_a_bitmap():
@@ -131,19 +116,6 @@ def test_time_is_completed_by_any_time_within_half_the_range(t_us, off_us):
         assert got == t_us or abs(off_us) == 2**31
 
 
-def test_time_goes_on_over_the_wrap_of_its_low_bits():
-    events = events_of((2**32 - 2, 1, 1, 1), (2**32 + 3, 1, 1, 0))
-    for mode in MODES:
-        data, taken = BlockEncoder((346, 260), BlockSettings(1, mode)).encode(events)
-        assert taken == 2
-        assert np.array_equal(decode_block(data, 2**32).events, events)
-
-
-def test_ticks_are_counted_from_time_zero_of_the_device():
-    data, _ = BlockEncoder((346, 260), BlockSettings(1000)).encode(events_of((1999, 1, 1, 1), (2000, 1, 1, 0)))
-    assert decode_block(data).events["t"].tolist() == [1000, 2000]
-
-
 def test_a_cheap_burst_before_a_dear_tail_fills_a_block_too():
     """The guess of how many events fit is wrong here by a factor of ten, both ways."""
     y, x = np.divmod(np.arange(20_000), 346)
@@ -178,16 +150,6 @@ def test_no_events_make_a_block_that_only_tells_what_was_dropped():
     block = decode_block(data)
     assert (len(data), taken, len(block.events), block.dropped) == (14, 0, 0, 9)
     assert slow_decoder.decode(data)[1] == []
-
-
-def test_a_presorted_stream_makes_smaller_blocks_of_the_same_events():
-    events = stream((346, 260), 20_000, 4000, 5)
-    encoder = BlockEncoder((346, 260), BlockSettings(1000))
-    as_it_came = blocks_of(encoder, events)
-    sorted_first = blocks_of(encoder, as_received(events, 1000))
-    assert sum(len(data) for data, _ in sorted_first) < 0.8 * sum(len(data) for data, _ in as_it_came)
-    got = np.concatenate([decode_block(data).events for data, _ in sorted_first])
-    assert np.array_equal(got, in_order(events, 1000))
 
 
 def test_special_arrays_are_taken_too_without_compiling_again():

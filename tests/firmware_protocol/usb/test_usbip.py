@@ -195,10 +195,6 @@ def test_broken_urbs_say_what_is_wrong(data, says):
         parse(urb_parser(Limits(in_bytes=1000, out_bytes=100)), data)
 
 
-def test_plain_urbs_may_say_minus_one_packets():
-    assert len(parse(urb_parser(), broken_submit(32, -1))) == 1
-
-
 @pytest.mark.parametrize(
     ("data", "says"),
     [

@@ -1,10 +1,9 @@
 """evstim's CAN link on a bus of this machine's kernel, with as many events as the bus takes; no session.
 
-can_load.py CHANNEL EVENTS.npy REPORT.json CAN_LINK PACE
+can_load.py CHANNEL EVENTS.npy REPORT.json CAN_LINK
 
-CAN_LINK is a JSON object with keys of the link's table. PACE "max": stream time waits for the bus, and the program ends
-when all events have left. PACE "real": stream time is that of the clock, events for which the bus has no time are
-dropped, each SYNC triggers the camera, and the program ends when the master stops the camera.
+CAN_LINK is a JSON object with keys of the link's table. Stream time waits for the bus, and the program ends when all
+events have left.
 """
 
 import asyncio
@@ -19,10 +18,7 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
-from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.endpoint import LinkFactory
-from transports.link.feed import Timing
-from transports.link.kind import Wiring
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -30,19 +26,19 @@ from transports.link.rings import FREE_RUNNING, EventRing
 _NO_LOSS = ("offered", "delivered")
 
 
-async def main(channel, events_file, report_file, table, pace):
+async def main(channel, events_file, report_file, table):
     events = np.load(events_file)
-    clock, ring, edges = MonotonicClock(), EventRing(), EdgeRing()
+    clock, ring = MonotonicClock(), EventRing()
     device = partial(Instrument, (346, 260), InstrumentSettings(housekeeping_s=0))
     parameters = CanLink("socketcan", channel, answer_ms=10_000, **json.loads(table))
-    factory = LinkFactory(CanEndpoint, parameters, Wiring(sink=EdgeSink([edges], ring, EdgeTiming())))
-    link = Link(LinkSetup("can", ring, device, factory, timing=Timing(edges=edges)), clock)
+    factory = LinkFactory(CanEndpoint, parameters)
+    link = Link(LinkSetup("can", ring, device, factory), clock)
     await link.endpoint.start()
     begun_ns = clock.now_ns()
-    ring.start(FREE_RUNNING if pace == "max" else begun_ns)
+    ring.start(FREE_RUNNING)
     ring.push(events)
     ring.publish(int(events["t"][-1]) + 1)
-    while not (link.idle if pace == "max" else link.endpoint.state.endswith("stopped")):
+    while not link.idle:
         link.tick()
         await asyncio.sleep(0.0005)
     seconds = (clock.now_ns() - begun_ns) / 1e9

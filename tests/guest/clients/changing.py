@@ -10,9 +10,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from types import ModuleType
+from typing import Any
 
-from collecting import Collector
+from collecting import Collector, arguments
 
 Change = tuple[str, Callable[[], object]]
 Take = Callable[[], object]
@@ -69,3 +72,38 @@ def take_settled(take: Take, collector: Collector, timeout_s: float) -> None:
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline and not (collector.done and collector.counts["frames"] >= FRAMES):
         take()
+
+
+def change_values(client: ModuleType, values: Mapping[str, Iterable[Any]]) -> None:
+    """Open a camera of iniVation's by its client, set values of its setters while all streams run, and read on."""
+    options = arguments()
+    collector = Collector(options)
+    seen = {"discovered": client.discovered()}
+    camera = client.open_camera(options)
+    take_some = partial(client.take, camera, collector, options)
+    while not collector.counts["events"]:
+        take_some()
+    setters = [(name, value) for name, some in values.items() for value in some]
+    changes = ((f"{name} = {value}", partial(getattr(camera, f"set{name}"), value)) for name, value in setters)
+    outcomes = make_changes(changes, take_some, collector)
+    while not collector.done and camera.isRunning():
+        take_some()
+    seen |= {"running": camera.isRunning(), "changes": outcomes}
+    del camera, take_some, changes
+    collector.report(**seen)
+
+
+def change_all(
+    camera: Any, take: Callable[..., object], planned: Iterable[Change], getters: Iterable[Change], collector: Collector
+) -> list[dict[str, object]]:
+    """Change everything of a camera of iniVation's, collect a settled part, and return what came of it."""
+    options = arguments()
+
+    def take_some() -> None:
+        if not camera.isRunning():
+            raise ConnectionError("the camera is gone")
+        take(camera, collector, options)
+
+    outcomes = make_changes(planned, take_some, collector) + look(getters)
+    take_settled(take_some, collector, options.timeout)
+    return outcomes

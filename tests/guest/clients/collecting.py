@@ -1,6 +1,6 @@
 """What the three clients share: their arguments, and the events they collect.
 
-    client.py --count N --timeout S --output FILE.npz [--triggers] [--imu] [--frames] [--packet-ms MS] [--aedat4 FILE]
+    client.py --count N --timeout S --output FILE.npz [--triggers] [--imu] [--frames] [--packet-ms MS]
 
 Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
 microseconds), x, y (uint16) and on (bool). At its first events it makes the empty file FILE.started.
@@ -23,8 +23,6 @@ With --frames it saves frames as frame_t (int64, microseconds) and frames (n, he
 
 With --packet-ms the drivers of iniVation hand events over after so much device time, instead of 10 ms: where a camera
 runs a thousand times faster than real time, their queues of packets would overflow.
-
-With --aedat4 the drivers of iniVation also write what was taken to such a file, see `written_camera`.
 """
 
 from __future__ import annotations
@@ -51,7 +49,6 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--frames", action="store_true", help="keep frames")
     parser.add_argument("--packet-ms", type=int, default=0, help="device time between packets; 0: the driver's own")
     parser.add_argument("--device", default="inivation_davis346", help="camera, by neuromorphic_drivers' name")
-    parser.add_argument("--aedat4", help="what the library's own writer shall write")
     return parser
 
 

@@ -42,7 +42,7 @@ def cycle(client: ModuleType, asked: Namespace) -> float:
     """Open the camera, wait for its streams, close it in the midst of them, and return how long that took, in s."""
     started = time.monotonic()
     options = Namespace(
-        packet_ms=0, count=sys.maxsize, output=Path("/tmp/cycling.npz"), aedat4=None, on=False, until=None, attempts=1,
+        packet_ms=0, count=sys.maxsize, output=Path("/tmp/cycling.npz"), on=False, until=None, attempts=1,
         **vars(asked),
     )  # fmt: skip
     collector = Collector(options)

@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import time
 from datetime import timedelta
 
 import dv_processing as dv
 from collecting import Collector, arguments
-from written_camera import written
+from dv_streams import take, take_all
 
-KINDS = {
-    dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE: 2,
-    dv.TriggerType.EXTERNAL_SIGNAL_FALLING_EDGE: 3,
-    dv.TriggerType.EXTERNAL_SIGNAL_PULSE: 4,
-}
+__all__ = ["discovered", "open_camera", "take"]
 
 
-def collect_triggers(camera: dv.io.camera.DAVIS, collector: Collector) -> None:
-    for trigger in camera.getNextTriggerBatch() or ():
-        if trigger.type in KINDS:
-            collector.add_trigger(trigger.timestamp, KINDS[trigger.type])
-
-
-def collect_imu(camera: dv.io.camera.DAVIS, collector: Collector) -> None:
-    for one in camera.getNextImuBatch() or ():
-        acceleration_g = one.accelerometerX, one.accelerometerY, one.accelerometerZ
-        rate_deg_s = one.gyroscopeX, one.gyroscopeY, one.gyroscopeZ
-        collector.add_imu(one.timestamp, *acceleration_g, one.temperature, *rate_deg_s)
+def discovered() -> list[str]:
+    return [device.serialNumber for device in dv.io.camera.discover()]
 
 
 def open_camera(options: argparse.Namespace) -> dv.io.camera.DAVIS:
@@ -42,36 +28,17 @@ def open_camera(options: argparse.Namespace) -> dv.io.camera.DAVIS:
         camera.setAutoExposure(False)
     if options.packet_ms:
         camera.setTimeInterval(timedelta(milliseconds=options.packet_ms))
-    return written(camera, options)
-
-
-def take(camera: dv.io.camera.DAVIS, collector: Collector, options: argparse.Namespace) -> None:
-    """Take one packet of each stream that is asked for, or wait for a moment."""
-    if hasattr(camera, "getNextTriggerBatch"):  # a DVXplorer Micro has no external input
-        collect_triggers(camera, collector)
-    if options.imu:
-        collect_imu(camera, collector)
-    if options.frames and (frame := camera.getNextFrame()) is not None:
-        collector.add_frame(frame.timestamp, frame.image)
-    batch = camera.getNextEventBatch()
-    if batch is None:
-        time.sleep(0.001)
-        return
-    events = batch.numpy()
-    collector.add(events["timestamp"], events["x"], events["y"], events["polarity"])
+    return camera
 
 
 def main() -> None:
     options = arguments()
     collector = Collector(options)
-    discovered = [device.serialNumber for device in dv.io.camera.discover()]
+    seen: dict[str, object] = {"version": dv.__version__, "discovered": discovered()}
     camera = open_camera(options)
     resolution = camera.getEventResolution()
-    while not collector.done and camera.isRunning():
-        take(camera, collector, options)
-    seen = {
-        "version": dv.__version__,
-        "discovered": discovered,
+    take_all(camera, collector, options)
+    seen |= {
         "name": camera.getCameraName(),
         "serial": camera.getSerialNumber(),
         "resolution": list(resolution),

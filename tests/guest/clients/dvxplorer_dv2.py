@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
+import dv2
 import dv_processing as dv
-from changing import Change, make_changes
-from collecting import Collector, arguments
-from dv2 import open_camera, take
+from changing import change_values
 
 MODEL = dv.io.camera.DVXplorer
 SUB_SAMPLE, FPS, FLATTEN = MODEL.SubSample, MODEL.ReadoutFPS, MODEL.Flatten
@@ -26,28 +23,5 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "GlobalHold": (False, True),
 }
 
-
-def changes(camera: Any) -> Iterator[Change]:
-    for name, values in VALUES.items():
-        for value in values:
-            yield f"{name} = {value}", partial(getattr(camera, f"set{name}"), value)
-
-
-def main() -> None:
-    options = arguments()
-    collector = Collector(options)
-    camera = open_camera(options)
-    take_some = partial(take, camera, collector, options)
-    while not collector.counts["events"]:
-        take_some()
-    outcomes = make_changes(changes(camera), take_some, collector)
-    while not collector.done and camera.isRunning():
-        take_some()
-    discovered = [device.serialNumber for device in dv.io.camera.discover()]
-    seen = {"discovered": discovered, "running": camera.isRunning(), "changes": outcomes}
-    del camera
-    collector.report(**seen)
-
-
 if __name__ == "__main__":
-    main()
+    change_values(dv2, VALUES)

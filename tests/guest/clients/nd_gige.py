@@ -1,15 +1,11 @@
 """neuromorphic_drivers reads a GigE Vision camera: events to a file, and what it noticed, as JSON.
 
-python nd_gige.py ADDRESS EVENTS PACKET_OCTETS OUT.npz [OPENINGS [BUFFER_OCTETS]]
-
-With BUFFER_OCTETS, the driver's sockets get a receive buffer as on a system where that is net.core.rmem_max.
+python nd_gige.py ADDRESS EVENTS PACKET_OCTETS OUT.npz [OPENINGS]
 """
 
 from __future__ import annotations
 
 import json
-import os
-import socket
 import sys
 import time
 
@@ -36,24 +32,11 @@ def opened(address: str, ring: lucid_triton.RingConfiguration, told: lucid_trito
     raise AssertionError
 
 
-def shrink_buffers(octets: int) -> None:
-    """Give all UDP sockets of this process a receive buffer of so many octets; the kernel doubles it."""
-    for name in os.listdir("/proc/self/fd"):
-        try:
-            with socket.socket(fileno=os.dup(int(name))) as one:
-                if (one.family, one.type) == (socket.AF_INET, socket.SOCK_DGRAM):
-                    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, octets)
-        except OSError:  # no socket
-            continue
-
-
-def one_opening(address: str, count: int, octets: int, buffer_octets: int) -> dict[str, object]:
+def one_opening(address: str, count: int, octets: int) -> dict[str, object]:
     """Open, read at least `count` events, close."""
     ring = lucid_triton.RingConfiguration(buffer_length=octets, ring_length=1 << 17)
     parts, seen, dropped, begun_s = [], 0, 0, 0.0
     with opened(address, ring) as camera:
-        if buffer_octets:
-            shrink_buffers(buffer_octets)
         bounds = {str(name): str(value) for name, value in vars(camera.biases_bounds()).items()}
         end_s = time.monotonic() + PATIENCE_S
         for status, packet in camera:
@@ -72,9 +55,8 @@ def one_opening(address: str, count: int, octets: int, buffer_octets: int) -> di
 def main() -> None:
     address, count, octets, out = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
     openings = int(sys.argv[5]) if len(sys.argv) > 5 else 1
-    buffer_octets = int(sys.argv[6]) if len(sys.argv) > 6 else 0
     for number in range(openings):
-        told = one_opening(address, count, octets, buffer_octets)
+        told = one_opening(address, count, octets)
         parts = told.pop("parts")
         if number == openings - 1:
             events = np.concatenate(parts)

@@ -7,7 +7,6 @@ and set back.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from datetime import timedelta
@@ -15,7 +14,7 @@ from functools import partial
 from typing import Any
 
 import dv_processing as dv
-from changing import FAILURES, Change, look, make_changes, take_settled
+from changing import FAILURES, Change, change_all
 from collecting import Collector, arguments
 from dv1 import EXTERNAL_INPUT, open_camera, take
 
@@ -125,24 +124,14 @@ def _again(failure: Exception) -> None:
     raise failure
 
 
-def change_all(options: argparse.Namespace, collector: Collector) -> dict[str, object]:
-    """Change everything, collect a settled part, close the camera, and return what came of it."""
-    camera = open_camera(options)
-
-    def take_some() -> None:
-        if not camera.isRunning():
-            raise ConnectionError("the camera is gone")
-        take(camera, collector, options)
-
-    outcomes = make_changes(changes(camera), take_some, collector) + look(getters(camera))
-    take_settled(take_some, collector, options.timeout)
-    return {"running": camera.isRunning(), "changes": outcomes, "untried": []}
-
-
 def main() -> None:
     options = arguments()
     collector = Collector(options)
-    collector.report(**change_all(options, collector))
+    camera = open_camera(options)
+    outcomes = change_all(camera, take, changes(camera), getters(camera), collector)
+    running = camera.isRunning()
+    del camera
+    collector.report(running=running, changes=outcomes, untried=[])
 
 
 if __name__ == "__main__":

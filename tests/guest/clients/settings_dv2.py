@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import inspect
 from collections.abc import Iterator, Mapping
 from datetime import timedelta
@@ -10,7 +9,7 @@ from functools import partial
 from typing import Any
 
 import dv_processing as dv
-from changing import Change, look, make_changes, take_settled
+from changing import Change, change_all
 from collecting import Collector, arguments
 from dv2 import open_camera, take
 
@@ -91,26 +90,15 @@ def untried(camera: Any, tried: list[str]) -> list[str]:
     return sorted(setters - LOSE_DATA - {name.split("(")[0] for name in tried})
 
 
-def change_all(options: argparse.Namespace, collector: Collector) -> dict[str, object]:
-    """Change everything, collect a settled part, close the camera, and return what came of it."""
-    camera = open_camera(options)
-
-    def take_some() -> None:
-        if not camera.isRunning():
-            raise ConnectionError("the camera is gone")
-        take(camera, collector, options)
-
-    planned = list(changes(camera))
-    outcomes = make_changes(planned, take_some, collector) + look(getters(camera))
-    take_settled(take_some, collector, options.timeout)
-    left = untried(camera, [name for name, _ in planned])
-    return {"running": camera.isRunning(), "changes": outcomes, "untried": left}
-
-
 def main() -> None:
     options = arguments()
     collector = Collector(options)
-    collector.report(**change_all(options, collector))
+    camera = open_camera(options)
+    planned = list(changes(camera))
+    outcomes = change_all(camera, take, planned, getters(camera), collector)
+    seen = {"running": camera.isRunning(), "untried": untried(camera, [name for name, _ in planned])}
+    del camera, planned
+    collector.report(changes=outcomes, **seen)
 
 
 if __name__ == "__main__":

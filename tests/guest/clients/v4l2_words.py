@@ -1,7 +1,8 @@
-"""Feeds the module evstim_v4l2 with words, at once whenever a client has a buffer: v4l2_words.py SENSOR [HOSTILE]
+"""Feeds the module evstim_v4l2 with words, at once whenever a client has a buffer: v4l2_words.py SENSOR PID_FILE
 
-SENSOR is imx636 or genx320. Requests are executed on registers that only store. With HOSTILE, that many messages
-of random octets, kinds and lengths are written in between, and it ends with the number of those that the module took.
+SENSOR is imx636 or genx320. Requests are executed on registers that only store; PID_FILE gets the number of the
+process. With a number in its place, that many messages of random octets, kinds and lengths are written in between, and
+it ends with the number of those that the module took.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import random
 import select
 import struct
 import sys
+from pathlib import Path
 
 from firmware_protocol.genx320 import registers as genx320
 from firmware_protocol.imx636 import registers as imx636
@@ -86,7 +88,8 @@ def attack(sensor: NodeSensor, count: int) -> int:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 2:
+    if sys.argv[2].isdigit():
         print(attack(SENSORS[sys.argv[1]], int(sys.argv[2])))
     else:
+        Path(sys.argv[2]).write_text(str(os.getpid()))
         feed(SENSORS[sys.argv[1]])

@@ -4,7 +4,6 @@ The numbers S1 ... are those of that list.
 """
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -12,15 +11,13 @@ import pytest
 from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import draw
-from laboratory.accuracy.harness import SEED, Case, events, methods, score, truth
-from laboratory.accuracy.scenes import BlurredCheckerboard, ClosedLight, Flash, MovingEdge, SineGrating
-from laboratory.accuracy.scores import compare
+from laboratory.accuracy.harness import SEED, Case, events, methods, score
+from laboratory.accuracy.scenes import BlurredCheckerboard, Flash, MovingEdge, SineGrating
 from laboratory.accuracy.stability import smooth_case
-from laboratory.accuracy.truth import true_events
 from tests.laboratory.accuracy.rows import row
 
 BY_NAME = {method.name: method for method in methods()}
-HERMITE, REFINED_UNSEEN_SHARE, LINE, V2E = (BY_NAME[name] for name in ("hermite", "refined", "line", "v2e"))
+HERMITE, REFINED_UNSEEN_SHARE, LINE = (BY_NAME[name] for name in ("hermite", "refined", "line"))
 
 DT_OVER_TAU = [0.03, 1.0, 10.0]
 
@@ -97,13 +94,6 @@ def test_s7_a_checkerboard_of_a_pixel_a_step_with_refinement(motion_px, sigma_px
     assert scores.t95_us <= 0.012 * 5e3
 
 
-def test_s7_needs_the_halves():
-    case = board(1.0, 0.3, 5e-3)
-    whole, halved = (score(method, case, 5e-3) for method in (HERMITE, REFINED_UNSEEN_SHARE))
-    assert whole.right < halved.right
-    assert whole.t95_us > 2 * halved.t95_us
-
-
 @pytest.mark.parametrize("motion_px", [0.5, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize("name", ["hermite", "line"])
 def test_s8_a_single_edge_keeps_its_sequence(name, motion_px):
@@ -130,12 +120,6 @@ def test_s10_a_flash_at_an_unknown_instant(name, share, step_s):
     assert scores.t95_us <= share * step_s * 1e6
 
 
-def test_s12_the_clamped_filter_shows_its_known_fault():
-    clamped = score(V2E, smooth_case(3.0, 1.0), 1e-3)
-    assert clamped.count > 1.1
-    assert clamped.right < 0.1
-
-
 @pytest.mark.long
 @pytest.mark.system
 def test_s14_leak_alone_for_thirty_days_in_jumps():
@@ -156,34 +140,6 @@ def test_s14_leak_alone_for_thirty_days_in_jumps():
     np.testing.assert_allclose(last, (count - d.phase) / rate_hz, rtol=1e-3)
 
 
-@dataclass(frozen=True)
-class Chords(ClosedLight):
-    """Straight lines in log photocurrent between the values of another light at whole steps."""
-
-    of: ClosedLight | None = None
-    step_s: float = 1e-3
-    dark: float = 1e-4
-
-    def light(self, t):
-        k = np.floor(t / self.step_s + 1e-9)
-        a, b = (np.log(self.of.light(n * self.step_s)[0] + self.dark) for n in (k, k + 1))
-        return np.exp(a + (t / self.step_s - k) * (b - a)) - self.dark, np.full(1, np.nan)
-
-
-@pytest.mark.parametrize(("contrast", "dt_over_tau"), [(0.3, 0.1), (1.0, 1.0), (3.0, 3.0), (10.0, 0.3)])
-def test_a_line_is_right_about_light_that_is_a_line(contrast, dt_over_tau):
-    """With a fixed corner nothing is approximated but what the cheap form is allowed: 1 % of a threshold."""
-    case = smooth_case(contrast, dt_over_tau)
-    stream, _ = events(LINE, case, 1e-3)
-    scene = Chords(pixels=case.scene.pixels, of=case.scene)
-    of_chords = true_events(scene, case.parameters, SEED, case.duration_s)
-    scores = compare(stream, of_chords)
-    assert scores.right >= 0.97
-    assert scores.t50_us < 1
-    assert scores.t95_us < 6
-    assert scores.t95_us < compare(of_chords, truth(case)).t95_us
-
-
 @pytest.mark.parametrize("name", ["hermite", "line"])
 def test_thirty_days_change_nothing(name):
     now = slow_sine()
@@ -191,3 +147,22 @@ def test_thirty_days_change_nothing(name):
     one, other = (events(BY_NAME[name], case, 1e-3)[0] for case in (now, later))
     np.testing.assert_array_equal(one.on, other.on)
     np.testing.assert_allclose(one.t_us, other.t_us, atol=1e-3, rtol=0)
+
+
+def test_a_signal_that_comes_back_fires_as_often_down_as_up_and_rests_in_between():
+    """Levels are those stored, never recomputed from counts: what went up by n events comes down by n."""
+    p = row(20, mismatch=0.0, leak_hz=0.0, corner_hz_at_reference=2e3, corner_min_hz=2e3, corner_max_hz=2e3)
+    ours, on, off = PixelArray(p, 3), 0, 0
+    ours.reset(LightFrame(0, np.ones((1, 20), np.float32)))
+    t_ns = 0
+    for k in range(60):
+        light = np.full((1, 20), 1.0 if k % 2 else 1.9, np.float32)
+        for t_ms in (1, 5):
+            moved = ours.step(LightFrame(t_ns + t_ms * 1_000_000, light))
+            on, off = on + int(moved.on.sum()), off + int((~moved.on).sum())
+        rest = ours.step(LightFrame(t_ns + 6 * 1_000_000, light))
+        assert len(rest) == 0
+        t_ns += 6 * 1_000_000
+    # Each pixel comes down to within a threshold of where it started.
+    assert 0 <= on - off <= 20
+    assert off >= 20 * 30 * 2

@@ -29,12 +29,3 @@ def test_a_lean_to_the_second_half_is_found():
     phase = np.where(rng.random(100_000) < 0.6, rng.uniform(0.5, 1, 100_000), rng.uniform(0, 0.5, 100_000))
     comb = comb_of((rng.integers(0, 200, 100_000) + phase) * STEP_US, STEP_US)
     assert comb.second_half == pytest.approx(0.5, abs=0.05)
-
-
-def test_a_rate_that_changes_slowly_is_no_line():
-    t = np.random.default_rng(4).triangular(0, 200 * STEP_US, 200 * STEP_US, 200_000)
-    assert comb_of(t, STEP_US).line < 20
-
-
-def test_no_events_have_no_trace():
-    assert np.isnan(comb_of([], STEP_US).line)

@@ -12,7 +12,6 @@ from laboratory.accuracy.scores import (
     Stream,
     compare,
     compare_samples,
-    same_time_share,
 )
 
 TRUTH = Stream.of([10, 20, 30, 15], [0, 0, 0, 1], [True, True, False, True], 3)
@@ -58,12 +57,6 @@ def test_a_silent_sensor():
     assert math.isnan(score.earth_mover_us)
 
 
-def test_nothing_against_nothing_has_no_score():
-    nothing = Stream.of([], [], [], 3)
-    score = compare(nothing, nothing)
-    assert all(math.isnan(x) for x in (score.right, score.count, score.wrong_events))
-
-
 @pytest.mark.parametrize(
     ("on", "wrong", "right"),
     [
@@ -90,17 +83,6 @@ def test_an_event_at_a_silent_pixel_makes_it_active_and_wrong():
 def test_the_earth_mover_takes_each_train_as_mass_one():
     two, one = Stream.of([0, 10], [0, 0], [True, True], 1), Stream.of([4], [0], [True], 1)
     assert compare(two, one).earth_mover_us == pytest.approx(0.5 * 4 + 0.5 * 6)
-
-
-def test_same_time():
-    assert same_time_share([1, 1, 2, 3]) == 0.5
-    assert same_time_share([1, 2, 3]) == 0
-    assert math.isnan(same_time_share([]))
-
-
-def test_streams_must_be_of_the_same_pixels():
-    with pytest.raises(ValueError, match="pixels"):
-        compare(TRUTH, Stream.of([], [], [], 4))
 
 
 trains = st.lists(st.tuples(st.integers(0, 50), st.integers(0, 3), st.booleans()), max_size=40)

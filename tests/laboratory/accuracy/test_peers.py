@@ -1,7 +1,5 @@
 """Other simulators on closed-form scenes: ideal pixels, files, the worker, its failures, scores and the page."""
 
-import ast
-import dataclasses
 import json
 import re
 import sys
@@ -13,19 +11,14 @@ from scipy.special import ndtri
 
 from emulator.cli.app import _main
 from laboratory.accuracy.peers import running, worker
-from laboratory.accuracy.peers.page import BEGIN, END, markdown, read_results, table, write_page
+from laboratory.accuracy.peers.page import BEGIN, END
 from laboratory.accuracy.peers.running import BUNDLED, OURS, Adapter, run_adapter
 from laboratory.accuracy.peers.scoring import (
-    FrameTime,
-    Report,
-    SequenceScore,
     read_events,
-    read_report,
     score_events,
-    write_report,
 )
-from laboratory.accuracy.peers.sequences import SCENES, TIMING, FolderError, export, open_folder
-from laboratory.accuracy.scenes import Dark, Faded, Flash, MovingEdge, SlowRamp
+from laboratory.accuracy.peers.sequences import SCENES, FolderError, export, open_folder
+from laboratory.accuracy.scenes import Dark, Flash, MovingEdge, SlowRamp
 from laboratory.accuracy.truth import ideal_events
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -62,28 +55,6 @@ def test_ideal_pixels_at_an_edge_fire_where_its_formula_has_the_levels():
 def test_light_without_ideal_events_is_refused(scene, thresholds, words):
     with pytest.raises(ValueError, match=words):
         ideal_events(scene, *thresholds, 0.1)
-
-
-def test_a_faded_scene_starts_below_itself_and_has_its_own_derivative():
-    inner = MovingEdge(pixels=6)
-    faded = Faded(6, inner, 0.2, 0.04)
-    below = np.log(inner.value(0.0) / faded.value(0.0))
-    assert below.min() >= 0.02
-    assert below.max() <= 0.18
-    assert np.unique(below).size == 6
-    assert faded.value(0.05) == pytest.approx(inner.value(0.05), rel=1e-12)
-    t, h = np.linspace(0.001, 0.3, 50), 1e-7
-    assert faded.rate(t) == pytest.approx((faded.value(t + h) - faded.value(t - h)) / (2 * h), abs=1e-5)
-    with pytest.raises(ValueError, match="must be the 6 of the scene"):
-        Faded(5, inner)
-
-
-@pytest.mark.parametrize("name", [*SCENES, *TIMING])
-def test_scenes_stay_where_eight_bits_are_a_logarithm(name):
-    scene = (SCENES | TIMING)[name]
-    light = scene.light.value(np.linspace(0, scene.duration_s, 200))
-    assert light.max() <= 1
-    assert 255 * light.min() > 20
 
 
 @pytest.fixture(scope="module")
@@ -138,26 +109,11 @@ def run(adapter, folder, out, names=("edge-1000", "ramp-1000"), limit_s=LIMIT_S)
     return outcome
 
 
-def test_the_worker_and_the_adapters_need_numpy_and_the_simulator_alone():
-    for file in (running._WORKER, running._ADAPTERS):
-        tree = ast.parse(file.read_text())
-        nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
-        named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-        named |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
-        roots = {name.partition(".")[0] for name in named}
-        assert roots - set(sys.stdlib_module_names) == {"numpy"}
-
-
 def test_every_bundled_simulator_has_an_adapter():
     for name in (*BUNDLED, *OURS):
         made = worker.load_adapter(f"{running._ADAPTERS}:{name}")
         assert callable(made.step)
         assert made.name
-
-
-def test_an_example_of_twenty_lines():
-    lines = [line for line in example().splitlines() if line.strip() and not line.startswith("import")]
-    assert len(lines) <= 20
 
 
 @pytest.mark.system
@@ -209,6 +165,7 @@ class Peer:
 """
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("how", BAD)
 def test_a_simulator_that_fails_is_reported_and_the_run_goes_on(how, folder, tmp_path):
@@ -228,37 +185,6 @@ def test_a_simulator_that_does_not_end_is_stopped(folder, tmp_path):
     assert read_events(tmp_path, "ramp-1000").t_us.size == 0
 
 
-@pytest.mark.system
-def test_after_three_lost_processes_the_rest_is_not_run(folder, tmp_path):
-    names = [f"edge-{k}" for k in range(5)]
-    described = json.loads((folder.path / "sequences.json").read_text())
-    described["sequences"] = dict.fromkeys(names, described["sequences"]["edge-1000"])
-    (tmp_path / "sequences.json").write_text(json.dumps(described))
-    for name in names:
-        (tmp_path / f"{name}.npz").symlink_to(folder.path / "edge-1000.npz")
-    crashing = dataclasses.replace(adapter_of(tmp_path, PEER.format(BAD["crashes"][0])))
-    outcome = run(crashing, dataclasses.replace(folder, path=tmp_path), tmp_path, names)
-    assert [outcome.failures[name].startswith("ended by SIGSEGV") for name in names] == [True] * 3 + [False] * 2
-    assert outcome.failures["edge-4"].startswith("not run, as 3 processes were lost")
-
-
-@pytest.mark.system
-def test_an_adapter_that_cannot_be_loaded_fails_every_sequence(folder, tmp_path):
-    outcome = run(adapter_of(tmp_path, "import no_such_module"), folder, tmp_path)
-    assert set(outcome.failures) == {"edge-1000", "ramp-1000"}
-    assert "No module named 'no_such_module'" in outcome.failures["ramp-1000"]
-
-
-@pytest.mark.parametrize(
-    ("place", "words"), [("adapter.py", "FILE.py:NAME"), ("none.py:Peer", "no such file"), ("{}:Other", "has no Other")]
-)
-def test_the_place_of_an_adapter(place, words, tmp_path):
-    file = tmp_path / "adapter.py"
-    file.write_text("class Peer: pass")
-    with pytest.raises(ValueError, match=words):
-        worker.load_adapter(place.format(file))
-
-
 class Film:
     """A simulator that returns everything at the end."""
 
@@ -275,14 +201,6 @@ def test_a_simulator_of_whole_films_returns_its_events_at_the_end():
     assert found["on"].tolist() == [True, False]
     assert found["frame"].tolist() == [4, 4]
     assert found["cpu_ns"].size == 4
-
-
-def test_a_simulator_that_floods_is_stopped(monkeypatch):
-    monkeypatch.setattr(worker, "MOST_EVENTS", 3)
-    flood = Film()
-    flood.step = lambda frame: ([1.0, 2.0], [0, 1], [0, 0], [1, -1])
-    with pytest.raises(OverflowError, match="more than 3 events"):
-        worker.run_sequence(flood, (worker.Frame(k, np.ones((2, 2)), None) for k in range(4)))
 
 
 def events_of(folder, name, **changed):
@@ -329,63 +247,6 @@ def test_a_table_of_text_is_read_with_and_without_a_heading(tmp_path):
         assert (found.x.tolist(), found.y.tolist(), found.on.tolist()) == ([2, 0], [3, 1], [True, False])
     (tmp_path / "c.csv").write_text("")
     assert read_events(tmp_path, "c").t_us.size == 0
-
-
-def report(name, t50_us, failure=""):
-    good = SequenceScore("edge-1000", "edge", 1000.0, 10, 10, 1.0, t50_us, 2 * t50_us, 0.0, 0.01)
-    other = dataclasses.replace(good, sequence="edge-100", images_per_s=100.0, right=0.5)
-    failed = SequenceScore("line-1000", "line", 1000.0, failure=failure)
-    frames = {"busy-1000": FrameTime(1000, 4.0, 2.0, 500.0)}
-    about = {
-        "name": name,
-        "version": "1 | 2",
-        "date": "2026-01-02",
-        "takes": "8 bits",
-        "notes": "made | up",
-        "device": "",
-    }
-    return Report(about, "2026-01-03", "a machine", (good, other, *([failed] if failure else [])), frames)
-
-
-def test_results_come_together_in_one_table_and_page(tmp_path):
-    (tmp_path / "results").mkdir()
-    for one in (report("far", 500.0, "it did not end"), report("near", 0.01)):
-        assert read_report(write_report(one, tmp_path / "results" / f"{one.name}.json")) == one
-    reports = read_results(tmp_path)
-    assert [one.name for one in reports] == ["near", "far"]
-    rows = table(reports)
-    assert [(row["simulator"], row["images_per_s"], row["scenes"]) for row in rows] == [
-        ("near", 100, "1 of 1"), ("near", 1000, "1 of 1"), ("far", 100, "1 of 1"), ("far", 1000, "1 of 2"),
-    ]  # fmt: skip
-    assert [row["mpx_per_s"] for row in rows[:2]] == [None, 500]
-    text = markdown(reports, "pictures/simulators.png")
-    assert "|near|100 / 1000|50 / 100|0.01 / 0.01|0.02 / 0.02|0 / 0|1 / 1|1 of 1 / 1 of 1|– / 500|" in text
-    assert "- **far**: made | up; no scores for line-1000: it did not end." in text
-    files = write_page(reports, tmp_path)
-    assert all(file.stat().st_size for file in files)
-    assert "it did not end" in files[0].read_text()
-    (tmp_path / "results" / "bad.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"bad\.json"):
-        read_results(tmp_path)
-
-
-def test_a_page_without_costs_has_no_chart(tmp_path):
-    uncosted = dataclasses.replace(report("by files", 1.0), frame_times={})
-    assert {file.suffix for file in write_page([uncosted], tmp_path)} == {".html", ".csv", ".json"}
-    hopeless = report("hopeless", 1.0, "it did not end")
-    hopeless = dataclasses.replace(hopeless, scores=hopeless.scores[2:])
-    assert ".png" in {file.suffix for file in write_page([hopeless], tmp_path)}
-    assert "|hopeless|1000|–|–|–|–|–|0 of 1|500|" in markdown([hopeless], None)
-
-
-def test_the_page_has_the_section_that_the_command_writes():
-    _, begin, rest = (DOCS / "accuracy.md").read_text().partition(BEGIN)
-    section, end, _ = rest.partition(END)
-    assert begin
-    assert end
-    for name in ("evstim", "evstim, refined", "evstim, frames alone", "v2e", "OpenEB", "IEBCS"):
-        assert f"|{name}|100 / 1000 / 10000|" in section
-    assert "Measured 20" in section
 
 
 @pytest.mark.system

@@ -6,13 +6,12 @@ import pytest
 
 from emulator.rig.loading import load_rig
 from laboratory.accuracy import rendering
-from laboratory.accuracy.rendering import SETTINGS, Drawn, Setting, Stretch, fits, rendering_rows, rows_of
-from laboratory.accuracy.report import reading_of_rendering, write_rendering
+from laboratory.accuracy.rendering import SETTINGS, Setting, Stretch, fits, rendering_rows
 
 
 def small(name):
     rig = load_rig(name)
-    sensor = dataclasses.replace(rig.camera.sensor, width=96, height=72)
+    sensor = dataclasses.replace(rig.camera.sensor, width=64, height=48)
     return dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
 
 
@@ -46,22 +45,3 @@ def test_few_samples_make_many_wrong_events(monkeypatch, gl):
 def test_scenes_without_bodies_have_no_place_on_it():
     assert not fits(load_rig("stars"))
     assert fits(load_rig("eros"))
-
-
-def test_rows_are_counted_before_they_are_made():
-    """Malapert is looked at in five stretches, or in the one that is asked for; a flyover's window has its own rows."""
-    malapert = load_rig("malapert")
-    assert rows_of([malapert]) == 5 * rows_of([malapert], Stretch(20.0)) == 5 * len(rendering.TERRAIN_SETTINGS)
-    assert rows_of([load_rig("eros-flyover")], as_shipped=True) == 2
-
-
-def test_it_is_written_for_people_and_programs(tmp_path):
-    shown = [
-        Drawn("a", "exact", 3.0, 0.1, 0.05, 0.2, 2.0, 0.05, 3.0, 1000),
-        Drawn("a", "GL", 9.0, 0.0, 0.0, 0.1, 1.0, 0.17, 800.0, 1000),
-    ]
-    files = write_rendering(shown, tmp_path)
-    assert {path.suffix for path in files} == {".html", ".csv", ".json", ".svg", ".png"}
-    assert all(path.stat().st_size > 50 for path in files)
-    (said,) = reading_of_rendering(shown)
-    assert "exact 15.0 % in 3.0 ms" in said

@@ -11,7 +11,6 @@ from laboratory.methods.other_simulators import (
     OTHER_SIMULATORS,
     RAW_CHANNELS,
     Esim,
-    FrameDifference,
     Pangu,
     Sikorski,
     V2e,
@@ -110,53 +109,12 @@ def test_the_mixing_factor_is_clamped_in_v2e_and_exact_in_held():
     assert slow._v[0] == pytest.approx(0.1 * 2 * math.pi * 10 * math.exp(0.1) * 1e-3, rel=1e-5)
 
 
-def test_v2e_defers_events_of_a_refractory_period():
-    """A step of four thresholds: an event in each step that the period lets through, long after the light stands."""
-    rule = started(V2e(ideal(1, refractory_us=1500.0), 3), 0.0)
-    found = [listed(rule.step(LightFrame(k * MS, picture(0.81)))) for k in range(1, 12)]
-    times = [t for step in found for t, _, _ in step]
-    assert len(times) == 4
-    assert times[-1] >= 5 * MS
-
-
 def test_pangu_carries_over_what_the_floor_leaves():
     rule = started(Pangu(ideal(1), 3), 0.0)
     assert len(rule.step(LightFrame(MS, picture(0.35)))) == 1
     assert rule._r[0] == pytest.approx(0.2)
     assert len(rule.step(LightFrame(2 * MS, picture(0.45)))) == 1
     assert len(rule.step(LightFrame(3 * MS, picture(0.15)))) == 1  # 0.25 below 0.4
-
-
-def test_pangu_draws_each_event_within_its_slot():
-    rule = started(Pangu(ideal(3000), 3), *[0.0] * 3000)
-    crossings = rule.step(LightFrame(MS, picture(*[0.5] * 3000)))
-    order = np.lexsort((crossings.t_ns, crossings.pixel))
-    share = crossings.t_ns[order].reshape(3000, 2) / MS
-    for slot in range(2):
-        within = share[:, slot] * 2 - slot
-        assert within.min() >= 0
-        assert within.max() <= 1
-        assert np.mean(within) == pytest.approx(0.5, abs=0.02)
-        assert np.var(within) == pytest.approx(1 / 12, rel=0.05)
-
-
-def test_pangu_draws_by_pixel_and_event_and_by_nothing_else():
-    def times(split):
-        rule = started(Pangu(ideal(2), 3), 0.0, 0.0)
-        light = iter([(0.25, 0.0), (0.25, 0.25), (0.5, 0.25)])
-        found = []
-        for k, (a, b) in enumerate(light, 1):
-            c = rule.step(LightFrame(k * MS, picture(a, b if not split else 0.0)))
-            found += [(t, on) for t, p, on in listed(c) if p == 0]
-        return found
-
-    assert times(False) == times(True)
-
-
-def test_pangu_draws_anew_for_each_event_of_a_pixel():
-    rule = started(Pangu(ideal(1), 3), 0.0)
-    shares = {int(rule.step(LightFrame(k * MS, picture(0.21 * k))).t_ns[0]) % MS for k in range(1, 9)}
-    assert len(shares) == 8
 
 
 @pytest.mark.parametrize(
@@ -173,16 +131,6 @@ def test_pangu_draws_anew_for_each_event_of_a_pixel():
 def test_pangu_counts_periods_of_reset_and_event(refractory_us, counts):
     rule = started(Pangu(ideal(1, refractory_us=refractory_us), 3), 0.0)
     assert len(rule.step(LightFrame(MS, picture(1.0 + 1e-5)))) == counts
-
-
-def test_pangu_follows_the_light_while_it_is_in_reset():
-    rule = started(Pangu(ideal(1, refractory_us=2500.0), 3), 0.0)
-    assert len(rule.step(LightFrame(MS, picture(0.4)))) == 1  # at 0.5 ms; reset until 3 ms
-    for k, level in ((2, 0.9), (3, 1.4)):
-        assert len(rule.step(LightFrame(k * MS, picture(level)))) == 0
-        assert rule._r[0] == pytest.approx(level, abs=1e-6)
-    assert len(rule.step(LightFrame(4 * MS, picture(1.55)))) == 0
-    assert len(rule.step(LightFrame(5 * MS, picture(1.65)))) == 1
 
 
 def test_the_raw_event_image_tells_what_the_step_did():
@@ -210,23 +158,9 @@ def test_a_straight_line_has_exact_times():
         np.testing.assert_allclose([t for t, _, _ in found], [0.4 * MS, 2 / 3 * MS, 0.8 * MS], atol=5)
 
 
-def test_esim_is_deaf_where_a_line_begins_at_a_level_and_sikorski_is_not():
-    for kind, events in ((Sikorski, 1), (Esim, 0)):
-        rule = started(kind(ideal(1), 3), 0.0)
-        rule._r[0] = -0.2
-        rule._u[0] = rule._r[0] + rule._drawn.on[0]
-        assert len(rule.step(LightFrame(MS, picture(0.1)))) == events
-
-
 def test_a_latency_swallows_crossings_and_the_reference_moves_on():
     for kind in (Sikorski, Esim):
         rule = started(kind(ideal(1, refractory_us=500.0), 3), 0.0)
         found = listed(rule.step(LightFrame(MS, picture(1.0 + 1e-5))))
         np.testing.assert_allclose([t for t, _, _ in found], [0.2 * MS, 0.8 * MS], atol=20)
         assert rule._r[0] == pytest.approx(1.0)
-
-
-def test_a_difference_of_pictures_forgets():
-    rule = started(FrameDifference(ideal(1), 3), 0.0)
-    assert sum(len(rule.step(LightFrame(k * MS, picture(0.15 * k)))) for k in range(1, 20)) == 0
-    assert len(rule.step(LightFrame(20 * MS, picture(0.15 * 19 + 0.41)))) == 2

@@ -12,7 +12,6 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.table import Heightmap, TerrainParameters
 from emulator.trajectory.parameters import FixedPath
-from laboratory.accuracy import sampled_scenes
 from laboratory.accuracy.sampled_scenes import SampledBodies, SampledTerrain, _first_hit, _peaks
 
 CAMERA = Pinhole(64, 48, 100.0)
@@ -96,40 +95,6 @@ def test_a_penumbra_is_as_wide_as_the_sun(shapes):
     assert np.abs(seen[14:34] - truth).max() < 0.06
 
 
-LOW_SUN = np.array([-math.cos(math.radians(8)), 0.0, -math.sin(math.radians(8))])
-GLOBE, SATELLITE_M = np.array([0.0, 0.0, 5.0]), 0.012
-
-
-def light_of_a_globe(rays, satellite):
-    """Return the light of a ball of radius 1 without and with a satellite's shadow, by the closed form of balls."""
-    half = rays @ GLOBE
-    places = rays * (half - np.sqrt(half**2 - GLOBE @ GLOBE + 1))[:, None] - GLOBE
-    away = satellite - GLOBE - places
-    hidden = (away**2).sum(axis=1) - (away @ LOW_SUN) ** 2 < SATELLITE_M**2
-    unshadowed = np.maximum(places @ LOW_SUN, 0.0)
-    return unshadowed, np.where(hidden, 0.0, unshadowed)
-
-
-def test_a_shadow_on_a_curved_surface_under_a_low_sun_ends_in_its_place(shapes):
-    """Rays that start at .02 of a side, not at .002, end the shadow 0.27 px, not 0.04 px, too early."""
-    satellite = GLOBE + 1.02 * np.array([-0.1, 0.0, -math.sqrt(1 - 0.1**2)])
-    bodies = (
-        body(shapes / "globe.obj", tuple(GLOBE)),
-        body(shapes / "ball.obj", tuple(satellite), units_m=SATELLITE_M / RADIUS_M),
-    )
-    parameters = BodiesParameters(bodies=bodies, sun=Sun(tuple(LOW_SUN), 100.0), detail_px=0.0)
-    seen = light(SampledBodies(parameters, Pinhole(96, 32, 1000.0), 16)) / (parameters.sun.irradiance_w_m2 / math.pi)
-    columns, rows = np.meshgrid(np.arange(-48, 48, 0.1) + 0.05, np.arange(-16, 16, 0.1) + 0.05)
-    rays = np.stack([columns, rows, np.full_like(columns, 1000.0)], axis=-1).reshape(-1, 3)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    lit, truth = (f.reshape(32, 10, 96, 10).mean(axis=(1, 3)) for f in light_of_a_globe(rays, satellite))
-    across = slice(13, 19), slice(35, 80)  # the shadow, right of the satellite and left of the terminator
-    dark = 1 - np.stack([seen[across], truth[across]]) / lit[across]
-    assert (dark.sum(axis=(1, 2)) > 150).all()
-    middle, true_middle = (dark * np.arange(45)).sum(axis=2) / dark.sum(axis=2)
-    assert np.abs(middle - true_middle).max() < 0.1
-
-
 def test_a_flat_body_covers_the_share_of_pixels_that_it_covers(shapes):
     for z, dark in ((2.1, 0.0), (3.0, 1.0)):
         lit = body(shapes / "brick.obj", (0.1, 0.05, z), smooth=False)
@@ -164,24 +129,6 @@ def test_no_place_on_the_night_side_is_lit(shapes):
     assert not seen[inner].any()
 
 
-def test_rays_start_near_enough_to_the_surface_and_facets_are_small_enough(shapes, monkeypatch):
-    """Light of a rough ball at .002 of a side, with 16 facets for each, is that of higher starts and of 64 facets."""
-    ball = BodyTable(shape=str(shapes / "rough.obj"), path=FixedPath((0.0, 0.0, 5.0)), reflectance=Lambert(0.3))
-    parameters, frames = BodiesParameters(bodies=(ball,), detail_px=0.0, sun=Sun((0.9, -0.3, -0.3))), {}
-    monkeypatch.setattr(sampled_scenes, "_SIDES_A_PIXEL", 0.0)
-    for lift, cuts in ((0.002, 8), (0.005, 8), (0.002, 4), (0.25, 4), (0.002, 1)):
-        monkeypatch.setattr(sampled_scenes, "_LIFT", lift)
-        monkeypatch.setattr(sampled_scenes, "_LEAST_CUTS", cuts)
-        frames[lift, cuts] = light(SampledBodies(parameters, SMALL))
-    finest = frames[0.002, 8]
-    off = {key: np.sqrt(((frame - finest)[finest > 0] ** 2).mean()) / finest[finest > 0].mean()
-           for key, frame in frames.items()}  # fmt: skip
-    assert off[0.005, 8] < 0.025
-    assert off[0.002, 4] < 0.035
-    assert off[0.25, 4] > 2 * off[0.002, 4]
-    assert off[0.002, 1] > 2 * off[0.002, 4]
-
-
 def step_ground(tmp_path, sun_au):
     """Return the light of level ground east of a plateau 20 m high under a Sun in the west, 20 degrees high."""
     columns = np.arange(257) - 128
@@ -202,21 +149,6 @@ def test_a_shadow_on_the_ground_ends_where_its_plateau_lets_it(tmp_path):
     end = 20 / math.tan(math.radians(20)) - 8
     assert 96 - seen.sum(axis=1) == pytest.approx(end, abs=0.05)
     assert (seen[:, : int(end) - 1] == 0).all()
-
-
-def test_the_penumbra_of_the_ground_is_that_of_a_straight_edge(tmp_path):
-    sun = Sun(distance_au=0.1)
-    seen = step_ground(tmp_path, 0.1).mean(axis=0)
-    x = np.arange(0, 96, 0.02) + 0.01
-    y = (np.arange(2000) + 0.5) / 1000 - 1  # over the disc, from its lower edge
-    height = math.radians(20) + sun.radius_rad * y
-    weight = np.sqrt(1 - y**2) * np.sin(height)
-    seen_from = np.append(np.cumsum(weight[::-1])[::-1], 0.0) / (np.sqrt(1 - y**2).sum() * math.sin(math.radians(20)))
-    share = seen_from[np.searchsorted(height, np.arctan(20 / (x + 8)))]
-    truth = share.reshape(96, 50).mean(axis=1)
-    assert ((truth > 0.02) & (truth < 0.98)).sum() > 10
-    assert np.abs(seen - truth).max() < 0.06
-    assert (seen - truth).sum() == pytest.approx(0.0, abs=0.05)
 
 
 def test_rays_over_nested_grids_are_those_of_small_steps():

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field, draw
-from laboratory.accuracy.scenes import Dark, Flash, SineGrating, SlowRamp
+from laboratory.accuracy.scenes import Dark, Flash, SineGrating
 from laboratory.accuracy.scores import compare
 from laboratory.accuracy.truth import true_events
 from tests.laboratory.accuracy.rows import row
@@ -114,15 +114,6 @@ def test_leak_in_the_dark_has_its_rate_and_phase():
         known = (np.arange(100) + 1 - d.phase[k]) / rate_hz
         np.testing.assert_allclose(truth.t_us[truth.first[k] : truth.first[k + 1]], known[known < 3] * 1e6, rtol=1e-9)
     assert truth.on.all()
-
-
-def test_a_ramp_in_log_light_fires_evenly():
-    p = row(4, leak_hz=0.0, corner_min_hz=3000.0)
-    scene = SlowRamp(pixels=4, slowest=5.0, fastest=9.0, level=1.0)
-    truth, d = true_events(scene, p, SEED, 1.0), draw(p, SEED)
-    k = 3
-    gaps = np.diff(truth.t_us[truth.first[k] : truth.first[k + 1]])
-    np.testing.assert_allclose(gaps, d.on[k] / 9.0 * 1e6, rtol=1e-3)
 
 
 def test_thresholds_leak_and_phase_are_those_of_the_array():

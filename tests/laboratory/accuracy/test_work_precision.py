@@ -3,39 +3,32 @@
 import csv
 import dataclasses
 import json
-import math
 
-import numpy as np
 import pytest
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.state import draw
 from laboratory.accuracy import report as charts
 from laboratory.accuracy.harness import (
     CASES,
     REFERENCE,
-    SEED,
     Case,
     Method,
     Swept,
     events,
     methods,
     score,
-    step_cost_us,
     truth,
 )
-from laboratory.accuracy.report import reading, write_stability, write_work_precision
+from laboratory.accuracy.report import write_stability, write_work_precision
 from laboratory.accuracy.scenes import BlurredCheckerboard, SineGrating
-from laboratory.accuracy.scores import Scores, compare_samples
+from laboratory.accuracy.scores import compare_samples
 from laboratory.accuracy.stability import SWEEPS, boundary, cells
 from laboratory.accuracy.sweeps import (
     EFFECTS,
     QUICK_EFFECTS,
-    Point,
     effect_rows,
-    frames_needed,
     settings,
     sweep,
 )
@@ -47,53 +40,11 @@ SMALL = Case("sine", SineGrating(pixels=8), row(8), 0.05)
 LINE = Method("line", PixelArray)
 
 
-def point(method, step_ms, t95_us, right=1.0, case="c"):
-    scores = Scores(right, t95_us / 2, t95_us, 1.0, 0.0, 0.0, 0.0, 10, 10)
-    return Point(case, method, step_ms, 1e3 / step_ms, 10.0, 10.0 / step_ms, scores)
-
-
-def test_methods_are_ours_and_those_of_others():
-    names = [method.name for method in methods()]
-    assert names == [
-        "hermite",
-        "refined",
-        "line",
-        "pangu",
-        "v2e",
-        "v2e_exact_filter",
-        "sikorski",
-        "esim",
-        "frame_difference",
-    ]
-
-
-def test_every_scene_of_the_chart_has_its_sensor():
-    assert len({swept.case.name for swept in CASES}) == len(CASES)
-    for swept in CASES:
-        assert swept.case.scene.pixels == swept.case.parameters.width
-        assert list(swept.steps_ms) == sorted(swept.steps_ms)
-        for step_ms in swept.steps_ms:
-            steps = swept.case.duration_s * 1e3 / step_ms
-            assert steps == pytest.approx(round(steps)), "the truth ends with the last step"
-
-
-@pytest.mark.parametrize("method", methods(), ids=lambda m: m.name)
-def test_stream_time_does_not_matter(method):
-    later = dataclasses.replace(SMALL, start_ns=1 << 33 << 8)
-    now, then = (events(method, case, 1e-3)[0] for case in (SMALL, later))
-    np.testing.assert_allclose(now.t_us, then.t_us, atol=1e-3)
-    np.testing.assert_array_equal(now.on, then.on)
-
-
 def test_the_line_is_nearly_right_and_the_error_is_in_us():
     scores = score(LINE, SMALL, 5e-4)
     assert scores.right >= 0.9
     assert 0.5 < scores.t95_us < 20
     assert scores.true_events == len(truth(SMALL)) > 50
-
-
-def test_the_cost_is_that_of_a_whole_sensor():
-    assert 10 < step_cost_us(LINE, SMALL, 1e-3) < 1e6
 
 
 def test_a_sweep_has_a_point_for_each_setting():
@@ -125,37 +76,6 @@ def test_scenes_with_noise_are_samples_and_of_our_own_pixels_alone():
     silent = compare_samples(events(LINE, dataclasses.replace(case, parameters=quiet), 5e-3)[0], truth(case))
     assert silent.count < 0.8
     assert silent.right < 0.8
-
-
-def test_frames_needed_lie_between_points_on_a_line_in_logarithms():
-    second_order = [point("line", step, 4.0 * step**2) for step in (0.5, 1.0, 2.0)]
-    need = frames_needed(second_order, "c", "line", 8.0)
-    assert (need.kind, need.frames_per_s) == ("between", pytest.approx(1000 / math.sqrt(2)))
-    assert frames_needed(second_order, "c", "line", 100.0).kind == "at most"
-    beyond = frames_needed(second_order, "c", "line", 0.01)
-    assert (beyond.kind, beyond.frames_per_s) == ("beyond", pytest.approx(20000))
-    assert str(beyond) == "about 20 000"
-
-
-def test_frames_needed_ask_for_right_sequences_too():
-    wrong = [point("line", 1.0, 1.0), point("line", 2.0, 1.0, right=0.5)]
-    assert frames_needed(wrong, "c", "line", 10.0) == frames_needed(wrong, "c", "line", 1.0)
-    assert frames_needed(wrong, "c", "line", 10.0).frames_per_s == 1000
-
-
-@pytest.mark.parametrize("errors", [(100.0, 100.0), (math.nan, math.nan), (100.0, 99.0)])
-def test_an_error_that_does_not_fall_with_the_step_is_never_small(errors):
-    flat = [point("esim", step, error) for step, error in zip((1.0, 2.0), errors, strict=True)]
-    assert str(frames_needed(flat, "c", "esim", 10.0)) == "never"
-
-
-def test_the_reading_says_how_many_frames_the_others_need():
-    points = [point("line", step, 4 * step**2) for step in (1.0, 2.0)]
-    points += [point("v2e", step, 400 * step) for step in (1.0, 2.0)]
-    points += [point("esim", step, 4000) for step in (1.0, 2.0)]
-    lines = reading(points, {"c": "a case"})
-    assert any("10 us, v2e needs 63 to 63 times" in line for line in lines)
-    assert any("out of reach of esim" in line for line in lines)
 
 
 @pytest.mark.system
@@ -224,18 +144,3 @@ def test_the_verb_says_what_is_missing(tmp_path, monkeypatch):
         accuracy(out=tmp_path / "new")
     assert lacking.value.exit_code == LACKING
     assert not (tmp_path / "new").exists()
-
-
-def test_the_light_can_be_read_back_from_the_events():
-    """Start and thresholds known, the sum of the events lies within a threshold of the filtered log light."""
-    drawn = draw(SMALL.parameters, SEED)
-    stream, _ = events(LINE, SMALL, 5e-4)
-    start = np.log(SMALL.scene.value(0.0)[0] + SMALL.parameters.dark_current_relative) - drawn.on * drawn.phase
-    read, known = (
-        start + np.bincount(s.pixel, np.where(s.on, drawn.on[s.pixel], -drawn.off[s.pixel]), minlength=s.pixels)
-        for s in (stream, truth(SMALL))
-    )
-    log_light = np.log(SMALL.scene.value(SMALL.duration_s)[0])
-    lag = 2 * math.pi * 20 / (2 * math.pi * 300 * 0.3)  # at most, ln units: steepest slope times the longest tau
-    assert np.abs(read - log_light).max() < 0.25 + lag
-    assert np.mean((read - known) ** 2) < 1e-3

@@ -71,13 +71,6 @@ def test_the_s_curve_is_the_normal_distribution_of_the_thresholds(mismatch, ligh
     assert [p.model for p in points[:3]] == pytest.approx(stats.norm.cdf([-2, -1, 0]))
 
 
-def test_an_s_curve_of_another_threshold_is_told_apart():
-    points = s_curve(with_(threshold_on=0.2 * 1.01), "x", 0.021, np.array([0.0]), 1.0)
-    shifted = dataclasses.replace(DAVIS, threshold_on=0.2, leak_hz=0.0)
-    deviation = (points[0].x / 0.2 - 1) / 0.021
-    assert s_curve(shifted, "x", 0.021, np.array([deviation]), 1.0)[0].y > points[0].y + 0.1
-
-
 def test_thresholds_and_their_spread_are_found_from_gaps_on_a_ramp():
     points = spread(with_(leak_hz=0.0))
     error = 0.035 / math.sqrt(PIXELS)
@@ -114,10 +107,6 @@ def test_leak_spreads_log_normally_between_pixels():
     assert sum(p.model for p in points if p.curve == "leak_spread") == pytest.approx(0.995, abs=0.01)
 
 
-def test_no_leak_has_no_spread():
-    assert leak_spread(with_(leak_hz=0.0), 5.0) == []
-
-
 @pytest.mark.parametrize("light", [10.0, 1.0, 0.03])
 @pytest.mark.parametrize("contrast", [0.4, 1.5])
 def test_a_step_is_seen_after_the_pole_has_gone_to_the_threshold(contrast, light):
@@ -132,15 +121,6 @@ def test_a_step_is_seen_after_the_pole_has_gone_to_the_threshold(contrast, light
     assert corner.y == pytest.approx(1e6 / (2 * math.pi * tau_us), rel=(0.5 + open_us) / expected + 1e-3)
 
 
-def test_mismatch_spreads_latency_as_the_pole_makes_of_it():
-    (at, _) = latency(with_(PLAIN, mismatch=0.035), 0.7, 0.03)
-    tau_us = 1e6 / (2 * math.pi * 3000.0 * 0.031)
-    seen = math.log(0.031 / (0.03 * math.exp(-0.7) + 0.001))
-    for value, deviation in ((at.low, -1.645), (at.high, 1.645)):
-        threshold = 0.283 * (1 + 0.035 * deviation)
-        assert value == pytest.approx(-tau_us * math.log(1 - threshold / seen), rel=0.015)
-
-
 def test_a_second_pole_is_late_by_what_two_poles_make():
     p = with_(PLAIN, refractory_us=0.0, dark_current_relative=1e-6, source_follower_hz=286.0)
     at, _ = latency(p, 1.0, 0.1)
@@ -152,19 +132,6 @@ def test_a_second_pole_is_late_by_what_two_poles_make():
     assert at.y == pytest.approx(at.model, rel=0.01)
 
 
-def test_a_sensor_without_mismatch_or_low_pass_is_characterised_too():
-    p = with_(PLAIN, leak_hz=1.0, leak_spread=0.0, corner_hz_at_reference=math.inf)
-    assert figure(spread(p), "mismatch ON, share").y == pytest.approx(0.0, abs=1e-3)
-    assert figure(leak_spread(p, 10.0), "spread of leak between pixels, ln").y == pytest.approx(0.0, abs=1e-3)
-    at, corner = latency(p, 1.0, 1.0)
-    assert at.y == 0.5
-    assert math.isnan(corner.model)
-
-
-def test_nothing_is_told_where_the_dark_current_hides_the_step():
-    assert latency(DAVIS, 0.7, 1e-4) == []
-
-
 @pytest.mark.parametrize("refractory_us", [0.0, 100.0, 500.0])
 def test_events_come_no_faster_than_dead_time_and_threshold_let_them(refractory_us):
     p = without_readout(with_(PLAIN, threshold_off=0.283, refractory_us=refractory_us, corner_hz_at_reference=math.inf))
@@ -174,18 +141,6 @@ def test_events_come_no_faster_than_dead_time_and_threshold_let_them(refractory_
         assert point.model == pytest.approx(1 / gap_s)
         lost_at_turns = 2 * 2 * hz  # a threshold and a dead time, at each of two turns
         assert point.model - lost_at_turns <= point.y <= point.model * (1 + 1e-6)
-
-
-def test_flicker_above_the_corner_is_not_seen():
-    p = without_readout(PLAIN)
-    slow, fast = (flicker(p, "flicker_events", "x", hz, 0.01)[0].y for hz in (1.0, 900.0))
-    assert slow > 13
-    assert fast < 0.1
-
-
-def test_a_dead_time_longer_than_the_period_is_counted_over_many():
-    (point,) = flicker(without_readout(with_(PLAIN, refractory_us=500.0)), "flicker_rate", "x", 5000.0, 1.0)
-    assert 1000 < point.y < 1.05 / 500e-6
 
 
 def test_noise_counts_both_polarities_and_fades_in_bright_light():

@@ -17,7 +17,6 @@ from firmware_protocol.events import EVENT
 from laboratory.characterise.recordings import (
     activity,
     compare,
-    distances,
     fit,
     still_pixels,
     toml,
@@ -122,18 +121,6 @@ def test_a_recording_of_leak_is_fitted_by_leak():
     )
 
 
-def test_one_stream_is_at_no_distance_from_itself_and_a_half_is_near(events):
-    whole = activity(events, SIZE, SECONDS)
-    none = distances(whole, whole)
-    assert [none[name] for name in none if "KS" in name] == [0, 0, 0, 0]
-    assert none["rate, simulated over recorded"] == 1
-    ordinary = whole.counts.reshape(SIZE[::-1]) < 50
-    left = np.tile(np.arange(SIZE[0]) < 100, (SIZE[1], 1))
-    halves = [activity(events, SIZE, SECONDS, ordinary & half) for half in (left, ~left)]
-    n = [half.intervals_s.size for half in halves]
-    assert distances(*halves)["intervals of a pixel, KS"] < 2.23 * np.sqrt(sum(n) / (n[0] * n[1]))  # 1e-4
-
-
 def test_still_pixels_are_those_away_from_what_moves(events):
     random = np.random.default_rng(1)
     moving = np.flatnonzero(np.tile(np.arange(SIZE[0]) < 40, SIZE[1]))
@@ -175,18 +162,3 @@ def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):
     assert rates[1] == pytest.approx(1.0, rel=0.1)
     apart = next(row for row in framed.rows() if row["statistic"] == "counts of the pixels, KS")
     assert apart["sensor"] < 0.1
-
-
-def test_slow_followers_are_fitted():
-    """OFF events, one in eight followed by ON after 2 s: followers beyond the end of 10 s are added."""
-    random = np.random.default_rng(8)
-    pixels, seconds = 400_000, 10.0
-    first = random.poisson(0.004 * seconds, pixels)
-    pixel = np.repeat(np.arange(pixels), first)
-    t, again = random.uniform(0, seconds, pixel.size), random.random(pixel.size) < 0.125
-    t = np.concatenate([t, t[again] + random.exponential(2.0, again.sum())])
-    on = np.concatenate([np.zeros(pixel.size, bool), np.ones(again.sum(), bool)])
-    pixel, inside = np.concatenate([pixel, pixel[again]]), t < seconds
-    found = fit(activity(stream(t[inside], pixel[inside], on[inside], (800, 500)), (800, 500), seconds))
-    assert found["background"]["pair_share"] == pytest.approx(0.125, abs=0.015)
-    assert found["background"]["pair_us"] == pytest.approx(2e6, rel=0.2)

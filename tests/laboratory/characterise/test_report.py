@@ -11,11 +11,10 @@ import pytest
 import laboratory.verbs.characterise as verb
 from emulator.cli.output import LACKING, WRONG_USE, Failure
 from emulator.report import page as drawing
-from emulator.sensor.parameters import DefectParameters
 from emulator.sensor.presets import PRESETS
-from laboratory.characterise.measurements import burst, figures, latency, leak_light, measurements, s_curve
+from laboratory.characterise.measurements import burst, latency, leak_light, s_curve
 from laboratory.characterise.published import PUBLISHED
-from laboratory.characterise.report import comparisons, reading
+from laboratory.characterise.report import comparisons
 from laboratory.characterise.stimuli import CURVES, FIGURE, Point, on_the_bench
 
 DAVIS = PRESETS["davis346"]
@@ -51,53 +50,6 @@ def test_a_figure_is_compared_where_it_is_known():
     near = [dataclasses.replace(p, y=1.3 * p.y) for p in line]
     assert compared("3 kHz", near).verdict == "as preset"
     assert compared("3 kHz", line[:1]).verdict == "not compared"  # the place lies outside
-
-
-def test_a_figure_without_a_place_is_held_against_the_whole_line():
-    low, high = (Point("leak_light", "as configured", 1.0, hz) for hz in (0.1, 0.19))
-    assert compared("about 0.2 Hz", [low]).verdict == "differs"
-    assert compared("about 0.2 Hz", [low, high]).verdict == "agrees"
-    other = dataclasses.replace(high, series="example")
-    assert compared("about 0.2 Hz", [low, other]).verdict == "differs"
-
-
-def test_what_cannot_be_fairly_compared_is_not():
-    assert compared("3 us at best", [Point("latency", "s", 1.0, 3.0)]).verdict == "not compared"
-
-
-def test_the_doubling_of_leak_is_fitted_and_the_read_outs_speed_taken_from_the_largest_burst():
-    leak = [Point("leak_temperature", "as configured", t, 0.1 * 2 ** (t / 9)) for t in (0.0, 20.0, 40.0)]
-    bursts = [Point("burst", "s", 100, 20.0), Point("burst", "s", 10_000, 800.0)]
-    found = {p.series: p.y for p in figures([*leak, *bursts])}
-    assert found == pytest.approx({"leak doubles every, K": 9.0, "read-out, Mev/s": 12.5})
-
-
-def test_the_reading_names_agreement_and_difference():
-    points = [
-        Point("bandwidth", "s", 1.0, 3000.0, model=3000.0),
-        Point("leak_light", "as configured", 1.0, 0.1, model=0.1),
-    ]
-    points.append(Point("burst", "s", 10_000, 900.0, model=800.0))
-    *_, told, agree, differ = reading(points, "x")
-    assert "3 kHz at 1 klux" in told
-    assert "10 000 at once" not in told
-    assert "about 0.2 Hz" in differ
-    assert "about 0.2 Hz" not in agree
-    assert "10 000 at once" in agree
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_every_preset_has_its_measurements_and_every_chart_its_curve(name):
-    quick, full = (len(measurements(PRESETS[name], quick)) for quick in (True, False))
-    assert 50 < quick < full
-
-
-def test_defects_by_place_stay_behind():
-    p = dataclasses.replace(DAVIS, defects=DefectParameters(hot_pixels=((300, 200),), hot_share=0.01))
-    small = on_the_bench(p)
-    assert (small.width, small.height) == (64, 48)
-    assert small.defects.hot_pixels == ()
-    assert small.defects.hot_share == 0.01
 
 
 @pytest.mark.system

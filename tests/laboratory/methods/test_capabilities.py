@@ -156,14 +156,6 @@ def test_wrong_frames_are_refused_alike(method, wrong, words):
         pixels.step(wrong)
 
 
-@pytest.mark.parametrize("method", ["own", "circuit"])
-def test_a_derivative_of_another_size_is_refused(method):
-    pixels = made(method)
-    pixels.reset(LightFrame(0, level(1.0)))
-    with pytest.raises(ValueError, match="must be"):
-        pixels.step(LightFrame(MS, level(1.0), np.ones((3, 3), np.float32)))
-
-
 def test_a_sensor_has_the_method_of_its_effects_unless_one_is_given():
     for method in ("own", "grid", "circuit"):
         make, parameters = METHODS[method]

@@ -12,7 +12,7 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
-from laboratory.methods.circuit import Circuit, CircuitPixels, Light, State, rosenbrock
+from laboratory.methods.circuit import CircuitPixels
 
 MS = 1_000_000
 P = SensorParameters(
@@ -93,35 +93,6 @@ def test_a_sine_with_its_derivative_is_of_fourth_order_in_the_frames():
         errors.append(np.median(np.abs(np.array([t for t, _ in found]) - [t for t, _ in expected])))
     assert errors[1] < 1e-6
     assert errors[0] < 40 * max(errors[1], 2e-8)
-
-
-def test_halving_the_substep_divides_its_error_by_sixteen():
-    c, light = Circuit(*(2 * math.pi * hz for hz in (3000.0, 3000.0, 286.0))), Light(0.0, -5.0, -5.0, -5.0, 1e-3)
-
-    def end(n):
-        s = State(0.0, 0.0, 0.0)
-        for k in range(n):
-            s, _ = rosenbrock(s, k * light.h / n, light.h / n, light, c)
-        return np.array(s)
-
-    fine = end(512)
-    errors = [np.abs(end(n) - fine)[1:].max() for n in (8, 16, 32)]
-    assert errors[0] / errors[1] == pytest.approx(16, rel=0.35)
-    assert errors[1] / errors[2] == pytest.approx(16, rel=0.35)
-
-
-def test_off_is_slower_than_on_and_the_dark_slowest():
-    """The same step of 1.5 ln up and down: the light that is left after it decides, and the slew."""
-
-    def last_s(before, after):
-        light, _ = ramp(before, after, 1e-5)
-        return max(t for t, _ in events(light, [0.01, *[5.0] * 40]))
-
-    rises = [last_s(level, level * math.exp(1.5)) for level in (0.5, 0.05, 0.005)]
-    falls = [last_s(level * math.exp(1.5), level) for level in (0.5, 0.05, 0.005)]
-    assert all(fall > rise for rise, fall in zip(rises, falls, strict=True))
-    assert rises == sorted(rises)
-    assert falls == sorted(falls)
 
 
 def test_the_output_rises_no_faster_than_its_slew():

@@ -18,7 +18,6 @@ from laboratory.benchmarks.noise import (
     Measured,
     alike,
     behaviour,
-    first_events,
     measured,
     of_pixels,
     of_reference,
@@ -50,12 +49,6 @@ def test_a_ratio_has_the_error_of_its_groups_and_misses_its_target_beyond_two():
     assert not rate._replace(target=0.2 + rate.error).is_off
     assert str(rate).endswith("*")
     assert not Measured("x", math.nan, 1.0, 0.0, 0.1).is_off
-
-
-def test_first_events_are_one_a_pixel():
-    stream = first_events(Stream.of([130, 120, 150], [0, 0, 2], [True, False, True], 3), 100.0)
-    assert stream.t_us.tolist() == [30, 60]
-    assert stream.pixel.tolist() == [0, 2]
 
 
 @pytest.mark.sampled

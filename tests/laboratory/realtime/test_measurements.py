@@ -1,6 +1,5 @@
 """Measurements are made once, in order, and go on where an interrupt left them."""
 
-import dataclasses
 import json
 
 import pytest
@@ -8,7 +7,7 @@ import pytest
 from emulator.cli.app import _main
 from laboratory.bench.streams import BenchFailed
 from laboratory.realtime import measurements as module
-from laboratory.realtime.measurements import QUICK, WHOLE, Measurements, Store, measurements_of
+from laboratory.realtime.measurements import WHOLE, Measurements, Store, measurements_of
 from laboratory.realtime.program import Speed
 from laboratory.realtime.report import BEGIN, END
 from laboratory.realtime.variants import SIZES
@@ -52,44 +51,6 @@ def test_all_is_measured_once_and_stored(tmp_path, measured):
     assert measured == []
     assert again.rows() == first.rows()
     assert [row["wrong"] for row in again.rows()] == [pytest.approx(0.03)] * 2 + [None] * 2
-
-
-def test_a_sweep_draws_the_truth_of_a_rig_once(tmp_path, measured):
-    sweep = measurements(tmp_path, "checkerboard", sweep=True)
-    done(sweep)
-    assert sum(name.startswith("truth") for name in measured) == 1
-    rows = {row["setting"]: row for row in sweep.rows()}
-    assert len(rows) > 5
-    assert "wrong checkerboard 346x260 1 thread" not in measured
-    if "1 thread" in rows:  # the events are the same
-        assert rows["1 thread"]["wrong"] == rows["as shipped"]["wrong"]
-
-
-def test_a_scene_without_truth_is_swept_as_shipped_alone(tmp_path, measured):
-    done(measurements(tmp_path, "stars", sweep=True))
-    assert measured == ["stars 346x260 as shipped"]
-
-
-def test_wrong_events_of_settings_that_are_far_too_slow_are_left_out(tmp_path, measured, monkeypatch):
-    def slow_line(variant, span):
-        return dataclasses.replace(SPEED, factor=0.19 if variant.setting.name == "line" else 2.0)
-
-    monkeypatch.setattr(module, "measure_speed", slow_line)
-    sweep = measurements(tmp_path, "checkerboard", sweep=True)
-    done(sweep)
-    rows = {row["setting"]: row["wrong"] for row in sweep.rows()}
-    assert rows["line"] is None
-    assert rows["steps x 0.5"] == pytest.approx(0.03)
-
-
-def test_a_changed_rig_or_extent_is_measured_anew(tmp_path, measured):
-    rig = tmp_path / "own.toml"
-    text = '[scene]\nkind = "stars"\n[run]\nstep_us = 5000\n'
-    for written, extent in ((text, WHOLE), (text, QUICK), (text.replace("5000", "2500"), QUICK)):
-        rig.write_text(written)
-        measured.clear()
-        done(measurements(tmp_path, str(rig), extent=extent))
-        assert measured == ["own 346x260 as shipped"]
 
 
 def test_a_failure_is_reported_and_tried_again(tmp_path, measured, monkeypatch):
@@ -165,10 +126,3 @@ def test_one_command_writes_the_section_of_the_docs(tmp_path, measured, monkeypa
 def test_wrong_use(tmp_path, arguments, capsys):
     assert _main(["bench", "realtime", *arguments, "--out", str(tmp_path), "--json"]) == 2
     assert json.loads(capsys.readouterr().out.strip().splitlines()[-1])["exit_code"] == 2
-
-
-def test_a_page_without_a_section_is_refused(tmp_path, capsys):
-    page = tmp_path / "page.md"
-    page.write_text("text\n")
-    assert _main(["bench", "realtime", "checkerboard", "--out", str(tmp_path), "--page", str(page)]) == 2
-    assert page.read_text() == "text\n"

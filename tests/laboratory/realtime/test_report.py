@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from laboratory.realtime import report
-from laboratory.realtime.report import BEGIN, END, line_of, markdown, put_section, write_report
+from laboratory.realtime.report import BEGIN, END, markdown, put_section, write_report
 
 ROW = {
     "rig": "eros", "size": "346x260", "setting": "as shipped", "factor": 1.31, "stream_s": 20.0, "session_cores": 0.98,
@@ -27,14 +26,6 @@ def test_a_report_has_page_table_and_chart(tmp_path):
     assert "two cores" in html
 
 
-def test_rigs_without_truth_have_no_panel(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(report, "_name", lambda axes, rig: drawn.append(rig))
-    report.draw([ROW, NO_TRUTH], tmp_path / "chart")
-    assert drawn == ["eros"]
-    assert report.draw([NO_TRUTH], tmp_path / "none") == []
-
-
 def test_the_section_has_the_rigs_as_shipped_alone():
     text = markdown([ROW, {**ROW, "setting": "line"}, NO_TRUTH], ABOUT, "pictures/x.png")
     assert "|eros|346x260|1.3|0.98, 0.05, –|281|1.90|100|0.4 + 0.6|0.12, 4.50|5.1|" in text
@@ -54,9 +45,3 @@ def test_a_section_is_replaced_as_often_as_wanted(tmp_path):
     page.write_text("nothing")
     with pytest.raises(ValueError, match="has no lines"):
         put_section(page, "x")
-
-
-def test_a_line_for_people():
-    assert "1.31 x real time" in line_of(ROW)
-    assert "1 % wrong" in line_of(ROW)
-    assert "not measured" in line_of(NO_TRUTH)

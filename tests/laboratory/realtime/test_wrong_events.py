@@ -1,7 +1,5 @@
 """Wrong events beside truth by point samples: few as shipped, more in long steps, most in another scene."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -11,10 +9,9 @@ from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from laboratory.accuracy.rendering import Stretch
 from laboratory.accuracy.sampled_scenes import SampledBoard
-from laboratory.accuracy.scores import Stream
 from laboratory.realtime import wrong_events as module
 from laboratory.realtime.variants import SIZES, Setting, variant_of
-from laboratory.realtime.wrong_events import _compared, _joined, has_truth, truth_of, wrong_events
+from laboratory.realtime.wrong_events import has_truth, truth_of, wrong_events
 
 
 @pytest.fixture
@@ -62,32 +59,6 @@ def test_controlled_steps_keep_to_the_truth_too(board):
     for tolerance_us, most in ((20.0, 0.02), (100.0, 0.05)):
         found = wrong_events(board.changed(Setting("adaptive", {("run", "tolerance_us"): tolerance_us})), truth)
         assert found.false + found.missed < most
-
-
-def test_another_scene_is_wrong(board):
-    truth = truth_of(board, Stretch(steps=20))
-    other = wrong_events(board.changed(Setting("other", {("scene", "square_px"): 3.0})), truth)
-    assert other.false + other.missed > 0.5
-
-
-def test_light_of_single_pixels_follows_the_stretch(board):
-    """A stretch that begins late: times of single pixels are those of the scene."""
-    adaptive = board.changed(Setting("adaptive", {("run", "tolerance_us"): 20.0}))
-    truth = truth_of(board, Stretch(start_s=0.5, steps=20))
-    early = tuple(dataclasses.replace(look, stretch=Stretch(steps=20)) for look in truth.looks)
-    other = dataclasses.replace(truth, looks=early)
-    assert wrong_events(adaptive, truth).false < 0.02
-    assert wrong_events(adaptive, other).false > 0.1
-
-
-def test_several_stretches_are_one_stream():
-    both = Stream.of([1.0, 2.0, 3.0], [0, 0, 1], [True, False, True], 2)
-    one = Stream.of([1.5], [0], [True], 2)
-    none = Stream.of([], [], [], 2)
-    found = _compared(_joined([both, one, one]), _joined([both, both, none]), 4000)
-    assert (found.events, found.false, found.missed) == (6, pytest.approx(1 / 6), pytest.approx(2 / 6))
-    assert (found.t50_ms, found.middle) == (0.0, pytest.approx(1 / 5))
-    assert _compared(none, none, 4000).t50_ms is None
 
 
 def test_a_stored_truth_is_read_again(board, tmp_path, monkeypatch):

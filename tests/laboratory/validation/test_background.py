@@ -10,8 +10,7 @@ from scipy.stats import norm, poisson
 
 from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import PRESETS
-from laboratory.validation import background
-from laboratory.validation.background import counts, dnd21, noise2params
+from laboratory.validation.background import counts
 from laboratory.validation.recordings import DATA
 
 
@@ -35,22 +34,3 @@ def test_the_curve_has_the_rates_of_the_published_model(lux):
     thresholds = norm.ppf((np.arange(101) + 0.5) / 101, 0.15, 0.00651)[:, None]
     on = poisson.pmf(second, mean) * poisson.sf(np.floor((second + theta) * np.exp(thresholds) - theta), mean)
     assert float(rows[lux]["on_hz"]) == pytest.approx(1e6 * (on.sum(axis=1).mean() + 9.5675e-9), rel=0.02)
-
-
-def test_rates_and_shares_at_thirteen_lights(monkeypatch):
-    monkeypatch.setattr(background, "counts", lambda p, light, seed: np.array([[30.0], [10.0]]))
-    data = noise2params(1).data
-    assert len(data) == 26
-    assert [datum.fitted for datum in data[:2]] == [True, False]  # a rate, a share
-    assert data[0].ours == pytest.approx(2.0)
-    assert data[0].real == pytest.approx(0.1997 + 0.377)
-    assert data[1].ours == pytest.approx(0.25)
-    assert {datum.bound for datum in data} == {2.0, 0.1}
-
-
-def test_the_most_over_light_and_the_rate_in_bright_light(monkeypatch):
-    monkeypatch.setattr(background, "counts", lambda p, light, seed: np.array([9600 * 20 * (2.0 - light), 9600 * 20.0]))
-    most, leak = dnd21(1).data
-    assert (most.ours, leak.ours) == (pytest.approx(3.0, abs=1e-3), pytest.approx(2.0))
-    assert most.fitted
-    assert leak.fitted

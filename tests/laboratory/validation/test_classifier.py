@@ -11,7 +11,7 @@ from emulator.sensor.presets import PRESETS
 from firmware_protocol.events import EVENT
 from laboratory.characterise.still_light import still_events
 from laboratory.validation import recordings
-from laboratory.validation.classifier import ORDER, QUANTITIES, Samples, area, tiles
+from laboratory.validation.classifier import QUANTITIES, Samples, area, tiles
 
 OFF, ON = False, True
 
@@ -60,12 +60,6 @@ def test_tiles_with_too_few_chosen_pixels_are_left_out():
     assert tiles(nothing, chosen, 4, 1.0, 0.6).columns.tolist() == [0, 0, 1]
 
 
-def test_order_and_neighbours_do_not_show_rate_nor_on_share():
-    assert [QUANTITIES[k] for k in ORDER][:1] == ["mean interval of a pixel, s"]
-    assert len(ORDER) == 6
-    assert not {"events a pixel", "ON share", "Fano factor"} & {QUANTITIES[k] for k in ORDER}
-
-
 def noise(seed, hz, on_share=0.3, side=160):
     """Events of a square of pixels for 10 s, each at a time and place by chance."""
     random = np.random.default_rng(seed)
@@ -83,12 +77,6 @@ def test_samples_of_one_process_have_an_area_of_a_half_and_of_two_an_area_of_one
     assert area(first, noise(2, 0.02, on_share=0.7)) > 0.9
 
 
-def test_a_quantity_without_any_value_has_no_part():
-    first, second = (dataclasses.replace(one, values=one.values.copy()) for one in (noise(1, 0.02), noise(2, 0.06)))
-    first.values[:, 4] = second.values[:, 4] = np.nan
-    assert area(first, second) > 0.97
-
-
 def test_no_row_of_the_chip_is_in_two_bands():
     """A value identifies its row, and a row has one origin: one can be judged only after learning from the same row."""
     random = np.random.default_rng(3)
@@ -98,29 +86,10 @@ def test_no_row_of_the_chip_is_in_two_bands():
     assert area(samples.where(origin), samples.where(~origin)) == pytest.approx(0.5, abs=0.1)
 
 
-def test_halves_of_the_chip():
-    rows, columns = (one.reshape(-1) for one in np.mgrid[:4, :6])
-    samples = Samples(np.zeros((24, 1), np.float32), rows, columns)
-    even, odd = samples.alternating()
-    assert even.columns[:6].tolist() == [0, 2, 4, 1, 3, 5]
-    assert len(odd.rows) == 12
-    assert [set(one.columns.tolist()) for one in samples.sides(5.9)] == [{0, 1, 2}, {3, 4, 5}]
-
-
 def test_without_the_library_the_command_that_installs_it_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn.ensemble", None)
     with pytest.raises(MachineLacks, match=r"\[validate\]"):
         area(noise(1, 0.02), noise(2, 0.02))
-
-
-def test_the_table_has_the_quiet_tiles_of_the_recording():
-    with np.load(recordings.DATA / "evk4_quiet.npz") as table:
-        for side, count in ((16, 2402), (32, 487)):
-            stored = table[f"tiles_{side}"]
-            assert stored.shape == (count, 2 + len(QUANTITIES))
-            assert (stored[:, 0] < 720 // side).all()
-            assert (stored[:, 1] < 1280 // side).all()
-            assert (stored[:, 2] * side**2 == np.round(stored[:, 2] * side**2)).all()  # whole numbers of events
 
 
 @pytest.mark.system

@@ -1,6 +1,5 @@
 """Distances between a real value and ours, by hand, over seeds, and the pages that are made of them."""
 
-import dataclasses
 import json
 import math
 
@@ -38,11 +37,6 @@ def test_a_bound_is_inclusive_and_ratios_need_values():
 def test_no_datum_comes_without_a_bound_or_a_real_value(missing):
     with pytest.raises(ValueError, match="needs both"):
         datum(**{missing: math.nan})
-
-
-def test_each_datum_names_whether_it_was_fitted():
-    with pytest.raises(TypeError, match="fitted"):
-        Datum("one", 1.0, 1.0, "us", "relative", 0.1)
 
 
 def test_a_range_over_seeds_is_judged_by_its_worst():
@@ -97,27 +91,3 @@ def test_predicted_rows_lead_and_what_disagrees_most_comes_first(tmp_path):
         (None, 2.5, False),
         (9.9, None, False),
     ]
-
-
-def test_a_page_without_disagreement_states_it(tmp_path):
-    write([findings("only", [dataclasses.replace(datum(), ours=2.0)])], tmp_path)
-    assert (tmp_path / "validation.md").read_text().count("Nothing: every value lies within its bound.") == 2
-
-
-def test_a_grid_of_conditions_is_one_table(tmp_path):
-    data = [datum(f"ON at {light} W/m2, {biases}", ours=2.1) for light in range(5) for biases in ("low", "mid", "high")]
-    data[1] = dataclasses.replace(data[1], ours=3.0)
-    data[2] = dataclasses.replace(data[2], bound=0.5, fitted=True, remark="biases are extreme", seeds=(2.0, 2.2))
-    data[3] = dataclasses.replace(data[3], apart=0.02)
-    write([findings("only", data)], tmp_path)
-    text = (tmp_path / "validation.md").read_text()
-    assert "|condition|low|mid|high|\n|---|---|---|---|\n|ON at 0 W/m2|2/2.1|**2/3**|*2/2 to 2.2*|\n" in text
-    assert (
-        "Unit: us. Bound: 10.0 %. Bound: 50.0 % where biases are extreme. Apart: 2.0 % in the median, 2.0 % at" in text
-    )
-
-
-def test_a_remark_of_several_values_stands_once(tmp_path):
-    write([findings("only", [datum(what, remark="dim") for what in ("one", "two")])], tmp_path)
-    text = (tmp_path / "validation.md").read_text()
-    assert "|two|2 us||3 us|50.0 %|10.0 %|–|1|\n\nRemarks: 1: dim." in text

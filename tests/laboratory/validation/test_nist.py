@@ -92,17 +92,5 @@ def test_validate_writes_its_pages_over_seeds_and_prints_the_counts(tmp_path, ca
     assert _main(["validate", "spread", "--seeds", "0", "--out", str(tmp_path)]) == 2
 
 
-def test_extreme_biases_have_bounds_and_the_lens_is_predicted(monkeypatch):
-    monkeypatch.setattr("laboratory.validation.latency._simulated", lambda irradiance, biases, seed: (_same(1),) * 2)
-    rows = {datum.what: datum for datum in EXPERIMENTS["latency"](1).data}
-    assert rows["ON at 0.166 W/m2, biases +105, +142"].bound == 0.25
-    assert rows["ON at 0.166 W/m2, biases +35, +47"].fitted
-    assert not rows["OFF at 0.166 W/m2 behind a lens, factory biases"].fitted
-    assert {datum.bound for datum in rows.values()} == {0.1, 0.2, 0.25}
-    assert rows["ON at 0.0457 W/m2, factory biases"].apart == pytest.approx(98.1 / 93.3 - 1)  # of nine regions
-    counts = {datum.what: datum for datum in EXPERIMENTS["opposite"](1).data}
-    assert counts["ON at 0.166 W/m2, factory biases"].apart == pytest.approx(16.2 / 13.1)  # with and without the lens
-
-
 def _same(seed):
     return Statistics(49.0 + seed, 25.0, 100.0, 55.0, 111.0, 3.0)

@@ -69,10 +69,6 @@ def test_pixels_near_motion_are_not_still():
     assert np.median(seen.light) == pytest.approx(0.75, abs=0.02)
 
 
-def test_too_few_frames_show_no_stillness():
-    assert still_light(frames(moving=False)[:5], 0) is None
-
-
 def test_the_tables_hold_the_recordings():
     """Numbers of their readers: 242 events in the still half; 30 444 events of 742 746 quiet pixels."""
     with np.load(DATA / "davis346_street.npz") as table:

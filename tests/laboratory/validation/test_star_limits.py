@@ -5,10 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.scene.stars.skies import stars_per_deg2
-from emulator.scene.stars.stars import StarField
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.noise.law import corner_hz, still_hz
 from emulator.sensor.parameters import BackgroundParameters, NoiseParameters, TemperatureParameters
@@ -41,22 +39,6 @@ def test_the_real_camera_s_share_gives_its_distribution_back():
     np.testing.assert_allclose(again / again[-1], (AMOS_SHARE[1:] - AMOS_SHARE[0]) / (1 - AMOS_SHARE[0]), atol=1e-12)
     assert found[np.searchsorted(AMOS_G, 7.5)] == 1
     assert found[-1] < 0.01
-
-
-def test_the_rigs_drift_as_the_recording_did():
-    rig = load_rig("stars-limit")
-    size = rig.camera.sensor.width, rig.camera.sensor.height
-    with StarField(rig.scene, size, rig.camera.lens, CAMERA_MODELS["imx636"].chip) as sky:
-        before, after = (dict(zip(g, places, strict=True)) for places, g in map(sky.stars_at, (0, 5_000_000_000)))
-    near = [g for g in before if g in after and np.hypot(*(before[g] - np.array(size) / 2)) < 200]
-    assert len(near) > 10
-    drift = np.mean([after[g] - before[g] for g in near], axis=0) / 5
-    assert drift == pytest.approx([-1.861, 0.549], abs=0.01)
-    assert np.degrees(2 * np.arctan(1280 * 4.86e-3 / 2 / 135)) == pytest.approx(
-        rig.camera.lens.field_of_view_deg, abs=1e-4
-    )
-    gen3 = load_rig("stars-limit-gen3").camera
-    assert np.degrees(2 * np.arctan(640 * 15e-3 / 2 / 85)) == pytest.approx(gen3.lens.field_of_view_deg, abs=1e-4)
 
 
 def test_the_gen3_rig_states_the_noise_of_its_pixels():

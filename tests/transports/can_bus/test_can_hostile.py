@@ -4,7 +4,6 @@ import asyncio
 import socket
 from dataclasses import replace
 from functools import partial
-from itertools import chain, repeat
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.can_bus.bus import BusDown, PythonCanBus, TimedFrame
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
 from transports.can_bus.node import listen_can, peer_of
@@ -132,66 +130,6 @@ def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage
     assert heard.digest == told.digest
 
 
-def test_a_listener_that_appears_within_a_tick_connects_the_instrument_before_the_first_frame(monkeypatch):
-    """A client settles between two readings of the clock in one tick."""
-    answers = chain([False], repeat(True))
-    monkeypatch.setattr("transports.can_bus.endpoint._DRAIN_TURNS", 20)
-    monkeypatch.setattr("transports.can_bus.served._CLOSE_TURNS", 20)
-    monkeypatch.setattr(ServedBus, "has_listeners", property(lambda self: next(answers)))
-
-    async def first_frame():
-        ring, clock = EventRing(100), FakeClock(10**9)
-        device = partial(Instrument, (346, 260), InstrumentSettings())
-        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, PARAMETERS)), clock)
-        await link.endpoint.start()
-        for carries in (False, True):
-            link.tick()
-            clock.advance(10**6)
-            assert bool(link.endpoint.report().use.carried) is carries
-        ring.start(FREE_RUNNING)
-        ring.push(events(100))
-        ring.publish(10**7)
-        link.tick()
-        await link.close()
-        return link.report(final=True).camera.not_running
-
-    assert asyncio.run(first_frame()) == 0
-
-
-def test_what_cannot_leave_in_time_is_counted_as_dropped(monkeypatch):
-    """The wire stands still: the clock of the bus does."""
-    monkeypatch.setattr("transports.can_bus.endpoint._DRAIN_TURNS", 20)
-    monkeypatch.setattr("transports.can_bus.served._CLOSE_TURNS", 20)
-
-    async def run():
-        clock = FakeClock(10**9)
-        ring = EventRing(100)
-        parameters = CanLink(port=0, share=1.0)
-        device = partial(Instrument, (346, 260), InstrumentSettings())
-        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
-        await link.endpoint.start()
-        with socket.create_connection(("127.0.0.1", int(link.endpoint.report().address.rpartition(":")[2]))) as sock:
-            sock.sendall(HANDSHAKE)
-            while not link.endpoint.report().use.carried:
-                link.tick()
-                clock.advance(10**6)
-                await asyncio.sleep(0.001)
-            ring.start(FREE_RUNNING)
-            ring.push(events(100))
-            ring.publish(10**7)
-            for _ in range(10):
-                clock.advance(10**5)
-                link.tick()
-            delivered = link.report().delivered
-            await link.close()
-        return delivered, link.report(final=True)
-
-    delivered, told = asyncio.run(asyncio.wait_for(run(), 300))
-    assert told.delivered == delivered < 100
-    assert told.dropped + told.camera.flushed == 100 - delivered
-    assert told.camera.lost_on_link > 0
-
-
 @pytest.mark.system
 def test_more_connections_than_select_could_take_leave_a_listener_every_frame(sockets):
     async def flood(bus):
@@ -308,15 +246,6 @@ def test_a_peer_outside_the_list_is_refused_and_counted(sockets):
     assert over == b""
     assert hello == b"< hi >"
     assert counts == {"connections refused: address not allowed": 1}
-
-
-def test_what_was_heard_before_a_bus_was_lost_is_still_told():
-    bus = PythonCanBus(PARAMETERS, "can0")
-    bus._unread.append(TimedFrame(Frame(0x1A2), 1))
-    bus._failure = "gone"
-    assert [heard.frame for heard in bus.take()] == [Frame(0x1A2)]
-    with pytest.raises(BusDown, match="gone"):
-        bus.take()
 
 
 def test_answers_that_find_no_room_are_bounded_and_counted():

@@ -3,14 +3,13 @@
 import asyncio
 import itertools
 import time
-from dataclasses import replace
 from functools import partial
 
 import can
 import numpy as np
 import pytest
 
-from firmware_protocol.can_frames.canopen import Emergency, NmtCommand, NmtOrder, NodeState, SelectorSettings, scet
+from firmware_protocol.can_frames.canopen import Emergency, NmtCommand, NmtOrder, NodeState, scet
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.transport import IsoTpSender
 from firmware_protocol.events import EDGE, EVENT
@@ -23,7 +22,7 @@ from tests.free_ports import free_port
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, LinkFactory
+from transports.link.endpoint import LinkFactory
 from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
@@ -206,19 +205,6 @@ def test_as_a_master_it_sends_sync_and_time():
     assert peer.heard(p.identifiers.scet)[0] == scet(0)
 
 
-@pytest.mark.parametrize(("sync_ms", "longest_ns"), [(0, HOSTED_NS), (100, BUSY_NS)])
-def test_a_link_that_sends_syncs_never_sleeps_longer_than_half_a_millisecond(sync_ms, longest_ns):
-    p = parameters(sync_ms=sync_ms, heartbeat_ms=0)
-    sleeps = []
-
-    def work(link, peer):
-        sleeps.append(link.endpoint.longest_sleep_ns)
-        return len(sleeps) >= 20
-
-    go(p, None, work, InstrumentSettings(housekeeping_s=0))
-    assert max(sleeps) == longest_ns
-
-
 def test_an_overflow_is_told_by_an_emergency_and_its_end_too():
     p = parameters(share=0.05, bitrate=50_000)
     settings = InstrumentSettings(queue_events=2048, block_events=256)
@@ -260,42 +246,6 @@ def test_a_peer_that_never_answers_isotp_costs_messages_and_is_counted(monkeypat
     report, _ = go(p, stream(100), deaf, InstrumentSettings(housekeeping_s=0))
     assert report.dropped == 100
     assert report.camera.accounted == 100
-
-
-def test_the_second_bus_is_used_when_the_master_moves_there(stamped_by):
-    """On a clock that waits for the reader of each bus, which is a thread: a late heartbeat would be a missing one."""
-    p = parameters(channel_b="b", heartbeat_ms=5, redundancy=SelectorSettings(heartbeat_ms=40, toggle_ms=200))
-    p, clock, ring = replace(p, channel_b=p.channel + "-b"), FakeClock(10**9), EventRing(1 << 10)
-    link = Link(LinkSetup("can", ring, partial(Instrument, SIZE, PATIENT), LinkFactory(CanEndpoint, p)), clock)
-    peers = [Peer(p), Peer(p, p.channel_b)]
-    master = Frame(p.identifiers.master_heartbeat, b"\x05")
-    stamped_by(clock)
-
-    def beats(bus):
-        return len(peers[bus].heard(p.identifiers.heartbeat))
-
-    async def whole():
-        await link.endpoint.start()
-        ring.start(FREE_RUNNING)
-        for _ in range(1000):
-            there = int(beats(0) >= 5)  # where the master is
-            peers[there].say(master)
-            while not link.endpoint._slots[there].bus._bus._unread:
-                await asyncio.sleep(0)
-            clock.advance(500_000)
-            link.tick()
-            for peer in peers:
-                peer.listen()
-        await link.close()
-
-    try:
-        asyncio.run(whole())
-    finally:
-        for peer in peers:
-            peer.bus.shutdown()
-    assert beats(0) >= 5
-    assert beats(1) >= 5
-    assert link.report(final=True).counts["bus changes"] == 1
 
 
 def test_a_bus_that_goes_away_comes_back():

@@ -1,26 +1,13 @@
 """The places of faults, with ports and buses of a few lines: nothing is lost that no fault took."""
 
-import asyncio
-
 import numpy as np
 import pytest
 
 from firmware_protocol.can_frames.frame import BitRates, Frame
-from firmware_protocol.events import EVENT, empty_edges
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Message, MessageKind
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
-from transports.faults.bus import (
-    BabblingIdiot,
-    BusOff,
-    Callbacks,
-    DeadBus,
-    FrameTracker,
-    Load,
-    QueuedFrame,
-    RepeatedFrames,
-)
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.line import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
@@ -131,103 +118,10 @@ class FewLines(CanBus):
         return "a few lines"
 
 
-class Fates:
-    """Remembers what it is told of loads."""
-
-    def __init__(self):
-        self.arrived, self.lost = [], []
-        self.tell = Callbacks(self.arrived.append, self.lost.append)
-
-
 def bus():
     faults = BusFaults(FaultPlan("can"), BitRates(), None)
     return FaultyBus(FewLines(), 0, faults), faults
 
 
-def test_a_controller_that_is_off_comes_back_on_the_same_bus_and_a_bus_that_broke_is_opened():
-    b, faults = bus()
-    inner = b._bus
-    asyncio.run(b.open())
-    faults.inject(BusOff(for_s=0.1))
-    for attempt in (lambda: b.post(QueuedFrame(FRAME)), b.take, lambda: asyncio.run(b.open())):
-        with pytest.raises(BusDown, match="bus-off"):
-            attempt()
-    faults.advance(100_000)
-    asyncio.run(b.open())
-    assert inner.opened == 1
-    assert b.post(QueuedFrame(FRAME))
-    inner.down = True
-    asyncio.run(b.open())
-    assert inner.opened == 2
-
-
-def test_a_dead_bus_hears_and_is_heard_by_nobody():
-    b, faults = bus()
-    assert b.has_listeners
-    assert len(b.take()) == 1
-    faults.inject(DeadBus(for_s=0.1))
-    assert not b.has_listeners
-    assert b.take() == []
-    faults.advance(100_000)
-    assert b.has_listeners
-
-
-def test_a_babbling_node_asks_for_its_share_of_the_bus():
-    b, faults = bus()
-    faults.inject(BabblingIdiot(for_s=1.0, identifier=0x100, load=0.25))
-    inner = b._bus
-    for ms in range(101):
-        b.babble(ms * 1_000_000)
-    busy_ns = len(inner.frames) * 131_000  # 131 bits of a frame of eight zero bytes at 1 Mbit/s
-    assert busy_ns == pytest.approx(0.25 * 100_000_000, rel=0.1)
-    assert {frame.identifier for frame in inner.frames} == {0x100}
-
-
-def load(n):
-    return Load(np.zeros(n, EVENT), empty_edges(), 0)
-
-
 def message():
     return Outgoing(message=Message(MessageKind.EVENTS, b"", 0))
-
-
-def test_a_frame_that_comes_twice_counts_once_however_late():
-    b, faults = bus()
-    fates, inner = Fates(), b._bus
-    tracker = FrameTracker(fates.tell)
-    faults.inject(RepeatedFrames())
-    inner.room = 1
-    assert b.post(QueuedFrame(FRAME, message=tracker.message(load(3))))
-    tracker.left(message())
-    assert len(fates.arrived) == 1
-    inner.room = 10
-    b.take()
-    assert len(inner.frames) == 2
-    assert (len(fates.arrived), len(fates.lost)) == (1, 0)
-
-
-def test_a_message_given_up_has_no_other_fate():
-    fates = Fates()
-    tracker = FrameTracker(fates.tell)
-    first, second = tracker.message(load(1)), tracker.message(load(2))
-    first.arrived(FRAME)
-    tracker.dropped()
-    second.gone()
-    third = tracker.message(load(3))
-    tracker.left(message())
-    assert (fates.arrived, fates.lost) == ([], [])
-    third.gone()
-    assert [len(each.events) for each in fates.lost] == [3]
-
-
-def test_a_bus_that_goes_away_takes_what_waits_for_it():
-    b, faults = bus()
-    fates, inner = Fates(), b._bus
-    tracker = FrameTracker(fates.tell)
-    faults.inject(RepeatedFrames(rate=0.001))
-    inner.room = 0
-    assert b.post(QueuedFrame(FRAME, message=tracker.message(load(3))))
-    assert not b.post(QueuedFrame(FRAME))
-    tracker.left(message())
-    b.drop()
-    assert [len(each.events) for each in fates.lost] == [3]

@@ -7,7 +7,7 @@ from firmware_protocol.can_frames.frame import BitRates
 from transports.can_bus.faulty_bus import BusFaults
 from transports.faults.bus import LostFrames
 from transports.faults.datagrams import FaultyDatagrams, LateDatagrams, LostDatagrams
-from transports.faults.kinds import CAN_BUS, DATAGRAMS, FAULTS, GIGE_STREAM, Delay, Loss, Repetition
+from transports.faults.kinds import Delay, Loss, Repetition
 from transports.faults.line import LostBytes
 from transports.faults.script import FaultPlan, Faults, pass_through
 from transports.gige.packet_faults import FaultyPackets
@@ -57,25 +57,6 @@ def test_an_item_passes_the_stages_in_order_and_each_hit_is_recorded_before_its_
     assert pass_through(faults, "a", 7, fate) == []
     assert steps == [(Repetition, "a", ["a", "a"]), (Loss, "a", []), (Loss, "a", [])]
     assert [(record.hits, record.events_lost) for record in faults.records] == [(1, 0), (2, 2)]
-
-
-@pytest.mark.parametrize("kind", [kind for kind in FAULTS if CAN_BUS in FAULTS[kind].carriers])
-def test_every_fault_of_a_bus_has_an_effect(kind):
-    assert FAULTS[kind]().stage(random(), RATES).hits in (0, 1)
-
-
-@pytest.mark.parametrize("kind", [kind for kind in FAULTS if DATAGRAMS in FAULTS[kind].carriers])
-def test_every_fault_of_datagrams_begins(kind):
-    path = FaultyDatagrams(FaultPlan(), lambda _: None)
-    path.inject(FAULTS[kind]())
-    assert [record.kind for record in path.records] == [kind]
-
-
-@pytest.mark.parametrize("kind", [kind for kind in FAULTS if GIGE_STREAM in FAULTS[kind].carriers])
-def test_every_fault_of_a_gige_camera_begins(kind):
-    path = FaultyPackets(FaultPlan())
-    path.inject(FAULTS[kind]())
-    assert [record.kind for record in path.records] == [kind]
 
 
 def test_a_carrier_refuses_the_faults_of_another():

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from transports.faults.bus import LostFrames
 from transports.faults.faulty_line import FaultyLine
-from transports.faults.kinds import FAULTS, SERIAL_LINE
 from transports.faults.line import (
     BitFlips,
     Burst,
@@ -90,19 +89,9 @@ def test_an_overrun_keeps_what_the_fifo_holds():
     assert out == DATA[:16] + DATA[300:]
 
 
-def test_a_receiver_in_time_loses_nothing():
-    assert through(Overrun(late_us=10, fifo_bytes=16), [DATA])[0] == DATA
-
-
 def test_a_break_is_one_zero_byte_and_a_broken_wire_none():
     assert through(StuckLine(), [DATA[:7], DATA[7:]])[0] == b"\0"
     assert through(StuckLine(level="high"), [DATA])[0] == b""
-
-
-def test_a_stall_holds_and_changes_nothing():
-    s = stage(Stall())
-    assert s.holds
-    assert s.change(DATA) == DATA
 
 
 def test_the_right_baud_rate_reads_what_was_sent():
@@ -127,11 +116,6 @@ def test_every_ratio_comes_to_an_end_with_a_plausible_number_of_bytes(ratio):
 def test_what_a_line_cannot_have_is_refused():
     with pytest.raises(ValueError, match="no fault of a serial line"):
         FaultyLine(FaultPlan(), "ccsds-cobs", BYTES_PER_S, None).inject(LostFrames())
-
-
-@pytest.mark.parametrize("kind", [kind for kind in FAULTS if SERIAL_LINE in FAULTS[kind].carriers])
-def test_every_kind_has_a_stage(kind):
-    assert stage(FAULTS[kind]()) is not None
 
 
 @pytest.mark.parametrize(

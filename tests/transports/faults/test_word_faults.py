@@ -159,13 +159,6 @@ def test_stale_data_come_first_at_the_next_start():
     assert [(r.hits, r.touched) for r in bench.faulty.records] == [(1, 120)]
 
 
-def test_stale_data_wait_for_a_start():
-    bench = Bench().start()
-    sent = unique_events(500)
-    decoded, _ = bench.run(sent, StaleData(), 10_000)
-    assert np.array_equal(decoded, sent)
-
-
 def test_the_same_seed_hits_the_same_words():
     sent = unique_events()
     runs = [Bench(seed).start().run(sent, CASES["repeated"], 100_000)[0] for seed in (1, 1, 2)]

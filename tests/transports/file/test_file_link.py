@@ -22,7 +22,7 @@ from transports.link.feed import Timing
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.usefixtures("forked_readers")]
 
 RIG = '[scene]\nkind = "checkerboard"\n[[links]]\nkind = "file"\n'
 

@@ -28,16 +28,8 @@ from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.imu_samples import ImuScale, no_samples, physical
 from tests.firmware_protocol.evt2_words import by_the_tables
 from tests.npz_records import load_edges, load_frames, load_imu
-from tests.transports.recording.test_other_readers import (
-    as_events,
-    by_aedat,
-    by_dv,
-    by_dv_from_the_lower_right,
-    by_evlib,
-    by_evt3,
-    by_expelliarmus,
-    by_faery,
-)
+from tests.transports.recording.test_other_readers import by_aedat, by_dv, by_dv_from_the_lower_right
+from tests.transports.word_readers import as_events, by_evlib, by_evt3, by_expelliarmus, by_faery
 from transports.link.pacing import FakeClock
 from transports.link.process import Link
 from transports.link.rings import FREE_RUNNING
@@ -49,7 +41,7 @@ from transports.recording.rosbag import EVENT_PACKET
 with warnings.catch_warnings(action="ignore"):  # it uses Python's old `imp`
     import dv
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.usefixtures("forked_readers")]
 
 SIZE = (346, 260)
 LENGTH_US, PERIOD_US, PRESSED_AFTER_US = 1_000_000, 50_000, 500_000

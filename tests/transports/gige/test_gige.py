@@ -12,8 +12,8 @@ from firmware_protocol.events import EdgeKind
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2 import Triton2
-from firmware_protocol.imx636.triton2_registers import COLUMNS, ROWS, Erc, Evs
-from tests.transports.gige.bench import GAP_US, Refusing, stream
+from firmware_protocol.imx636.triton2_registers import Evs
+from tests.transports.gige.bench import Refusing, stream
 from transports.gige.endpoint import GigeEndpoint
 from transports.gige.host import CameraGone, GigeHost, GigeHostError
 from transports.gige.kind import GigeLink
@@ -38,25 +38,6 @@ def test_a_host_reads_every_event(bench, segmentation):
     host.close()
     report = here.close()
     assert (report.delivered, report.dropped, report.digest) == (20_000, 0, digest_of(events))
-
-
-def test_ranges_and_the_rate_control_that_a_host_writes_act(bench):
-    """Columns 100 to 299 and rows 50 to 549 alone, in the order of neuromorphic_drivers' source; 3 events in 500 us."""
-    here, events = bench(), stream(20_000)
-    host = here.connect()
-    for address, value in (
-        (COLUMNS.on, 1), (COLUMNS.count, 1), (COLUMNS.selector, 0), (COLUMNS.offset, 0), (COLUMNS.size, 200),
-        (COLUMNS.offset, 100), (ROWS.on, 1), (ROWS.count, 1), (ROWS.selector, 0), (ROWS.offset, 0), (ROWS.size, 500),
-        (ROWS.offset, 50), (Erc.PERIOD_US, 500), (Erc.EVENTS, 3), (Erc.ON, 1),
-    ):  # fmt: skip
-        host.write(address, value)
-    host.start()
-    here.run(events, host)
-    inside = events[(events["x"] >= 100) & (events["x"] < 300) & (events["y"] >= 50) & (events["y"] < 550)]
-    periods = [inside[inside["t"] // 500 == k][:3] for k in range(20_000 * GAP_US // 500 + 1)]
-    assert sum(map(len, periods)) < len(inside)
-    assert np.concatenate(here.events).tobytes() == np.concatenate(periods).tobytes()
-    host.close()
 
 
 @pytest.mark.parametrize("segmentation", [False, True])
@@ -191,30 +172,6 @@ def test_a_port_that_is_taken_names_the_cure():
         link = Link(LinkSetup("gige", EventRing(10), Triton2, made), clock)
         with pytest.raises(OSError, match=r"an address of its own, such as 127\.0\.0\.2"):
             asyncio.run(link.endpoint.start())
-
-
-def test_floods_of_requests_do_not_stop_the_stream(bench):
-    here = bench()
-    host = here.connect()
-    host.start()
-    draw = np.random.default_rng(1)
-    flood = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    events = stream(20_000)
-    self_ring = here.ring
-    self_ring.start(FREE_RUNNING)
-    for part in np.array_split(events, 50):
-        for _ in range(40):
-            flood.sendto(draw.bytes(int(draw.integers(0, 600))), (here.host, here.port))
-            flood.sendto(request(Command.READREG, 7, struct.pack(">I", 0)), (here.host, here.port))
-        self_ring.push(part)
-        self_ring.publish(int(part["t"][-1]))
-        here.turn(host)
-    self_ring.publish(int(events["t"][-1]) + 5000)
-    for _ in range(200):
-        here.turn(host)
-    assert np.concatenate(here.events).tobytes() == events.tobytes()
-    flood.close()
-    host.close()
 
 
 RIG = """

@@ -9,7 +9,7 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
-from firmware_protocol.usb.device import SetupPacket, Transfer
+from firmware_protocol.usb.device import Transfer
 from transports.link.deliveries import Deliveries, digest_of
 from transports.link.endpoint import LinkBroken, LinkFactory
 from transports.link.kind import Wiring
@@ -18,10 +18,8 @@ from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.live import FileRecorder
-from transports.recording.record import load_record
-from transports.usb.host import StallError
 from transports.usb.kind import LoopbackLink
-from transports.usb.loopback import DirectHost, LoopbackEndpoint
+from transports.usb.loopback import LoopbackEndpoint
 
 ORIGIN_NS = 1_000_000_000
 
@@ -97,21 +95,6 @@ def test_nothing_flows_before_the_run_starts():
     assert ring.waiting == 10
 
 
-def test_an_event_at_the_origin_waits_for_it():
-    clock = FakeClock(ORIGIN_NS - 20_000_000)
-    link, ring = loopback_link(clock=clock)
-    ring.start(ORIGIN_NS)
-    ring.push(stream(1))
-    ring.publish(1000)
-    link.tick()
-    link.ticked_ns = 0
-    link.attend()
-    assert ring.waiting == 1
-    clock.advance(20_000_000)
-    link.tick()
-    assert link.report().delivered == 1
-
-
 def test_a_command_sent_before_the_start_of_a_run_precedes_its_events(monkeypatch):
     """The run may start while a tick reads the commands; its events are then fed by the next tick."""
     link, ring = loopback_link()
@@ -159,41 +142,6 @@ def test_a_free_link_is_silent_after_the_start_as_long_as_its_host_needs():
     assert link.report().delivered == 4700
 
 
-def test_a_record_is_what_was_delivered(tmp_path):
-    link, ring = loopback_link(tmp_path)
-    events = stream(5000, every_us=7)
-    ring.start(FREE_RUNNING)
-    ring.push(events)
-    ring.publish(35_000)
-    while not link.idle:
-        link.tick()
-    asyncio.run(link.close())
-    recorded, resets = load_record(tmp_path / "link.npz")
-    assert np.array_equal(recorded, events)
-    assert resets == [0]
-
-
-def test_what_stays_in_the_ring_is_dropped_by_the_link():
-    link, ring = loopback_link(ring=EventRing(50))
-    ring.push(stream(60))
-    report = link.report(final=True)
-    assert report.dropped == 60
-    assert report.delivered == 0
-
-
-def test_events_without_a_host_are_dropped_in_the_device():
-    ring = EventRing(1000)
-    setup = LinkSetup("alone", ring, Davis346, LinkFactory(LoopbackEndpoint, LoopbackLink()))
-    link = Link(setup, FakeClock())
-    ring.start(FREE_RUNNING)
-    ring.push(stream(100))
-    ring.publish(1000)
-    link.tick()
-    report = link.report()
-    assert report.dropped_in_device == report.camera.not_running == 100
-    assert link.idle
-
-
 def loopback(camera, ring):
     return LoopbackEndpoint(LoopbackLink(), Wiring(), camera, Deliveries(ring, FakeClock()))
 
@@ -217,13 +165,6 @@ def test_the_loopback_host_compares_every_event():
     camera.offer(stream(10))
     with pytest.raises(LinkBroken, match="others received"):
         endpoint.pump()
-
-
-def test_a_direct_host_passes_stalls_on():
-    host = DirectHost(Davis346())
-    with pytest.raises(StallError):
-        host.control_in(SetupPacket(0xC0, 0x77, 0, 0, 4))
-    host.close()
 
 
 class Stalled:

@@ -38,31 +38,6 @@ def test_a_ring_gives_back_what_it_took_in_order(capacity, pushes_and_takes):
     assert ring.refused == t - len(pushed)
 
 
-def test_events_are_not_taken_before_their_time():
-    ring = EventRing(10)
-    ring.push(events_at([5, 10, 10, 15]))
-    assert list(ring.take(9)["t"]) == [5]
-    assert list(ring.take(10)["t"]) == [10, 10]
-    assert list(ring.take(14)["t"]) == []
-    assert list(ring.take(15)["t"]) == [15]
-
-
-def test_what_does_not_fit_is_refused_and_counted():
-    ring = EventRing(3)
-    assert ring.push(events_at(range(5))) == 3
-    assert ring.refused == 2
-    assert list(ring.take(9)["t"]) == [0, 1, 2]
-
-
-def test_a_ring_says_where_the_run_is():
-    ring = EventRing(3)
-    assert (ring.origin_ns, ring.now_us, ring.closed) == (None, 0, False)
-    ring.start(123)
-    ring.publish(7)
-    ring.close()
-    assert (ring.origin_ns, ring.now_us, ring.closed) == (123, 7, True)
-
-
 def test_neither_a_ring_nor_a_tally_needs_a_folder(monkeypatch):
     """/dev/shm and /tmp may be read-only, or small."""
 

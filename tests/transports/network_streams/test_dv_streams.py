@@ -1,7 +1,6 @@
 """Triggers on a port of their own, and LZ4, read by dv_processing.io.NetworkReader."""
 
 import asyncio
-import dataclasses
 import socket
 import time
 from contextlib import closing
@@ -12,32 +11,16 @@ import pytest
 
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import link_setups
-from emulator.run.link_process import LinkProcess
-from evstim.testing.link_contract import LinkContract, event_stream
+from evstim.testing.link_contract import event_stream
 from firmware_protocol.device.plain_device import PlainDevice
 from tests.free_ports import free_port
 from tests.transports.network_streams.stream_readers import DvReader
+from tests.transports.opened_links import opened
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import MonotonicClock
-from transports.link.rings import FREE_RUNNING, EventRing
-from transports.network_streams.kind import TcpLink
+from transports.link.rings import FREE_RUNNING
 
 pytestmark = pytest.mark.socket
-
-
-class TestDvLz4(LinkContract):
-    parameters = TcpLink(port=0, compression="lz4")
-
-    def reader(self, link):
-        return DvReader(link)
-
-
-def opened(table, more=""):
-    rig = parse_rig(f'[scene]\nkind = "checkerboard"\n{more}\n[[links]]\nkind = "tcp"\n{table}\n', "a.toml", "a")
-    (setup,) = link_setups(rig)
-    link = LinkProcess(dataclasses.replace(setup, ring=EventRing(1 << 20)), MonotonicClock())
-    link.wait_ready()
-    return link
 
 
 def triggers_of(reader, count):
@@ -62,7 +45,7 @@ RISING, FALLING = dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE, dv.TriggerType.EXT
 def test_triggers_come_on_their_own_port(compression, kind, changes):
     port, events = free_port(), event_stream(20_000)
     link = opened(
-        f'port = 0\ntrigger_port = {port}\ncompression = "{compression}"',
+        f'kind = "tcp"\nport = 0\ntrigger_port = {port}\ncompression = "{compression}"',
         f'[trigger]\nperiod_ms = 0.5\npulse_us = 200\nkind = "{kind}"',
     )
     with closing(DvReader(link)) as reader:
@@ -82,7 +65,7 @@ def test_triggers_come_on_their_own_port(compression, kind, changes):
 
 
 def test_without_a_client_for_them_triggers_are_ignored_and_events_go_on():
-    link = opened(f"port = 0\ntrigger_port = {free_port()}", "[trigger]\nperiod_ms = 7.0")
+    link = opened(f'kind = "tcp"\nport = 0\ntrigger_port = {free_port()}', "[trigger]\nperiod_ms = 7.0")
     events = event_stream(20_000)
     with closing(DvReader(link)) as reader:
         link.start(FREE_RUNNING)
@@ -97,7 +80,7 @@ def test_without_a_client_for_them_triggers_are_ignored_and_events_go_on():
 def test_the_camera_takes_edges_while_a_client_for_them_is_there():
     """It comes after 20 ms of device time and leaves after 40 ms; edges before and after are ignored, not lost."""
     port = free_port()
-    link = opened(f"port = 0\ntrigger_port = {port}", "[trigger]\nperiod_ms = 1.0")
+    link = opened(f'kind = "tcp"\nport = 0\ntrigger_port = {port}', "[trigger]\nperiod_ms = 1.0")
     parts = (event_stream(6000, start_us) for start_us in range(0, 20_000_000, 20_000))
     with closing(DvReader(link)):
         link.start(FREE_RUNNING)
@@ -134,7 +117,7 @@ def edges_when(link, told):
 @pytest.mark.long
 def test_a_client_of_triggers_that_sleeps_does_not_hold_up_events():
     port, events = free_port(), event_stream(300_000)
-    link = opened(f"port = 0\ntrigger_port = {port}", "[trigger]\nperiod_ms = 0.2")
+    link = opened(f'kind = "tcp"\nport = 0\ntrigger_port = {port}', "[trigger]\nperiod_ms = 0.2")
     with socket.create_connection(("127.0.0.1", port)), closing(DvReader(link)) as reader:
         link.start(FREE_RUNNING)
         link.push_all(events, 900_000)
@@ -154,7 +137,7 @@ def test_a_client_of_triggers_that_sleeps_does_not_hold_up_events():
 ])  # fmt: skip
 def test_a_table_that_cannot_be_is_refused(table, message):
     with pytest.raises(RigError, match=message):
-        opened(table)
+        opened(f'kind = "tcp"\n{table}')
 
 
 def test_a_missing_lz4_is_told_when_the_link_opens(monkeypatch):

@@ -1,43 +1,26 @@
 """Clients that stop reading, vanish, talk, or come in thousands; receivers that are not there."""
 
 import contextlib
-import dataclasses
 import os
 import socket
 import struct
-import time
 from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
-from emulator.run.assembly import link_setups
-from emulator.run.link_process import LinkFailed, LinkProcess
+from emulator.run.link_process import LinkFailed
 from evstim.testing.link_contract import event_stream
 from tests.transports.network_streams.stream_readers import CaerReader, DvReader, udp_port
+from tests.transports.opened_links import balanced, opened, wait_until
 from transports.link.pacing import MonotonicClock
-from transports.link.rings import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
 FLOOD = int(os.environ.get("EVSTIM_FLOOD", "200"))
 CAER = 'kind = "tcp"\nformat = "caer"\nport = 0\nbuffer_mib = 0.0625'
-
-
-def opened(table):
-    loaded = parse_rig(f'[scene]\nkind = "checkerboard"\n[[links]]\n{table}\n', "a.toml", "a")
-    (setup,) = link_setups(loaded)
-    link = LinkProcess(dataclasses.replace(setup, ring=EventRing(1 << 21)), MonotonicClock())
-    link.wait_ready()
-    return link
-
-
-def wait_until(link, told):
-    until = time.monotonic() + 120
-    while not told(link.listen()):
-        assert time.monotonic() < until, link.report
-        time.sleep(0.01)
 
 
 def clients(link, count):
@@ -47,12 +30,6 @@ def clients(link, count):
 def connected(link):
     host, _, port = link.report.address.rpartition(":")
     return socket.create_connection((host, int(port)), timeout=120)
-
-
-def balanced(report, count):
-    assert report.error is None
-    assert report.delivered + report.dropped + report.dropped_in_device == count
-    assert report.camera.queued == 0
 
 
 def test_a_client_that_stops_reading_costs_others_nothing():

@@ -1,6 +1,5 @@
 """Programs of others that read the streams: dv_processing, faery, aestream, PyAV, and numpy."""
 
-import dataclasses
 import os
 import socket
 import subprocess
@@ -13,14 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.rig.loading import parse_rig
-from emulator.run.assembly import link_setups
-from emulator.run.link_process import LinkProcess
 from evstim.testing.link_contract import event_stream
 from tests.free_ports import free_port
 from tests.transports.network_streams.stream_readers import DvReader
-from transports.link.pacing import MonotonicClock
-from transports.link.rings import FREE_RUNNING, EventRing
+from tests.transports.opened_links import opened
+from transports.link.rings import FREE_RUNNING
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
@@ -50,14 +46,6 @@ with aestream.UDPInput((346, 260), device="cpu", port=int(sys.argv[1])) as strea
         time.sleep(0.01)
 np.save(sys.argv[3], picture)
 """
-
-
-def opened(table):
-    loaded = parse_rig(f'[scene]\nkind = "checkerboard"\n[[links]]\n{table}\n', "a.toml", "a")
-    (setup,) = link_setups(loaded)
-    link = LinkProcess(dataclasses.replace(setup, ring=EventRing(1 << 20)), MonotonicClock())
-    link.wait_ready()
-    return link
 
 
 def started(script, port, *arguments, python=sys.executable):

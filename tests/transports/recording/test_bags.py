@@ -8,9 +8,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from firmware_protocol.events import EVENT
 from tests.transports.recording.samples import SIZE
-from transports.recording.files import OpenRecording, read_events
-from transports.recording.part import RecordingError
+from transports.recording.files import OpenRecording, iter_events, read_events
+from transports.recording.format import FORMATS
+from transports.recording.part import IMU, Facts, Part, RecordingError
 from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, event_array
+
+pytestmark = pytest.mark.usefixtures("forked_readers")
 
 LEFT, RIGHT = "/left/events", "/right/events"
 UNIX_US = 1_700_000_000_000_000
@@ -91,3 +94,36 @@ def test_a_bag_of_ros2_without_metadata_names_the_command_that_writes_it(name, t
         OpenRecording(tmp_path)
     with pytest.raises(RecordingError, match="name its folder; `ros2 bag reindex FOLDER`"):
         OpenRecording(tmp_path / name)
+
+
+@pytest.mark.parametrize("form", ["ros1", "ros2", "ros1-dvs"])
+def test_samples_before_the_first_event_keep_their_times(form, tmp_path):
+    """Samples 50 and 20 ms before the camera's clock began: what is stored is Unix time."""
+    path = tmp_path / f"a.{form}"
+    writer = FORMATS[form].open_writer(path, Facts(SIZE, "A", UNIX_US - 50_000, frozenset({"imu"})))
+    samples = np.zeros(3, IMU)
+    samples["t"] = [0, 30_000, 60_000]
+    writer.write(Part(imu=samples[:2]))
+    writer._facts = Facts(SIZE, "A", UNIX_US)
+    writer.write(Part(events_at([400, 900])))
+    writer._facts = Facts(SIZE, "A", UNIX_US - 50_000)
+    writer.write(Part(imu=samples[2:]))
+    writer.close()
+    with OpenRecording(path) as recording:
+        parts = list(recording.parts())
+        assert recording.facts.unix_us == UNIX_US - 50_000
+    assert [int(t) for part in parts for t in part.imu["t"]] == [0, 30_000, 60_000]
+    assert [int(t) for part in parts for t in part.events["t"]] == [50_400, 50_900]
+
+
+def test_samples_that_come_later_than_events_and_are_earlier_are_counted(tmp_path):
+    writer = FORMATS["ros1"].open_writer(tmp_path / "a.bag", Facts(SIZE, "A", UNIX_US, frozenset({"imu"})))
+    writer.write(Part(events_at([400, 900])))
+    writer._facts = Facts(SIZE, "A", UNIX_US - 5)
+    writer._put = lambda topic, _, message, put=writer._put: put(topic, UNIX_US + 5000, message)
+    writer.write(Part(imu=np.zeros(2, IMU)))
+    writer.close()
+    parts = iter_events(tmp_path / "a.bag")
+    assert next(parts)["t"].tolist() == [400, 900]
+    with pytest.raises(RecordingError, match="2 samples of its inertial unit are before its first events"):
+        next(parts)

@@ -10,6 +10,8 @@ from transports.recording import files
 from transports.recording.files import OpenRecording, iter_events, read_events, read_messages
 from transports.recording.part import RecordingError
 
+pytestmark = pytest.mark.usefixtures("forked_readers")
+
 
 def hdf5(path, t, chunk=None, **further):
     """Write a file of DSEC's layout; `t` is an array, or the number of times that are never written."""

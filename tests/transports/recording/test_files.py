@@ -63,6 +63,7 @@ def test_what_was_written_is_read_back(name, tmp_path):
         assert len(edges) == 0
 
 
+@pytest.mark.usefixtures("forked_readers")
 @pytest.mark.long
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_recording_of_nothing_is_a_recording(name, tmp_path):
@@ -109,23 +110,13 @@ def test_each_clock_has_a_file_of_its_own(tmp_path):
     assert [read_all(path)[0].facts.unix_us for path in file.paths] == [10**15 + 100, 2 * 10**15 + 50]
 
 
-@pytest.mark.long
-def test_a_clock_that_starts_anew_before_anything_is_written_begins_a_new_file_too(tmp_path):
-    file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE))
-    file.restart(0)
-    file.write(Part(events_at([100, 200])))
-    file.restart(0)  # a run without a date
-    file.write(Part(events_at([50])))
-    file.close()
-    assert [read_all(path)[1]["t"].tolist() for path in file.paths] == [[100, 200], [50]]
-
-
 def edge_at(t_us):
     edge = np.zeros(1, EDGE)
     edge["t"], edge["kind"] = t_us, 2
     return edge
 
 
+@pytest.mark.usefixtures("forked_readers")
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("hold", "behind_us", "is_late"), [(False, 90_000, 0), (False, 110_000, 1), (True, 110_000, 0)]
@@ -147,6 +138,7 @@ def test_an_edge_that_comes_after_later_events_is_put_in_order_or_counted(hold, 
         assert (read["t"].tolist(), file.late["edges"]) == ([] if is_late else [200_000 - behind_us], is_late)
 
 
+@pytest.mark.usefixtures("forked_readers")
 def test_an_edge_ahead_of_its_events_waits_for_them_however_long(tmp_path):
     """A step of a run may be long: its edges come first."""
     file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE))
@@ -173,6 +165,7 @@ def test_what_no_event_follows_is_written_when_its_time_is_reached(tmp_path):
         assert file.written["edges"] == 2
 
 
+@pytest.mark.usefixtures("forked_readers")
 @pytest.mark.sampled
 @pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if not form.is_folder])
 def test_a_file_cut_anywhere_gives_what_came_before_or_a_reason(name, tmp_path):
@@ -187,6 +180,7 @@ def test_a_file_cut_anywhere_gives_what_came_before_or_a_reason(name, tmp_path):
         np.testing.assert_array_equal(events[:-1], EVENTS[: max(0, len(events) - 1)])  # CSV may cut a number
 
 
+@pytest.mark.usefixtures("forked_readers")
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [

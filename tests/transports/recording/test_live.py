@@ -17,7 +17,7 @@ from transports.recording.live import LiveRecorder, open_recorder
 from transports.recording.part import Facts, Part
 from transports.recording.record import Recorder
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.usefixtures("forked_readers")]
 
 FACTS = Facts(SIZE, "DAVIS346_00000346")
 EVENTS = sample_events()
@@ -61,19 +61,6 @@ def test_what_was_appended_is_in_the_file(name, tmp_path):
     np.testing.assert_array_equal(events, EVENTS)
     assert recording.facts.unix_us == (UNIX_US if name in DATED else 0)
     assert len(read) in (0, len(edges))
-
-
-@pytest.mark.long
-def test_a_clock_that_starts_anew_has_a_file_of_its_own(tmp_path):
-    recorder = LiveRecorder(tmp_path / "a.aedat4", FORMATS["aedat4"], FACTS)
-    recorder.append(Part(events_at([100, 200])), unix_us=UNIX_US)
-    recorder.append(Part(events_at([3, 4])), restarted=True, unix_us=UNIX_US + 150)
-    recorder.close()
-    assert recorder.trouble == ""
-    paths = [tmp_path / "a.aedat4", tmp_path / "a-clock2.aedat4"]
-    assert recorder.summary.paths == tuple(str(path) for path in paths)
-    assert [read_all(path)[1]["t"].tolist() for path in paths] == [[100, 200], [3, 4]]
-    assert [read_all(path)[0].facts.unix_us for path in paths] == [UNIX_US, UNIX_US + 150]
 
 
 @pytest.mark.sampled

@@ -6,10 +6,7 @@ import warnings
 import aedat
 import dv_processing
 import event_stream
-import evlib
 import evt3
-import expelliarmus
-import faery
 import h5py
 import numpy as np
 import pytest
@@ -17,10 +14,11 @@ import tonic.io
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from firmware_protocol.events import EVENT, EdgeKind
+from firmware_protocol.events import EVENT
 from firmware_protocol.evt.words import evt3_header
 from tests.firmware_protocol.evt2_words import by_the_tables
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
+from tests.transports.word_readers import as_events, by_evlib, by_evt3, by_expelliarmus, by_faery
 from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, EVENT_PACKET
 
 with warnings.catch_warnings(action="ignore"):  # it uses Python's old `imp`
@@ -28,24 +26,6 @@ with warnings.catch_warnings(action="ignore"):  # it uses Python's old `imp`
 
 EVENTS = sample_events()
 EDGES = sample_edges(EVENTS)
-
-
-def as_events(t, x, y, on):
-    events = np.zeros(len(t), EVENT)
-    for name, values in zip(EVENT.names, (t, x, y, on), strict=True):
-        events[name] = np.asarray(values)
-    return events
-
-
-def by_faery(path):
-    events = np.concatenate(list(faery.events_stream_from_file(path)))
-    return as_events(*(events[name] for name in ("t", "x", "y", "on")))
-
-
-def by_evlib(path):
-    read = evlib.load_events(str(path)).collect()
-    t = read["t"].dt.total_microseconds().to_numpy()
-    return as_events(t, *(read[name].to_numpy() for name in ("x", "y")), read["polarity"].to_numpy() > 0)
 
 
 def by_dv_processing(path):
@@ -63,22 +43,11 @@ def by_aedat(path):
     return np.concatenate(packets).astype(EVENT)
 
 
-def by_evt3(path):
-    read = evt3.decode_file(str(path))
-    assert read.sensor_size == SIZE
-    return as_events(read.t, read.x, read.y, np.asarray(read.p) > 0)
-
-
 def by_event_stream(path):
     """Rows count from the bottom."""
     with event_stream.Decoder(str(path)) as packets:
         read = np.concatenate(list(packets))
     return as_events(read["t"], read["x"], SIZE[1] - 1 - read["y"], read["on"])
-
-
-def by_expelliarmus(path):
-    read = expelliarmus.Wizard(encoding="dat" if path.suffix == ".dat" else "evt2").read(str(path))
-    return as_events(*(read[name] for name in "txyp"))
 
 
 def by_the_tables_of_evt21(path):
@@ -158,37 +127,6 @@ def test_every_event_is_read_by_others(name, file, read, zero_us, tmp_path):
     got = read(tmp_path / file)
     got["t"] -= np.uint64(zero_us)
     np.testing.assert_array_equal(got, EVENTS)
-
-
-def test_no_reader_of_aedat2_takes_the_first_record_for_text(tmp_path):
-    """Its first byte is '#'. tonic takes the frame sample before it for an event, as it does with any."""
-    events = EVENTS.copy()
-    events["y"][0] = 259 - 141
-    write(tmp_path / "a.aedat2", "aedat2", events)
-    np.testing.assert_array_equal(by_dv_from_the_lower_right(tmp_path / "a.aedat2"), events)
-    np.testing.assert_array_equal(by_tonic(tmp_path / "a.aedat2")[1:], events)
-
-
-def test_triggers_of_aedat4_are_read_by_dv_processing(tmp_path):
-    write(tmp_path / "a.aedat4", "aedat4", EVENTS, EDGES)
-    reader, read = dv_processing.io.MonoCameraRecording(str(tmp_path / "a.aedat4")), []
-    while (batch := reader.getNextTriggerBatch()) is not None:
-        read += [(trigger.timestamp - UNIX_US, trigger.type.value) for trigger in batch]
-    assert read == [(int(edge["t"]), 1 if edge["kind"] == EdgeKind.RISING else 2) for edge in EDGES]
-
-
-@pytest.mark.parametrize("name", ["evt21", "evt21-legacy"])
-def test_triggers_of_evt21_are_in_the_words(name, tmp_path):
-    write(tmp_path / "a.raw", name, EVENTS, EDGES)
-    triggers = by_the_tables((tmp_path / "a.raw").read_bytes().partition(b"% end\n")[2], name)[1]
-    np.testing.assert_array_equal(triggers[["t", "kind"]], EDGES[["t", "kind"]])
-
-
-def test_triggers_of_evt3_are_read_by_evt3(tmp_path):
-    write(tmp_path / "a.raw", "evt3", EVENTS, EDGES)
-    _, triggers = evt3.decode_file_with_triggers(str(tmp_path / "a.raw"))
-    np.testing.assert_array_equal(np.asarray(triggers.timestamp), EDGES["t"])
-    np.testing.assert_array_equal(np.asarray(triggers.value), EDGES["kind"] == EdgeKind.RISING)
 
 
 @pytest.fixture(scope="module", params=["ros1", "ros2"])

@@ -282,10 +282,6 @@ def test_silent_peers_keep_no_renderer_out(monkeypatch):
         assert b"before many others" in peers[0].recv(1000)
 
 
-def test_none_comes_back_where_no_renderer_connects():
-    assert RendererServer("127.0.0.1", 0).accept(WANTED, 0.05) is None
-
-
 def test_a_peer_of_an_address_that_is_not_allowed_is_refused():
     server = RendererServer("127.0.0.1", 0, ["10.1.1.1"])
     with in_thread(peer_of, server.address, Hello().pack()):

@@ -1,10 +1,8 @@
 """Topics of a link: pictures, triggers, what is told of the types; readers that sleep, vanish or come late."""
 
 import contextlib
-import dataclasses
 import os
 import signal
-import threading
 import time
 from contextlib import closing
 from pathlib import Path
@@ -15,12 +13,13 @@ import pytest
 pytest.importorskip("cyclonedds", reason="the `ros2` extra is not installed")
 
 from emulator.rig.loading import RigError, parse_rig
-from emulator.run.assembly import link_setups
-from emulator.run.link_process import LinkFailed, LinkProcess
+from emulator.run.link_process import LinkFailed
 from evstim.testing.link_contract import event_stream
+from tests.transports.opened_links import balanced, wait_until
+from tests.transports.opened_links import opened as link_of
 from tests.transports.ros2.ros_readers import DOMAIN, EventReader, Peer, decoded, own_topic, typestore
 from transports.link.pacing import MonotonicClock
-from transports.link.rings import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
@@ -28,25 +27,7 @@ TYPES = typestore()
 
 
 def opened(topic, more="", domain=DOMAIN):
-    table = f'kind = "ros2"\ntopic = "{topic}"\ndomain = {domain}\n{more}'
-    loaded = parse_rig(f'[scene]\nkind = "checkerboard"\n[[links]]\n{table}\n', "a.toml", "a")
-    (setup,) = link_setups(loaded)
-    link = LinkProcess(dataclasses.replace(setup, ring=EventRing(1 << 20)), MonotonicClock())
-    link.wait_ready()
-    return link
-
-
-def wait_until(link, told):
-    until = time.monotonic() + 120
-    while not told(link.listen()):
-        assert time.monotonic() < until, link.report
-        time.sleep(0.01)
-
-
-def balanced(report, count):
-    assert report.error is None
-    assert report.delivered + report.dropped + report.dropped_in_device == count
-    assert report.camera.queued == 0
+    return link_of(f'kind = "ros2"\ntopic = "{topic}"\ndomain = {domain}\n{more}')
 
 
 def first_of(peer, count):
@@ -144,23 +125,6 @@ def test_a_sleeping_reader_costs_others_nothing():
 
 
 @pytest.mark.long
-def test_a_run_that_is_not_paced_waits_for_a_reader_that_sleeps_for_a_second():
-    topic, events = own_topic(), event_stream(700_000)
-    link = opened(topic, "depth = 4")
-    with closing(EventReader(link, topic)) as reader:
-        reader.process.send_signal(signal.SIGSTOP)
-        link.start(FREE_RUNNING)
-        waker = threading.Timer(1.0, reader.process.send_signal, (signal.SIGCONT,))
-        waker.start()
-        link.push_all(events, 2_100_000)
-        received = reader.read(len(events))
-        waker.join()
-        report = link.stop(10.0)
-    np.testing.assert_array_equal(received, events)
-    balanced(report, len(events))
-
-
-@pytest.mark.long
 def test_events_that_wait_for_others_when_the_last_reader_leaves_are_lost():
     topic = own_topic()
     link = opened(topic, "message_ms = 1000.0")
@@ -176,23 +140,6 @@ def test_events_that_wait_for_others_when_the_last_reader_leaves_are_lost():
     report = link.stop(5.0)
     balanced(report, 500)
     assert (report.delivered, report.camera.lost_on_link) == (0, 500)
-
-
-@pytest.mark.long
-def test_a_run_that_is_not_paced_does_not_wait_for_ever_for_a_sleeper():
-    topic, events = own_topic(), event_stream(700_000)
-    link = opened(topic, "depth = 4")
-    with closing(Peer(topic)) as sleeper:
-        wait_until(link, lambda report: report.state.startswith("1 reader"))
-        sleeper.process.send_signal(signal.SIGSTOP)
-        link.start(FREE_RUNNING)
-        begun = time.monotonic()
-        link.push_all(events, 2_100_000)
-        report = link.stop(10.0)  # it would not come back
-        assert time.monotonic() - begun > 2.0
-        sleeper.process.send_signal(signal.SIGCONT)
-    assert report.delivered == len(events)
-    balanced(report, len(events))
 
 
 def test_events_without_a_reader_are_counted_and_a_later_one_gets_later_ones():

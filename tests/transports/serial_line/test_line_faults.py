@@ -189,21 +189,6 @@ def test_a_port_that_is_pulled_out_comes_back(tmp_path):
     asyncio.run(whole())
 
 
-def test_a_fault_injected_by_hand_begins_at_once(bench):
-    b = bench()
-    b.plug()
-    b.ring.start(ORIGIN_NS)
-    b.give(stream(COUNT), COUNT * 20)
-    b.run(100)
-    b.link.endpoint.faulty.inject(LostBytes())
-    b.run(360)
-    b.read_until(b.link.report().delivered)
-    report = b.link.report()
-    assert_known(b, report)
-    assert report.faults[0].began_us == pytest.approx(50_000, abs=500)
-    assert report.faults[0].events_lost > 0
-
-
 def test_a_reader_that_leaves_takes_what_is_under_way_with_it(bench):
     b = bench(faults=FaultPlan("serial", (StuckLine(at_s=0.0, for_s=10.0),)))
     b.plug()

@@ -3,7 +3,6 @@
 from collections import deque
 
 import hypothesis.strategies as st
-import pytest
 from hypothesis import given
 
 from transports.serial_line.endpoint import BaudClock, Frame, Transmitter
@@ -35,11 +34,6 @@ def transmitter(baud=100_000, frames=(), bits=10):
     return Transmitter(BaudClock(baud, bits), pull, left.append, 600_000), waiting, left
 
 
-@pytest.mark.parametrize(("bits", "bytes_per_s"), [(10, 9600), (11, 96_000 / 11), (10.5, 96_000 / 10.5), (12, 8000)])
-def test_capacity_counts_every_bit_of_a_character(bits, bytes_per_s):
-    assert BaudClock(96_000, bits).bytes_per_s == pytest.approx(bytes_per_s)
-
-
 @given(st.lists(st.integers(1, 8_000_000), min_size=20, max_size=60), st.sampled_from([9600, 115_200, 3_000_000]))
 def test_a_full_line_carries_its_capacity_however_the_ticks_fall(steps, baud):
     out, _, _ = transmitter(baud, [bytes(1000)] * 2000)
@@ -68,16 +62,6 @@ def test_a_stall_is_made_up_for_only_as_far_as_a_buffer_holds():
     out.pump(sink.write, 0)
     out.pump(sink.write, SECOND_NS)
     assert len(sink.data) == 500, "50 ms of 10 kB/s"
-
-
-def test_a_frame_is_pulled_as_late_as_possible():
-    out, waiting, _ = transmitter(100_000, [bytes(100)] * 3)
-    out.pump(Sink().write, 0)
-    assert len(waiting) == 2, "one frame lasts 10 ms"
-    out.pump(Sink().write, 9_000_000)
-    assert len(waiting) == 2
-    out.pump(Sink().write, 9_500_000)
-    assert len(waiting) == 1
 
 
 def test_frames_leave_in_order_when_their_last_byte_has():
@@ -117,14 +101,3 @@ def test_what_is_dropped_is_named_and_the_next_frame_begins_afresh():
     assert sink.data.startswith(b"abcghi")
     assert left == [b"ghi"]
     assert not waiting
-
-
-def test_the_share_is_of_the_time_since_the_first_byte():
-    clock = BaudClock(100_000, 10)
-    assert clock.share(SECOND_NS) == 0.0
-    clock.restart(SECOND_NS)
-    clock.leave(clock.due(SECOND_NS + 20_000_000), SECOND_NS + 20_000_000)
-    assert clock.carried == 200
-    assert clock.share(SECOND_NS + 20_000_000) == pytest.approx(1.0)
-    assert clock.share(SECOND_NS + 40_000_000) == pytest.approx(0.5)
-    assert clock.busiest_share == pytest.approx(0.02)

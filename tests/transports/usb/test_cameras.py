@@ -1,4 +1,4 @@
-"""The driver of the EVK4 on a cable that is a function call, and over USB/IP: every event comes as it was sent."""
+"""The driver of Prophesee's boards: by function calls, over USB/IP, and through faults and pyusb, with each sensor."""
 
 import dataclasses
 import struct
@@ -7,14 +7,17 @@ from importlib.metadata import EntryPoint
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT
+from evstim.testing.link_contract import event_stream
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.gen31.device import BOARDS, Gen31, Gen31Settings
+from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.prophesee.treuzell import Frame, Property
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
-from transports.faults.usb import UsbSilence
+from transports.faults.usb import ShortTransfers, UsbSilence
 from transports.usb.cameras import driver_of, first_on_the_bus
 from transports.usb.host import DeviceAbsent, PeerBroken, StallError, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.loopback import DirectHost
@@ -22,23 +25,19 @@ from transports.usb.pyusb_host import PyusbHost
 from transports.usb.treuzell_host import TreuzellHost
 from transports.usb.usbip.client import UsbipHost
 
-SETTINGS = Evk4Settings(serial="c0ffee", start_delay_us=0)
-
-
-def random_events(count, seed=1):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = np.sort(rng.integers(0, 20_000_000, count))
-    events["x"], events["y"] = rng.integers(0, 1280, count), rng.integers(0, 720, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
-
-
-def all_of(host):
-    parts = [np.zeros(0, EVENT)]
-    while (events := host.read(0.2)) is not None:
-        parts.append(events)
-    return np.concatenate(parts)
+USUAL = {"serial": "c0ffee", "start_delay_us": 0}
+SETTINGS = Evk4Settings(**USUAL)
+CAMERAS = {
+    "EVK4": lambda: Evk4(SETTINGS),
+    "EVK3 GenX320": lambda: Genx320(Genx320Settings(**USUAL)),
+    "SilkyEvCam VGA": lambda: Gen31(Gen31Settings(**USUAL, board=BOARDS["silkyevcam_vga"])),
+    "EVK3 VGA": lambda: Gen31(Gen31Settings(**USUAL, board=BOARDS["evk3_vga"])),
+}
+NAMES = {
+    "EVK4": ("CCam5 Imx636 Event-Based Camera", "psee,ccam5_imx636"),
+    "EVK3 GenX320": (None, "psee,cx3_genx320"),
+}
+FPGA = "CCam5 FPGA Event-Based Camera", "psee,ccam5_fpga"
 
 
 @pytest.fixture
@@ -46,68 +45,79 @@ def camera():
     return Evk4(SETTINGS)
 
 
-@pytest.fixture
-def served_camera(bench, camera):
-    """A USB/IP server with the camera at 1-1."""
-    bench.start({"1-1": camera})
-    return bench
+@pytest.fixture(params=CAMERAS)
+def each(request):
+    return CAMERAS[request.param]()
 
 
-def test_it_tells_who_the_camera_is(camera):
-    info = driver_of(DirectHost(camera)).info
-    assert (info.serial, info.release, info.size) == ("00C0FFEE", 0x030900, (1280, 720))
-    assert (info.name, info.compatible[0]) == ("CCam5 Imx636 Event-Based Camera", "psee,ccam5_imx636")
+def events_of(camera, count, start_us=0):
+    return event_stream(count, start_us, camera.settings.size)
 
 
-def test_every_event_arrives(camera):
-    host = TreuzellHost(DirectHost(camera))
-    camera.advance(500)
-    host.start()
-    events = random_events(20_000)
-    events["t"] += np.uint64(500)
-    camera.offer(events)
-    seen = all_of(host)
-    seen["t"] += np.uint64(500)
-    assert np.array_equal(seen, events)
-    assert len(host.stop()) == 0
+def received(host, count):
+    parts = [np.zeros(0, EVENT)]
+    while sum(map(len, parts)) < count:
+        parts.append(host.read(120))
+        assert parts[-1] is not None
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("model", CAMERAS)
+def test_it_reports_the_identity(model):
+    camera = CAMERAS[model]()
+    host = driver_of(DirectHost(camera))
+    info, (name, compatible) = host.info, NAMES.get(model, FPGA)
+    assert model in host.model.split(" or ")
+    assert (info.serial, info.release, info.size) == ("00C0FFEE", 0x030900, camera.settings.size)
+    assert (name in (None, info.name), info.compatible[0]) == (True, compatible)
+
+
+def test_events_and_edges_arrive_and_edges_only_where_they_are_wanted(each):
+    edges = np.zeros(1, EDGE)
+    edges["t"], edges["kind"] = 700, EdgeKind.RISING
+    host = driver_of(DirectHost(each))
+    each.advance(500)
+    for wanted, ignored in ((True, 0), (False, 1)):
+        host.start(StreamSettings(edges=wanted))
+        sent = events_of(each, 2000, each.now_us)
+        each.offer_edges(edges)
+        each.offer(sent)
+        seen = received(host, len(sent))
+        seen["t"] += np.uint64(each.epoch_us)
+        assert np.array_equal(seen, sent)
+        assert len(host.take_edges()) == wanted
+        assert each.counters.edges.ignored == ignored
+        assert len(host.stop()) == 0
     host.close()
-    assert not camera.streaming
+    assert not each.streaming
 
 
 @pytest.mark.socket
-def test_every_event_arrives_over_usbip(camera, served_camera):
-    host = TreuzellHost(UsbipHost.attach(port=served_camera.server.port, timeout_s=120))
+def test_every_event_arrives_over_usbip(each, bench):
+    bench.start({"1-1": each})
+    host = driver_of(UsbipHost.attach(port=bench.server.port, timeout_s=120))
     host.start(StreamSettings(transfers=4))
-    events = random_events(20_000)
-    served_camera.call(lambda: (camera.offer(events), served_camera.server.pump()))
-    parts, count = [], 0
-    while count < len(events):
-        part = host.read(120)
-        assert part is not None
-        parts.append(part)
-        count += len(part)
+    events = events_of(each, 20_000)
+    bench.call(lambda: (each.offer(events), bench.server.pump()))
+    assert np.array_equal(received(host, len(events)), events)
     host.close()
-    assert np.array_equal(np.concatenate(parts), events)
-    assert camera.counters.delivered == len(events)
+    assert each.counters.delivered == len(events)
 
 
-@pytest.mark.socket
-def test_every_event_arrives_through_faults_and_pyusb(camera, usb_bus):
-    device = FaultyDevice(camera, FaultPlan("usb"))
-    bus = usb_bus(device, SETTINGS.descriptors())
-    host = driver_of(PyusbHost.find(0x04B4, 0x00F5, backend=bus))
+def test_every_event_arrives_through_faults_and_pyusb(each, usb_bus):
+    device = FaultyDevice(each, FaultPlan("usb"))
+    bus = usb_bus(device, each.settings.descriptors())
+    host = driver_of(PyusbHost.find(each.identity.vendor_id, each.identity.product_id, backend=bus))
     device.inject(UsbSilence(for_s=0.5, endpoint=1))
+    device.inject(ShortTransfers(for_s=10.0, most_bytes=20))
     host.start()
-    events = random_events(5000)
-    bus.call(camera.offer, events)
+    events = events_of(each, 500)
+    bus.call(each.offer, events)
     assert host.read(0.0) is None
     bus.call(device.advance, 500_000)
-    parts, count = [], 0
-    while count < len(events):
-        parts.append(host.read(120))
-        count += len(parts[-1])
+    assert np.array_equal(received(host, len(events)), events)
     host.close()
-    assert np.array_equal(np.concatenate(parts), events)
+    assert each.counters.delivered == len(events)
 
 
 def test_an_endpoint_that_is_none_stalls_on_the_bus(camera, usb_bus):
@@ -120,31 +130,23 @@ def test_an_endpoint_that_is_none_stalls_on_the_bus(camera, usb_bus):
     host.close()
 
 
-def test_the_bus_is_searched_for_each_camera(monkeypatch):
+@pytest.mark.parametrize("there", [(0x04B4, 0x00F5), (0x152A, 0x8419), (0x1209, 0xA001)])
+def test_the_bus_is_searched_for_each_camera_and_for_those_with_an_installed_driver(monkeypatch, there):
     def find(vendor, product):
-        if vendor == 0x152A:
-            raise DeviceAbsent("none here")
-        return vendor, product
-
-    monkeypatch.setattr(PyusbHost, "find", find)
-    assert first_on_the_bus() == (0x04B4, 0x00F5)
-
-
-def test_the_bus_is_searched_for_cameras_with_an_installed_driver(monkeypatch):
-    def find(vendor, product):
-        if (vendor, product) != (0x1209, 0xA001):
+        if (vendor, product) != there:
             raise DeviceAbsent("none here")
         return vendor, product
 
     points = [EntryPoint(name, "mine:Host", "evstim.usb_drivers") for name in ("no numbers", "1209:a001")]
     monkeypatch.setattr("transports.usb.cameras.entry_points", lambda group: points)
     monkeypatch.setattr(PyusbHost, "find", find)
-    assert first_on_the_bus() == (0x1209, 0xA001)
+    assert first_on_the_bus() == there
 
 
 @pytest.mark.socket
-def test_an_endpoint_that_is_none_stalls_over_usbip(served_camera):
-    host = UsbipHost.attach(port=served_camera.server.port, timeout_s=120)
+def test_an_endpoint_that_is_none_stalls_over_usbip(camera, bench):
+    bench.start({"1-1": camera})
+    host = UsbipHost.attach(port=bench.server.port, timeout_s=120)
     host.configure()
     with pytest.raises(StallError):
         host.bulk_out(5, bytes(8))

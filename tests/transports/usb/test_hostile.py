@@ -89,23 +89,6 @@ def test_peer_that_vanishes_in_the_middle_of_a_urb(served, device, cut):
     assert_serves(served, device)
 
 
-def test_peer_that_resets_the_connection_with_urbs_pending(served, device):
-    sock = attached(served)
-    sock.sendall(b"".join(submit(n) for n in range(1, 33)))
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    sock.close()
-    device.wait_for("detached")
-    assert_serves(served, device)
-
-
-def test_urbs_arrive_byte_by_byte(served):
-    sock = attached(served)
-    for byte in submit(5, endpoint=0, setup=bytes(GET_DEVICE), length=18):
-        sock.sendall(bytes([byte]))
-    assert read_urb(sock) == (3, 5, 0)
-    assert read(sock, 18)[0] == 18
-
-
 def test_peer_that_stops_reading_leaves_the_data_in_the_device(served, device):
     transfer = 1 << 20
     sock = served.connect()

@@ -7,7 +7,7 @@ import usbip as other
 
 from firmware_protocol.usb.device import SetupPacket
 from tests.transports.usb.raw_host import list_devices
-from transports.usb.host import DeviceAbsent, DeviceBusy, StallError
+from transports.usb.host import DeviceBusy
 from transports.usb.usbip.client import UsbipHost
 
 pytestmark = pytest.mark.socket
@@ -41,11 +41,6 @@ def test_attach_powers_the_device_and_detach_tells_it(served, device):
     assert device.log == ["attached", "detached"] * 3
 
 
-def test_control_in_is_cut_to_what_was_asked(host):
-    assert host.control_in(GET_DEVICE)[:2] == bytes([18, 1])
-    assert len(host.control_in(SetupPacket(0x80, 0x06, 0x0100, 0, 8))) == 8
-
-
 def test_control_out_reaches_the_device_whole_or_short(host, device):
     assert host.control_out(SET_REGISTER, b"\1\2\3\4") == 4
     assert host.control_in(GET_REGISTER) == b"\1\2\3\4"
@@ -53,40 +48,11 @@ def test_control_out_reaches_the_device_whole_or_short(host, device):
     assert device.register == b"\1\2"
 
 
-def test_unknown_request_stalls_and_the_connection_lives(host):
-    with pytest.raises(StallError):
-        host.control_in(SetupPacket(0xC0, 0x77, 0, 0, 4))
-    assert host.control_in(GET_DEVICE)
-
-
-def test_control_is_answered_while_bulk_and_interrupt_wait(host, served, device):
-    stream = host.stream(2, 8192, 8)
-    host.stream(1, 64, 4)
-    assert host.control_in(GET_DEVICE)
-    served.feed(device, b"ab")
-    assert stream.read(120) == b"ab"
-
-
 def test_urbs_are_answered_in_order_one_read_each(host, served, device):
     stream = host.stream(2, 4, 3)
     served.feed(device, b"1", b"22", b"333", b"4444+", b"6")
     assert [stream.read(120) for _ in range(6)] == [b"1", b"22", b"333", b"4444", b"+", b"6"]
     assert stream.read(0) is None
-
-
-def test_data_that_left_are_reported_sent_in_order(host, served, device):
-    stream = host.stream(2, 100, 4)
-    served.feed(device, b"a", b"b", b"c")
-    assert [stream.read(120) for _ in range(3)] == [b"a", b"b", b"c"]
-    device.wait_for("sent", 3)
-    assert device.sent_data == [b"a", b"b", b"c"]
-
-
-def test_halted_endpoint_stalls_each_urb(host, served, device):
-    device.halted = True
-    stream = host.stream(2, 100, 1)
-    with pytest.raises(StallError):
-        stream.read(120)
 
 
 def test_close_takes_back_what_is_pending_and_loses_no_data(served, device):
@@ -100,11 +66,6 @@ def test_close_takes_back_what_is_pending_and_loses_no_data(served, device):
         assert again.read(120) == b"later"
 
 
-def test_unknown_bus_id_is_refused(served):
-    with pytest.raises(DeviceAbsent, match="9-9"):
-        UsbipHost(served.connect(), "9-9", timeout_s=120)
-
-
 def test_second_import_is_refused_as_busy_until_the_first_host_leaves(served, device):
     first = UsbipHost(served.connect(), "1-1", timeout_s=120)
     with pytest.raises(DeviceBusy):
@@ -114,16 +75,6 @@ def test_second_import_is_refused_as_busy_until_the_first_host_leaves(served, de
     device.wait_for("detached")
     with UsbipHost(served.connect(), "1-1", timeout_s=120) as second:
         assert second.control_in(GET_DEVICE)
-
-
-def test_two_devices_do_not_disturb_each_other(bench, new_device):
-    left, right = new_device(), new_device()
-    bench.start({"1-1": left, "1-2": right})
-    with UsbipHost(bench.connect(), "1-1", timeout_s=120) as a, UsbipHost(bench.connect(), "1-2", timeout_s=120) as b:
-        stream_a, stream_b = a.stream(2), b.stream(2)
-        bench.feed(left, b"left")
-        bench.feed(right, b"right")
-        assert (stream_b.read(120), stream_a.read(120)) == (b"right", b"left")
 
 
 def test_an_independent_host_lists_imports_and_reads(served, device):

@@ -4,11 +4,10 @@ import shutil
 import subprocess
 from collections import Counter
 
-import numpy as np
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.usb.usbip import Submit, Unlink, UrbRecord
+from firmware_protocol.usb.usbip import Submit, Unlink
 from tests.transports.usb.raw_host import attached, read_urb, submit
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
@@ -17,7 +16,7 @@ from transports.usb.davis_host import DavisHost
 from transports.usb.host import StallError, StreamSettings
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.connection import Found
-from transports.usb.usbip.trace import UrbTrace, transfer_types
+from transports.usb.usbip.trace import UrbTrace
 
 BEGUN_NS = 1_700_000_000_000_000_000
 FIELDS = [
@@ -219,14 +218,3 @@ def test_what_waits_when_a_host_goes_is_over_too(bench, tmp_path):
     trace.close()
     text = (tmp_path / "usb.txt").read_text()
     assert text.count(" bulk IN       device gone") == text.count(" bulk IN       endpoint 0x82, 512 bytes") == 2
-
-
-def test_the_types_of_endpoints_are_the_descriptors():
-    assert transfer_types(Davis346()) == {0x81: 1, 0x82: 3}
-
-
-def test_a_pcap_record_has_its_length():
-    data = np.arange(200, dtype=np.uint8).tobytes()
-    record = bytes(UrbRecord(7, 1_500_000, False, 3, 2, True, 1 << 16 | 2, 0, 200, data=data))
-    assert len(record) == 16 + 64 + 200
-    assert record[:16] == bytes([1, 0, 0, 0, 0x20, 0xA1, 7, 0, 8, 1, 0, 0, 8, 1, 0, 0])

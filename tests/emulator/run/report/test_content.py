@@ -136,12 +136,6 @@ def test_faults_triggers_and_commands_are_marked_once_each():
     ]
 
 
-def test_a_fault_that_has_not_ended_lasts_to_the_end_of_the_run():
-    link = LinkReport("open", faults=(FaultRecord(1, "usb_stall", 300_000),))
-    (only,) = happenings(dataclasses.replace(EMPTY, sim_seconds=2.0, links={"usb": link}))
-    assert (only.t_s, only.until_s) == (0.3, 2.0)
-
-
 def test_the_fates_of_a_link_sum_to_what_it_was_given():
     found = fates(full())
     assert sum(one.events for one in found if one.link == "usb") == 100

@@ -71,17 +71,6 @@ def test_frames_of_another_program_are_not_drawn_for_the_plan(is_driven):
     assert sorted(effect.effect for effect in found.effects) == sorted(EFFECTS)
 
 
-def test_a_part_is_modelled_where_its_table_is_in_the_rig():
-    def parts_of(name):
-        rig = load_rig(name)
-        return {part.part: part.how for part in modelled(rig, Ramp(rig.camera.size)).parts}
-
-    bench, stars = parts_of("checkerboard"), parts_of("stars-dvxplorer")
-    assert (bench["inertial unit"], stars["inertial unit"]) == ("not modelled: no [camera.imu] table", "modelled")
-    assert "not modelled" in bench["lens"]
-    assert stars["lens"] != bench["lens"]
-
-
 def test_a_recording_has_no_effect_of_a_sensor():
     rig = load_rig("checkerboard")
     played = dataclasses.replace(rig, scene=type("Played", (), {"kind": "recording"})())

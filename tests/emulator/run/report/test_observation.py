@@ -77,18 +77,6 @@ def test_late_steps_and_edges_are_counted_when_they_are_reported():
     assert seen.counts.column(Observation.EDGES)[[2, 10]].tolist() == [7, 2]
 
 
-def test_pictures_are_spread_over_a_run_of_any_length():
-    strip, light = PictureStrip((4, 2)), np.zeros((2, 4), np.float32)
-    for step in range(1, 3601):
-        light[:] = step
-        strip.take(np.zeros(0, EVENT), light, step * 1_000_000)
-    taken = strip.chosen(6)
-    assert len(taken) == 6
-    assert [one.light[0, 0] * 1e6 for one in taken] == [one.t_us for one in taken]
-    gaps_us = np.diff([0, *(one.t_us for one in taken), 3_600_000_000])
-    assert gaps_us.max() < 3_600_000_000 / 3
-
-
 def test_a_picture_has_the_last_event_of_each_pixel_before_it():
     strip, light = PictureStrip((4, 2)), np.ones((2, 4), np.float32)
     rows = [(1_000, 0, 0, True), (45_000, 1, 0, True), (46_000, 2, 1, True), (49_000, 2, 1, False)]
@@ -96,12 +84,3 @@ def test_a_picture_has_the_last_event_of_each_pixel_before_it():
         strip.take(np.array([row], EVENT), light, (k + 1) * 12_500)
     (only,) = strip.chosen(6)
     assert only.polarity.tolist() == [[0, 1, 0, 0], [0, 0, -1, 0]]
-
-
-def test_pictures_of_a_large_sensor_are_reduced():
-    strip = PictureStrip((1281, 721))
-    event = np.array([(49_000, 1280, 720, True)], EVENT)
-    strip.take(event, np.ones((721, 1281), np.float32), 50_000)
-    (only,) = strip.chosen(6)
-    assert only.light.shape == only.polarity.shape == (145, 257)
-    assert only.polarity[144, 256] == 1

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import resource
-import shlex
 import signal
 import subprocess
 import sys
@@ -156,24 +155,6 @@ def test_what_the_file_says_of_itself(made):
     assert told["events"] == len(file["events/t"]) == sum(told["origins"].values())
 
 
-@pytest.mark.long
-@pytest.mark.system
-def test_every_nth_picture(tmp_path):
-    command = [*EVSTIM, "run", small_rig(tmp_path), "--seconds", "0.1", "--pace", "free", "--json"]
-    done = subprocess.run(
-        [*command, "--truth", tmp_path / "t.h5", "--truth-every", "4"], capture_output=True, check=True
-    )
-    assert json.loads(done.stdout.splitlines()[-1])["truth_trouble"] == ""
-    with h5py.File(tmp_path / "t.h5") as file:
-        assert file["pictures/t"][:].tolist() == [0, 40_000, 80_000]
-        assert len(file["poses/t"]) == 11
-        t, x, y, label = (file[f"events/{name}"][:] for name in ("t", "x", "y", "label"))
-        nearest = np.minimum((t + 20_000) // 40_000, 2).astype(int)
-        assert (file["pictures/labels"][:][nearest, y, x] == label).all()
-    shown = subprocess.run([*EVSTIM, "info", tmp_path / "t.h5"], capture_output=True, check=True, text=True).stdout
-    assert "3 in 0.080 s, each with depth, flow, labels, light" in shown
-
-
 def test_every_nth_picture_of_a_run_within_a_program(tmp_path):
     rig = small_rig(tmp_path)
     with evstim.run(rig, seconds=0.1, pace="free", truth=tmp_path / "t.h5", truth_every=5) as run:
@@ -247,19 +228,6 @@ def test_a_full_disk_ends_the_truth_and_not_the_run(tmp_path):
     assert done.returncode == 1
     assert told["sim_seconds"] == pytest.approx(0.6)
     assert told["truth_trouble"] == f"truth stopped: File too large ({tmp_path / 't.h5'})"
-
-
-@pytest.mark.long
-def test_a_disk_that_is_full_before_the_run_is_the_machine_s_fault(tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    command = [*EVSTIM, "run", small_rig(tmp_path), "--seconds", "0.1", "--pace", "free", "--truth", disk / "t.h5"]
-    script = f"mount -t tmpfs -o size=8k none {disk} || exit 77; {shlex.join(map(str, command))}"
-    done = subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True, check=False)
-    if done.returncode == 77 or "unshare" in done.stderr:
-        pytest.skip("no namespace for a small disk can be made here")
-    assert done.returncode == 3
-    assert "No space left on device: 0.0 MB free; free more, or name a file on another disk" in done.stderr
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.tables.typed_table import RigFile
 from emulator.trajectory.parameters import FixedPath
 from laboratory.accuracy.sampled_scenes import SampledBodies
-from tests.emulator.scene.bodies.volume import volume_m3
 
 # A box of 2 m with its front, at z = -1, in two halves along x; the right one is a quarter as bright.
 BOX = """
@@ -84,14 +83,3 @@ def test_materials_that_name_no_albedo_are_ignored_and_bad_ones_refused():
     for bad in ("albedo_-1", "albedo_nan", "albedo_x", "albedo_1e9"):
         with pytest.raises(PlateTableError, match="albedo_A"):
             parse_wavefront(BOX.replace("albedo_0.25", bad))
-
-
-def test_the_panel_has_cells_gaps_and_bars_on_a_closed_surface():
-    panel = load_mesh(find_shape("target_panel"), 1.0)
-    assert panel.open_edges == 0
-    assert volume_m3(panel) == pytest.approx(3.6 * 1.4 * 0.04, rel=1e-6)
-    face = np.abs(panel.vertices[panel.faces][:, :, 2] - 0.02).max(axis=1) < 1e-9
-    areas = np.linalg.norm(np.cross(*np.moveaxis(np.diff(panel.vertices[panel.faces][face], axis=1), 1, 0)), axis=1) / 2
-    bare = panel.albedo[face, 0] == 3.0
-    covered = (8 * (3.6 - 0.012) / 8 - 8 * 0.012) * (4 * ((1.4 - 0.012) / 4 - 0.012 - 0.008))
-    assert areas[~bare].sum() == pytest.approx(covered, rel=1e-3)

@@ -65,11 +65,6 @@ def test_a_lambert_sphere_has_its_phase_curve_s_light(shapes, phase):
     assert light.sum(dtype=float) / narrow.focal_px**2 == pytest.approx(expected, rel=0.02)
 
 
-def test_the_sun_s_distance_dims(shapes):
-    near, far = (drawn([ball(shapes)], sun=Sun((0, 0, -1), d)) for d in (1.0, 2.0))
-    np.testing.assert_allclose(far * 4, near, rtol=1e-5)
-
-
 @pytest.mark.parametrize("range_m", [8.0, 1e9])
 def test_a_nearer_body_hides_a_farther_one_whichever_is_named_first(shapes, range_m):
     dark, bright = ball(shapes, (0, 0, range_m), Lambert(0.0)), ball(shapes, (0.7, 0, range_m + 4))
@@ -78,11 +73,6 @@ def test_a_nearer_body_hides_a_farther_one_whichever_is_named_first(shapes, rang
     np.testing.assert_array_equal(one, other)
     assert one[24, 32] == 0
     assert one.any()
-
-
-def test_ambient_light_fills_the_night(shapes):
-    night = drawn([ball(shapes)], sun=Sun((0.0, 0.0, 1.0)), ambient_w_m2=0.06)
-    assert night[24, 32] == pytest.approx(0.06 / math.pi, rel=0.01)
 
 
 def test_a_panel_goes_with_the_body_it_is_fixed_to(shapes):
@@ -111,24 +101,6 @@ def test_a_moving_camera_sees_a_still_body_move(shapes):
         assert np.isfinite(rate).all() == scene.has_rate
         assert not scene.has_rate or np.abs(rate).max() > 0
         assert scene.distance_m == pytest.approx(9.0, rel=0.1)
-
-
-def test_a_panel_that_its_body_swings_around_keeps_the_motion_bound(shapes):
-    hub = ball(shapes, name="hub", law=Lambert(0.0))
-    turning = dataclasses.replace(hub, path=SpinPath((0, 0, 10.0), (0, -1, 0), spin_deg_s=30.0))
-    panel = BodyTable(
-        shape=str(shapes / "pebble.obj"), path=FixedPath((4.0, 0.0, 0.0)), fixed_to="hub", reflectance=Lambert(1.0)
-    )
-    wide = Pinhole.of_field((64, 48), 90.0)
-    parameters = BodiesParameters(bodies=(turning, panel), sun=BEHIND_CAMERA, shadows=False, samples=4)
-    columns, light = [], np.zeros((48, 64), np.float32)
-    with Bodies(parameters, wide) as scene:
-        for t_ns in (8_900_000_000, 9_100_000_000):  # before the hub, on its way to the side
-            scene.light(t_ns, light)
-            columns.append((light.sum(0) * np.arange(64)).sum() / light.sum())
-        fastest = abs(columns[1] - columns[0]) / 0.2
-        assert fastest == pytest.approx(wide.focal_px * math.radians(30) * 4 / 6, rel=0.05)
-        assert fastest <= scene.motion_bound_px_s < 4 * fastest
 
 
 def test_what_crosses_a_corner_of_a_wide_picture_keeps_the_motion_bound(shapes):
@@ -170,22 +142,6 @@ def test_shadows_fall_where_a_ray_caster_says(shapes):
     drawn_dark = (with_shadow.ravel()[ray] < 0.5 * without.ravel()[ray])[facing]
     assert dark[facing].sum() > 40
     assert (drawn_dark != dark[facing]).mean() < 0.02
-
-
-def test_a_sphere_throws_no_shadow_on_its_own_day_side(shapes):
-    slanting = Sun((0.7, 0.2, -0.7))
-    lit, shadowed = (drawn([ball(shapes)], sun=slanting, shadows=s) for s in (False, True))
-    assert shadowed.sum() == pytest.approx(lit.sum(), rel=0.01)
-
-
-def test_a_body_may_be_told_to_throw_no_shadow(shapes):
-    plate = BodyTable(shape=str(shapes / "plate.obj"), path=FixedPath((0, 0, 10.0)), reflectance=Lambert(1.0))
-    above = ball(shapes, (0, 0, 7.0))
-    light = {
-        throws: drawn([plate, dataclasses.replace(above, throws_shadow=throws)], sun=Sun((0.5, 0, -1)), shadows=True)
-        for throws in (False, True)
-    }
-    assert light[True].sum() < 0.95 * light[False].sum()
 
 
 def test_detail_that_nobody_sees_is_left_out_and_told(shapes):

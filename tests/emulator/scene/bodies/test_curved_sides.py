@@ -10,52 +10,18 @@ import trimesh
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Lambert, Sun
 from emulator.scene.bodies import raster_bodies
-from emulator.scene.bodies.curved_sides import mark, split_round, with_thirds
+from emulator.scene.bodies.curved_sides import mark, with_thirds
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.sun_rays import Window
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath
-from tests.emulator.scene.bodies.volume import volume_m3
 
 
 def ball(subdivisions=3):
     made = trimesh.creation.icosphere(subdivisions=subdivisions)
     mesh = build_mesh(made.vertices, made.faces)
     return dataclasses.replace(mesh, normals=mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True))
-
-
-def test_middles_lie_on_a_ball():
-    mesh = ball()
-    cut = split_round(mesh, np.ones(mesh.faces.shape, bool))
-    beside = np.abs(np.linalg.norm(cut.vertices[len(mesh.vertices) :], axis=1) - 1)
-    chord = 1 - np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1).min()
-    assert beside.max() < 0.02 * chord
-
-
-def test_only_sides_that_bend_get_points():
-    mesh = ball()
-    surface, sides, fine = with_thirds(mesh, 1.0)
-    assert len(sides.bends_m) == 0
-    assert len(surface.vertices) == len(mesh.vertices)
-    assert len(fine.faces) == len(mesh.faces)
-    surface, sides, fine = with_thirds(mesh, 1e-4)
-    assert len(fine.faces) == 9 * len(mesh.faces)
-    assert len(surface.vertices) == len(fine.vertices) == len(mesh.vertices) + len(sides.bends_m)
-    longest = math.sqrt(((mesh.vertices[mesh.faces[:, 0]] - mesh.vertices[mesh.faces[:, 1]]) ** 2).sum(axis=1).max())
-    assert sides.bends_m.max() == pytest.approx(longest**2 / 8, rel=0.02)  # the sagitta of a chord of a unit circle
-
-
-def test_points_lie_on_a_ball():
-    """Within facets, where three cubics meet, too."""
-    mesh = ball()
-    _, sides, fine = with_thirds(mesh, 1e-4)
-    chord = 1 - np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1).min()
-    for points in (sides.between[:, :6], sides.between[:, 6:]):
-        assert np.abs(np.linalg.norm(fine.vertices[points.ravel()], axis=1) - 1).max() < 0.02 * chord
-    normals = fine.normals[len(mesh.vertices) :]
-    np.testing.assert_allclose(normals, fine.vertices[len(mesh.vertices) :], atol=2e-3)
-    assert volume_m3(build_mesh(fine.vertices, fine.faces)) == pytest.approx(4 / 3 * math.pi, rel=2e-3)
 
 
 def test_both_facets_of_a_side_have_its_points_in_order():

@@ -13,15 +13,12 @@ from scipy.sparse.csgraph import connected_components
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Sun
 from emulator.scene.bodies.albedo import clouded
-from emulator.scene.bodies.grain import fractal_noise
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.regolith import (
     Law,
     coarser,
     detailed,
-    facet_size_m,
-    faded,
     features,
     smallest_feature_m,
     weathered,
@@ -53,31 +50,6 @@ def test_features_are_as_many_of_each_size_as_their_law_says(law):
         assert abs((found.diameters_m > d).sum() - expected) < 4 * math.sqrt(expected)
 
 
-def test_features_are_spread_evenly_by_area():
-    mesh = ball(1000.0)
-    z = features(mesh, Law(1, 0.05, 2.0), 3, 5.0, 50.0).places[:, 2]
-    # by Archimedes the height of places on a sphere is even between its poles
-    counts, _ = np.histogram(z, 10, (-1000, 1000))
-    assert ((counts - counts.mean()) ** 2 / counts.mean()).sum() < 28  # chi square, 9 degrees, 0.1 %
-
-
-def test_a_feature_is_the_same_whatever_smaller_ones_are_made():
-    mesh, law = ball(500.0), Law(0, 0.3, 3.1)
-    fine, coarse = features(mesh, law, 3, 3.0, 40.0), features(mesh, law, 3, 9.0, 40.0)
-    large = fine.diameters_m > 9.0
-    np.testing.assert_array_equal(fine.places[large], coarse.places)
-    np.testing.assert_array_equal(fine.lots[large], coarse.lots)
-
-
-def test_features_fade_in_without_a_jump():
-    sizes = np.linspace(1.0, 20.0, 4001)
-    for smallest_m in np.linspace(4.0, 6.0, 21):
-        near, far = faded(sizes, smallest_m), faded(sizes, 1.01 * smallest_m)
-        assert (near >= far).all()
-        assert (near - far).max() < 0.05
-        assert faded(np.array([smallest_m]), smallest_m) == 0
-
-
 def test_the_body_changes_little_when_the_camera_comes_a_little_nearer():
     mesh, only = ball(300.0), dataclasses.replace(PLAIN, craters=0.0)
     bodies = [weathered(mesh, only, pixel_m) for pixel_m in (0.7, 0.707, 1.4)]
@@ -106,13 +78,6 @@ def test_the_same_seed_makes_the_same_body_and_another_one_another():
     np.testing.assert_array_equal(one.vertices, same.vertices)
     np.testing.assert_array_equal(one.albedo, same.albedo)
     assert one.vertices.shape != other.vertices.shape or not np.allclose(one.vertices, other.vertices)
-
-
-def test_the_surface_stays_closed_and_its_normals_are_those_of_its_facets():
-    body = weathered(ball(300.0), PLAIN, 0.6)
-    again = build_mesh(body.vertices, body.faces)
-    assert (again.open_edges, again.dropped_facets, again.was_inside_out) == (0, 0, False)
-    np.testing.assert_allclose(again.normals, body.normals, atol=1e-9)
 
 
 def test_albedo_has_the_stated_mean_and_spread():
@@ -155,15 +120,6 @@ def test_a_crater_has_its_closed_form_with_a_rim_all_round():
     np.testing.assert_allclose(raised[near], np.where(r[near] < 1, inside, apron), atol=0.05 * depth)
 
 
-def test_divided_facets_of_a_ball_lie_on_the_ball():
-    mesh = ball(300.0, 3)
-    bare = dataclasses.replace(PLAIN, craters=0.0, boulders_km2=0.0)
-    body = weathered(mesh, bare, 0.5)
-    assert len(body.faces) >= 16 * len(mesh.faces)
-    sagitta_m = facet_size_m(mesh) ** 2 * (4 / math.sqrt(3)) / (8 * 300.0)
-    np.testing.assert_allclose(np.linalg.norm(body.vertices, axis=1), 300.0, atol=0.2 * sagitta_m)
-
-
 def test_craters_and_roughness_leave_the_volume():
     mesh = ball(300.0, 5)
     body = weathered(mesh, dataclasses.replace(PLAIN, craters=0.046, boulders_km2=0.0, slope_deg=4.0), 1.0)
@@ -184,32 +140,6 @@ def test_gravity_of_a_ball_and_of_two_balls_is_that_of_points():
     outside = np.array([[0.0, 0.0, 450.0], [400.0, 300.0, 0.0]])
     np.testing.assert_allclose(potential(mesh, outside), [-1 / 450, -1 / 500], rtol=0.003)
     np.testing.assert_allclose(potential(mesh, mesh.vertices), -1 / 300, rtol=0.02)
-
-
-@pytest.mark.long
-def test_smooth_ground_of_a_long_body_is_its_waist():
-    """On an ellipsoid of 3 : 1 : 1 the potential rises with the distance from the middle (MacCullagh)."""
-    solid = trimesh.creation.icosphere(4, 100.0)
-    mesh = build_mesh(solid.vertices * (3.0, 1.0, 1.0), solid.faces)
-    smooth = smooth_ground(mesh, mesh, 0.2)(mesh.vertices)
-    along = np.abs(mesh.vertices[:, 0])
-    assert smooth[along < 25].mean() > 0.9
-    assert smooth[along > 75].max() == 0
-    body = weathered(mesh, dataclasses.replace(PLAIN, craters=0.0, smooth_share=0.2), 0.5)
-    bare = weathered(mesh, dataclasses.replace(PLAIN, craters=0.0), 0.5)
-    raised = [_raised(b)[np.abs(b.vertices[:, 0]) < 15].max() for b in (body, bare)]
-    assert raised[0] < 0.2 < 2.0 < raised[1]
-
-
-def test_smooth_ground_of_a_round_body_is_its_even_part():
-    """The potential of a ball is the same everywhere; its south is rough by a hundredth of its radius."""
-    mesh = ball(300.0)
-    up = mesh.vertices[:, 2]
-    rough = 1 + 0.01 * np.random.default_rng(4).normal(size=len(up)) * (up < -60)
-    mesh = build_mesh(mesh.vertices * rough[:, None], mesh.faces)
-    smooth = smooth_ground(mesh, mesh, 0.2)(mesh.vertices)
-    assert smooth[up < -40].mean() < 0.03 < 0.3 < smooth[up > 0].mean()
-    assert smooth.mean() == pytest.approx(0.2, abs=0.02)
 
 
 # degrees of latitude and east longitude: IAU, Gazetteer of planetary nomenclature; touchdown: Yano et al. 2006, Science
@@ -274,20 +204,6 @@ def test_smooth_ground_of_itokawa_stays_even_and_rough_ground_becomes_rough():
         assert degrees(part) == pytest.approx(16.0, rel=0.1)
 
 
-def _raised(body):
-    """Height of vertices over the ellipsoid of 300, 100 and 100 m, about, at its waist."""
-    x, y, z = body.vertices.T
-    return np.hypot(y, z) - 100.0 * np.sqrt(np.maximum(1 - (x / 300.0) ** 2, 0))
-
-
-def test_noise_belongs_to_the_place():
-    places = np.random.default_rng(2).uniform(-50, 50, (2000, 3))
-    values = fractal_noise(places, 10.0, 1.0, 0.5, 7)
-    np.testing.assert_array_equal(values[::-1], fractal_noise(places[::-1].copy(), 10.0, 1.0, 0.5, 7))
-    assert values.std() == pytest.approx(1, rel=0.15)
-    assert np.abs(fractal_noise(places + 1e-4, 10.0, 1.0, 0.5, 7) - values).max() < 1e-3
-
-
 def test_a_clouded_planet_is_round_and_as_bright_as_its_reflectance_says():
     planet = clouded(ball(6.4e6, 3), Clouds(seed=2), 3e5)
     np.testing.assert_allclose(np.linalg.norm(planet.vertices, axis=1), 6.4e6, rtol=1e-9)
@@ -318,14 +234,6 @@ def test_detail_is_made_once_for_the_same_body(monkeypatch, tmp_path, albedo_rms
             detailed(*other)
 
 
-def test_damaged_detail_in_the_cache_is_made_again(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    made = detailed(ball(500.0), PLAIN, 1.0)
-    for file in (tmp_path / "evstim").iterdir():
-        file.write_bytes(file.read_bytes()[:200])
-    assert np.array_equal(detailed(ball(500.0), PLAIN, 1.0).vertices, made.vertices)
-
-
 def approach(shape, seconds):
     """Return the light near the end of an approach of so many seconds, (48, 64), and the facets of the body."""
     far, near = (Keyframe(t_s, (0.0, 0.0, -range_m)) for t_s, range_m in ((0.0, 400.0), (seconds, 30.0)))
@@ -337,6 +245,7 @@ def approach(shape, seconds):
         return light, len(scene.geometry()._meshes[0].faces)
 
 
+@pytest.mark.long
 def test_an_approach_of_ten_minutes_shows_what_a_short_one_shows(tmp_path):
     shape = tmp_path / "ball.obj"
     trimesh.creation.icosphere(3, 10.0).export(shape)

@@ -25,9 +25,7 @@ from emulator.scene.bodies.grain import (
     placed,
     write_heights,
 )
-from emulator.scene.bodies.models import load_bodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.regolith import grain_of
 from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds, Regolith
 from emulator.sensor.numerics.compiled import kernel
 from emulator.trajectory.parameters import FixedPath, SpinPath
@@ -54,38 +52,6 @@ def test_the_noise_and_its_rate_are_those_of_another_library():
         true = np.array([map_coordinates(fields[..., k], around, np.float64, 1, "grid-wrap") for k in range(4)])
         np.testing.assert_allclose(out[:4], true[:, 0], atol=1e-4)
         np.testing.assert_allclose(out[4:], (true[:, 2] - true[:, 1]) / (2 * h), rtol=0.01, atol=0.02)
-
-
-def test_the_slope_is_the_gradient_of_the_height():
-    fields = crater_tile().astype(float).reshape(SIDE, SIDE, SIDE, 4)
-    assert fields[..., 3].std() == pytest.approx(1, abs=1e-6)
-    for axis in range(3):
-        height = np.fft.fft(fields[..., 3], axis=axis)
-        waves = np.fft.fftfreq(SIDE, 1 / SIDE) * TEXELS / SIDE
-        turned = 2j * math.pi * np.moveaxis(waves[:, None, None] * np.ones((1, SIDE, SIDE)), 0, axis) * height
-        np.testing.assert_allclose(fields[..., axis], np.fft.ifft(turned, axis=axis).real, atol=1e-4)
-
-
-def test_craters_of_the_tile_have_floors_and_rims():
-    """The deepest place is the middle of a crater: height rises to a rim and falls beyond it."""
-    field = crater_tile()[:, 3].reshape(SIDE, SIDE, SIDE)
-    deepest = np.unravel_index(field.argmin(), field.shape)
-    apart = (np.indices(field.shape) - np.reshape(deepest, (3, 1, 1, 1)) + SIDE // 2) % SIDE - SIDE // 2
-    waves = np.sqrt((apart**2).sum(axis=0)) / TEXELS
-    floor, wall, rim, around = (field[(waves >= low) & (waves < low + 0.15)].mean() for low in (0.0, 0.35, 0.7, 1.2))
-    assert floor < 2 * wall < -2
-    assert rim > around + 0.1
-    noise = noise_tile()[:, 3]
-    assert abs((noise**3).mean()) < 0.2 < 1 < -(field**3).mean()
-
-
-def test_octaves_are_boulders_where_these_are_more_and_craters_elsewhere():
-    mesh = load_bodies(BodiesParameters(bodies=(BodyTable(shape="globe", units_m=300.0),)))[1][0]
-    many, few = (grain_of(mesh, dataclasses.replace(GROUND, boulders_km2=n, craters=0.01), 1.0) for n in (1e6, 1.0))
-    assert len(few.heights_m) > 3
-    np.testing.assert_array_equal(many.heights_m, -few.heights_m)
-    np.testing.assert_array_equal(many.tints, -few.tints)
-    assert (few.heights_m > 0).all()
 
 
 def test_finer_facets_carry_more_of_the_same_surface():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.bodies.lit_surface import lit_surface, near_in_memory, shadow_triangles, subdivide
+from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import build_mesh
 from tests.emulator.scene.bodies.volume import volume_m3
 
@@ -62,37 +62,3 @@ def test_no_facet_faces_an_eye_that_is_below_the_lean_of_a_corner():
         towards = eye - surface.points
         sine = (towards * surface.normals).sum(axis=1) / np.linalg.norm(towards, axis=1)
         assert (sine > -surface.lean - 1e-3)[mesh.faces[facing]].all()
-
-
-def test_a_sheet_has_two_sides_to_throw_shadows():
-    sheet = build_mesh([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
-    assert len(shadow_triangles(sheet)) == 2
-    assert len(shadow_triangles(box())) == 12
-
-
-def test_the_order_in_memory_changes_neither_facets_nor_albedo():
-    mesh = build_mesh(*_ball())
-    tinted = build_mesh(*_ball(), albedo=np.arange(1.0, len(mesh.faces) + 1))
-    ordered = near_in_memory(tinted)
-    assert _facets(ordered) == _facets(tinted)
-    assert len(ordered.vertices) == len(tinted.vertices)
-    assert volume_m3(ordered) == pytest.approx(volume_m3(tinted), rel=1e-12)
-
-
-def _facets(mesh):
-    """The corners, normals and albedo of each facet, from its lowest corner on, in order."""
-    parts = np.concatenate([mesh.vertices[mesh.faces], mesh.normals[mesh.faces], mesh.albedo[..., None]], axis=2)
-    return sorted(min(np.roll(facet, k, axis=0).tolist() for k in range(3)) for facet in parts)
-
-
-def test_near_facets_are_near_in_memory():
-    rng = np.random.default_rng(1)
-    mesh = subdivide(build_mesh(*_ball()), 0.1)
-    mixed = build_mesh(mesh.vertices, rng.permutation(mesh.faces))
-    assert _apart(near_in_memory(mixed)) < 0.1 * _apart(mixed)
-
-
-def _apart(mesh):
-    """The mean distance between facets that follow each other."""
-    middles = mesh.vertices[mesh.faces].mean(axis=1)
-    return np.linalg.norm(np.diff(middles, axis=0), axis=1).mean()

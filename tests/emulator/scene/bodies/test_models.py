@@ -3,7 +3,6 @@
 import base64
 import json
 import struct
-import sys
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Glossy, Lambert, Sun
-from emulator.scene.bodies import models
 from emulator.scene.bodies.gltf import _MOST, ModelContents, read_gltf
 from emulator.scene.bodies.models import law_of, load_bodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
@@ -23,6 +21,8 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.usd import read_usd
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.parameters import FixedPath, SpinPath
+
+pytestmark = pytest.mark.usefixtures("reads_here")
 
 S = 1_000_000_000
 TURN_S = 4.0
@@ -220,60 +220,12 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("name", ["cut", "count", "uneven"])
-def test_bad_files_are_refused_by_name_through_the_guarded_reader(tmp_path, name):
-    make, says = BAD[name]
-    (tmp_path / "bad.glb").write_bytes(make())
-    with pytest.raises(SceneError, match=says) as caught:
-        loaded(tmp_path / "bad.glb")
-    assert "bad.glb" in str(caught.value)
-
-
 @pytest.mark.parametrize("name", sorted(BAD.keys() - {"uneven", "empty"}))
 def test_bad_files_are_refused(tmp_path, name):
     make, says = BAD[name]
     (tmp_path / "bad.glb").write_bytes(make())
     with pytest.raises(SceneError, match=says):
         read_gltf(tmp_path / "bad.glb")
-
-
-def chain(count):
-    """Return a model whose only mesh is at the end of a chain of nodes 1 mm apart, each the child of the next."""
-    made, data = document()
-    made["nodes"] = [
-        {"translation": [0, 0, 1e-3], **({"children": [k - 1]} if k else {"mesh": 0})} for k in range(count)
-    ]
-    made["scenes"] = [{"nodes": [count - 1]}]
-    made["accessors"] += [{}] * count
-    return made, data
-
-
-def lines_run(function):
-    """Return the number of lines of Python that a call runs."""
-    count = 0
-
-    def trace(frame, event, _):
-        nonlocal count
-        count += event == "line"
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        function()
-    finally:
-        sys.settrace(before)
-    return count
-
-
-def test_work_grows_with_the_nodes_of_a_chain(tmp_path, monkeypatch):
-    """The reader runs in this process, where its lines are counted; a longest chain has its mesh at its end."""
-    monkeypatch.setattr(models, "read_in_child", lambda reader, path, limits: read_gltf(path))
-    paths = [write(tmp_path, *chain(count), name=f"{count}.glb") for count in (1, 400, 800)]
-    least, first, second = (lines_run(lambda path=path: loaded(path)) for path in paths)
-    assert second - least < 2.1 * (first - least)
-    _, (mesh,), _ = loaded(write(tmp_path, *chain(9999)))
-    np.testing.assert_allclose(corners(mesh).mean(axis=(0, 1)), [0, 0, 9.999], atol=1e-6)
 
 
 def test_a_model_bomb_is_refused_before_its_parts_are_made(tmp_path, monkeypatch):

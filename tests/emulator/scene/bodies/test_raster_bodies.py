@@ -1,7 +1,6 @@
 """Bodies drawn by the CPU: against point samples, their exact rate, single pixels, regions, and hostile shapes."""
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -99,17 +98,6 @@ def test_the_rate_is_the_slope_of_finely_sampled_light(shapes):
     assert np.quantile(error, 0.95) < 0.15
 
 
-def test_light_and_rate_fit_over_a_turn(shapes):
-    """The mean rate of a stretch is the change of light, in every pixel."""
-    parameters = scene(eros())
-    with RasterBodies(parameters, CAMERA) as body:
-        light, rate = zip(*[frame(body, k * MS) for k in range(0, 33)], strict=True)
-    change = light[-1] - light[0]
-    integral = (sum(rate[1:-1]) + (rate[0] + rate[-1]) / 2) * 1e-3
-    scale = np.sqrt((change[change != 0] ** 2).mean())
-    assert np.quantile(np.abs(integral - change), 0.995) < 0.05 * scale
-
-
 def test_frames_in_the_same_arrays_are_those_in_fresh_ones(shapes):
     """Only the part that changed is written; the rest must be what a whole frame has."""
     parameters = scene(spinning(shapes / "box.obj", deg_s=300.0))
@@ -130,25 +118,6 @@ def test_frames_in_the_same_arrays_are_those_in_fresh_ones(shapes):
             np.testing.assert_array_equal(light, again)
             np.testing.assert_array_equal(rate, again_rate)
             assert not np.array_equal(fresh, again)
-
-
-def test_two_threads_draw_the_same_bits(shapes):
-    parameters = scene(eros())
-    frames = []
-    for threads in (1, 2):
-        with RasterBodies(parameters, CAMERA, threads) as body:
-            frames.append(frame(body, 50 * MS))
-    np.testing.assert_array_equal(frames[0][0], frames[1][0])
-    np.testing.assert_array_equal(frames[0][1], frames[1][1])
-
-
-def test_a_small_near_body_is_seen_before_a_large_far_one(shapes):
-    """A 1 m sphere 10 m away before one of 40 km at 200 km: no near plane hides it."""
-    near = dataclasses.replace(spinning(shapes / "ball.obj", law=Lambert(1.0)), path=FixedPath((0, 0, 10.0)))
-    far = dataclasses.replace(near, units_m=40_000.0, path=FixedPath((0, 0, 200_000.0)), reflectance=Lambert(0.2))
-    with RasterBodies(scene(near, far, sun=(0, 0, -1), shadows=False), CAMERA) as body:
-        light, _ = frame(body, 0)
-    assert light[36, 48] > 3 * light[36, 48 - 26] > 0
 
 
 @pytest.mark.system
@@ -190,17 +159,3 @@ def test_needles_slivers_and_crossing_bodies_are_finite(tmp_path):
     assert np.isfinite(light).all()
     assert np.isfinite(rate).all()
     assert light.max() > 0
-
-
-@pytest.mark.long
-@pytest.mark.system
-def test_a_million_facets_far_below_a_pixel_are_drawn_soon(tmp_path):
-    ball = trimesh.creation.icosphere(8, 1.0)  # 1 310 720 facets
-    np.savez(tmp_path / "ball.npz", v=ball.vertices, f=ball.faces)
-    ball.export(tmp_path / "ball.stl")
-    body = BodyTable(shape=str(tmp_path / "ball.stl"), path=FixedPath((0, 0, 8.0)), reflectance=Lambert(1.0))
-    begun_s = time.process_time()
-    with RasterBodies(BodiesParameters(bodies=(body,), sun=Sun((0, 0, -1.0)), shadows=False), CAMERA) as drawn:
-        light, _ = frame(drawn, 0)
-    assert time.process_time() - begun_s < 60  # a hang, not a speed, is what fails here
-    assert light[36, 48] > 0

@@ -123,22 +123,6 @@ def edges_of(tree, vertices, normals):
     return ShadowEdges(0, tree, vertices, normals, 0.4, 0, ThreadPool(1))
 
 
-def test_sides_with_one_place_in_the_cache_are_crossed_each():
-    """A facet whose hidden corners have numbers 1024 apart."""
-    wall = trimesh.creation.box((30.0, 30.0, 1.0))
-    wall.apply_translation((-15.0, 0.0, 5.0))
-    vertices, normals = np.zeros((1026, 3)), np.tile([0.0, 0.0, 1.0], (1026, 1))
-    vertices[[0, 1, 1025]] = [1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-3.0, -1.0, 0.0]
-    edges, sun = edges_of(build_tree(np.array(wall.triangles)), vertices, normals), np.array([0.0, 0.0, 1.0])
-    edges._is_hidden[[0, 1, 1025]] = 0, 1, 1
-    none = np.zeros((2, 1026))
-    drawn = FrameFacets(np.array([[0, 1, 1025]], np.int32), (0, 1), (0, 0))
-    parts = edges.cut(
-        Lights(none + 1, none), Suns(tuple(sun), tuple(sun), 1e-7, RADIUS), ABOVE._replace(focal_px=2e3), drawn
-    )
-    np.testing.assert_allclose(parts.corners[1:5, 0], 0.0, atol=1e-9)
-
-
 def test_light_ends_at_the_terminator_and_moves_with_it():
     """One facet in the open with cosines of incidence 0.2, 0.1 and -0.2; 0.3 is the light without the Sun."""
     above = build_tree(np.array([[[0.0, 0.0, 90.0], [1.0, 0.0, 90.0], [0.0, 1.0, 90.0]]]))
@@ -204,15 +188,6 @@ def test_earlier_results_change_nothing():
         np.testing.assert_array_equal(found, look(tree, points, sun, Verdicts.unknown(len(points))))
     assert used > len(points)  # most results came from cones
     assert (verdicts.hiding != UNKNOWN).all()
-
-
-def test_a_ray_stops_at_either_side_of_a_triangle():
-    corners = np.array([[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]])
-    for triangle in (corners, corners[:, ::-1]):
-        tree = RayTree.of(build_tree(np.ascontiguousarray(triangle)))
-        assert first_met(tree, (0.2, 0.2, 0.0), (0.0, 0.0, 1.0)) == 0
-        assert first_met(tree, (0.2, 0.2, 2.0), (0.0, 0.0, 1.0)) < 0
-        assert first_met(tree, (0.6, 0.6, 0.0), (0.0, 0.0, 1.0)) < 0
 
 
 @pytest.mark.parametrize("count", [1, 3, 5, 9, 17, 40, 100, 300, 600, 1100])

@@ -10,19 +10,15 @@ import trimesh
 
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Glossy, Lambert, Sun
-from emulator.scene.bodies import shadow_polygons as sharp_shadows
 from emulator.scene.bodies.cast_shadow import build_tree
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import load_mesh
-from emulator.scene.bodies.polygons import cut_around, double_area, without_short_sides
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.shadow_polygons import (
     Dark,
     SharpShadows,
     Surroundings,
-    blank_room,
     receivers_of,
-    with_narrow_penumbras,
 )
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
@@ -138,17 +134,6 @@ def test_corners_move_as_the_sun_does(shapes):
     assert growth == pytest.approx((after - before) / (2 * dt), rel=1e-4)
 
 
-def test_what_was_remembered_does_not_change_the_answer(shapes):
-    meshes = [load_mesh(shapes / "bar.obj", 1.0)]
-    tree = build_tree(meshes[0].vertices[meshes[0].faces])
-    plate = receivers_of(lit_surface(load_mesh(shapes / "plate.obj", 1.0), smooth=False), STILL)
-    kept, dark = SharpShadows(0, tree, [plate], 1e-7), Dark(np.zeros(200), np.zeros(200))
-    for angle in np.linspace(0, 1.2, 40):
-        around = Surroundings(unit(math.sin(angle), 0.2, math.cos(angle)), np.zeros(3), EYE)
-        fresh = SharpShadows(0, tree, [plate], 1e-7).cast([dark], around)
-        assert areas(kept.cast([dark], around)).sum() == pytest.approx(areas(fresh).sum(), rel=1e-12)
-
-
 @pytest.mark.parametrize(("threads", "parts"), [(1, 3), (2, 4), (3, 1)])
 def test_threads_and_parts_change_no_bit(shapes, monkeypatch, threads, parts):
     meshes = [load_mesh(shapes / f"{name}.obj", 1.0) for name in ("ring", "cross")]
@@ -228,17 +213,6 @@ def test_light_at_shadow_edges_is_that_of_rays_and_its_rate_is_its_slope(shapes)
     assert np.abs(rate - slope).mean() < 0.01 * np.abs(slope).mean()
 
 
-def test_wide_penumbras_are_traced(shapes):
-    parameters = station(shapes)
-    meshes = [load_mesh(shapes / f"{name}.obj", 1.0) for name in ("plate", "box", "bar")]
-    assert with_narrow_penumbras(parameters, meshes, 1.0) == {0, 1, 2}
-    assert not with_narrow_penumbras(parameters, meshes, 0.01)
-    round_bodies = dataclasses.replace(
-        parameters, bodies=tuple(dataclasses.replace(b, smooth=True) for b in parameters.bodies)
-    )
-    assert not with_narrow_penumbras(round_bodies, meshes, 1.0)
-
-
 @pytest.mark.parametrize("size", [(96, 72), (960, 720)])
 def test_facets_follow_the_highlight_not_the_size_of_the_picture(shapes, size):
     """Between corners the light is within the bound of that of the law, as a share of the highlight's height."""
@@ -253,59 +227,3 @@ def test_facets_follow_the_highlight_not_the_size_of_the_picture(shapes, size):
     )
     assert 100.0 * angle**2 / 32 <= 0.01
     assert len(plate.faces) < 20_000
-
-
-def test_a_body_that_throws_no_shadow_does_not_make_facets_small(shapes):
-    """The Earth behind a spacecraft: a rigid group of its own."""
-    parameters = station(shapes)
-    far = BodyTable(shape=str(shapes / "box.obj"), path=FixedPath((0.0, 0.0, 4e4)), units_m=1e3, throws_shadow=False)
-    with RasterBodies(parameters, CAMERA) as alone:
-        before = [len(surface.faces) for surface in alone._lit.surfaces]
-    with RasterBodies(dataclasses.replace(parameters, bodies=(*parameters.bodies, far)), CAMERA) as both:
-        assert [len(surface.faces) for surface in both._lit.surfaces][:-1] == before
-
-
-def test_a_facet_in_the_dark_gets_one_triangle(shapes):
-    """All of the bar's lower side and of the box's top below it, whatever lies over them."""
-    sun = unit(0.05, 0.02, 1.0)
-    meshes = [load_mesh(shapes / f"{name}.obj", 1.0) for name in ("bar", "box")]
-    above = meshes[0].vertices * (4.0, 4.0, 1.0) + (-4.0, 0, 0.5)
-    tree = build_tree(np.concatenate([above[meshes[0].faces], meshes[1].vertices[meshes[1].faces]]))
-    box = receivers_of(lit_surface(meshes[1], smooth=False), STILL)
-    dark = Dark(np.full(200, 3.0), np.zeros(200))
-    found = SharpShadows(0, tree, [box], 1e-7).cast([dark], Surroundings(sun, np.zeros(3), EYE))
-    top = np.flatnonzero(box.planes[:, 2] > 0.5)
-    assert sorted(found.over) == sorted(top)
-    assert areas(found).sum() == pytest.approx(2.0, rel=1e-12)
-    assert np.abs(found.corners[:, 3:]).max() == 0.0
-
-
-@pytest.mark.system
-def test_corners_that_only_rounding_tells_apart_part_nothing():
-    """A square whose first corner is there twice, cut around by a larger one: what overlaps is found."""
-    room = blank_room(1).pieces
-    pieces, counts, earlier = room
-    ground = np.array([0.0, 0.0, 1.0, 0.0])
-    corners = np.array([(0, 0), (1e-16, 1e-16), (2, 0), (2, 2), (0, 2)], float)
-    tripled = np.zeros((24, 6))
-    tripled[:5, :2] = corners
-    tripled[5, :2] = -1e-16, 1e-16
-    n = without_short_sides(tripled, 6, 1e-9)
-    assert n == 4
-    assert double_area(tripled, n, ground) == pytest.approx(8.0)
-    earlier[0] = 0, n
-    pieces[0, 0, :4, :2] = (-1, -1), (1, -1), (1, 1), (-1, 1)
-    counts[0, 0] = 4
-    found, at = cut_around(room, 1, tripled, ground, 1e-9, 1e-12)
-    area = sum(double_area(pieces[at, i], counts[at, i], ground) for i in range(found)) / 2
-    assert area == pytest.approx(3.0)
-
-
-def test_room_grows_with_what_is_found(shapes, monkeypatch):
-    sun = unit(0.5, 0.3, 1.0)
-    whole, _ = shadows(shapes, sun, "ring", "box")
-    monkeypatch.setattr(sharp_shadows, "_FIRST_ROWS", 4)
-    monkeypatch.setattr(sharp_shadows, "_FIRST_SHADOWS", 1)
-    grown, _ = shadows(shapes, sun, "ring", "box")
-    assert (grown.corners == whole.corners).all()
-    assert (grown.faces == whole.faces).all()

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
-from emulator.scene.bodies.albedo import Texture, mean_albedo, painted
+from emulator.scene.bodies.albedo import Texture, mean_albedo
 from emulator.scene.bodies.gltf import WRAPS, read_gltf, transformed
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.models import load_bodies
@@ -24,6 +24,8 @@ from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath
 from tests.emulator.scene.bodies.volume import volume_m3
+
+pytestmark = pytest.mark.usefixtures("reads_here")
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -199,28 +201,10 @@ def test_images_go_on_as_scipy_s_do(wrap, mode):
     np.testing.assert_allclose(mean, truth, rtol=1e-5)
 
 
-def test_mean_and_deviation_are_those_of_the_pixels():
-    image = np.random.default_rng(5).random((16, 16)).astype(np.float32)
-    mean, deviation = Texture(image).around(np.array([[0.375, 0.625]]), np.array([4.0]))
-    part = image[8:12, 4:8]
-    assert mean[0] == pytest.approx(part.mean(), rel=1e-5)
-    assert deviation[0] == pytest.approx(part.std(), rel=1e-4)
-
-
 def test_transforms_scale_then_turn_then_move():
     """By the extension's words: radians counter-clockwise, with v down; scale first."""
     uv = transformed(np.array([[1.0, 0.0], [0.0, 1.0]]), (0.5, 0.25), (2.0, 3.0), np.pi / 2)
     np.testing.assert_allclose(uv, [[0.5, 0.25 - 2.0], [0.5 + 3.0, 0.25]], atol=1e-12)
-
-
-def test_a_texture_that_is_too_fine_keeps_its_mean():
-    pixels = np.random.default_rng(6).random((256, 256)).astype(np.float32)
-    flat = build_mesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-    uv = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], float)
-    mesh, mean, is_whole = painted(flat, uv, Texture(pixels), 1000)
-    assert not is_whole
-    assert 500 < len(mesh.faces) <= 1000
-    assert mean == pytest.approx(pixels.mean(), rel=0.01)
 
 
 def test_a_black_texture_has_no_light(tmp_path):

@@ -69,13 +69,6 @@ def test_mean_light_is_conserved(rotation_deg):
     assert light.mean(dtype=np.float64) == pytest.approx(2.0, rel=1e-6)
 
 
-def test_quarter_turns_agree_with_the_unturned_board():
-    upright = draw(direction_deg=20.0, t_ns=333_000_000)
-    np.testing.assert_allclose(draw(direction_deg=20.0, t_ns=333_000_000, rotation_deg=180.0), upright, atol=1e-6)
-    # a quarter turn exchanges the squares' colours
-    np.testing.assert_allclose(draw(direction_deg=20.0, t_ns=333_000_000, rotation_deg=90.0), 1.1 - upright, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("direction_deg", "shift"), [(0.0, (0, 1)), (90.0, (1, 0)), (180.0, (0, -1)), (270.0, (-1, 0))]
 )
@@ -126,15 +119,6 @@ def test_wrong_parameters_say_what_would_be_right(wrong, says):
         CheckerboardParameters(**wrong)
 
 
-def test_an_empty_picture_is_refused():
-    with pytest.raises(ValueError, match="at least one pixel"):
-        Checkerboard(CheckerboardParameters(), (0, 260))
-
-
-def test_motion_bound_is_the_speed():
-    assert Checkerboard(CheckerboardParameters(speed_px_s=350.0), (4, 4)).motion_bound_px_s == 350.0
-
-
 def test_a_tenth_of_a_second_is_exactly_that():
     assert Cycle(10.0).turns(MONTH_NS + 25_000_000) == 0.25
     assert Cycle(0.1, 0.75).turns(5 * NS) == 0.25
@@ -171,13 +155,6 @@ def test_the_rate_is_the_light_s_derivative(rotation_deg, direction_deg):
     assert np.array_equal(light, before)
 
 
-def test_a_board_at_rest_has_no_rate():
-    board = Checkerboard(CheckerboardParameters(speed_px_s=0.0, rotation_deg=10.0), (32, 24))
-    light, rate = np.zeros((24, 32), np.float32), np.ones((24, 32), np.float32)
-    board.light_and_rate(5, light, rate)
-    assert not rate.any()
-
-
 @pytest.mark.parametrize("rotation_deg", [0.0, 7.0])
 def test_a_board_at_rest_is_drawn_once_and_nothing_changes_from_then_on(rotation_deg):
     size, parameters = (40, 30), CheckerboardParameters(speed_px_s=0.0, rotation_deg=rotation_deg)
@@ -192,29 +169,3 @@ def test_a_board_at_rest_is_drawn_once_and_nothing_changes_from_then_on(rotation
         assert board.changed is not None
         assert board.changed.empty
         np.testing.assert_array_equal(light, before)
-
-
-def test_other_arrays_of_a_board_at_rest_are_drawn_and_may_have_changed():
-    size, parameters = (40, 30), CheckerboardParameters(speed_px_s=0.0)
-    first, other, rate = (np.full(size[::-1], np.nan, np.float32) for _ in range(3))
-    with Checkerboard(parameters, size) as board:
-        board.light(0, first)
-        for light, slope in ((other, None), (other, rate), (first, rate)):
-            if slope is None:
-                board.light(NS, light)
-            else:
-                light[:] = np.nan
-                board.light_and_rate(NS, light, slope)
-            assert board.changed is None
-            np.testing.assert_array_equal(light, draw(size, **vars(parameters)))
-        assert not rate.any()
-
-
-def test_a_moving_board_may_have_changed_everywhere():
-    size = (40, 30)
-    light = np.empty(size[::-1], np.float32)
-    with Checkerboard(CheckerboardParameters(speed_px_s=50.0), size) as board:
-        for t_ns in (0, NS // 100, NS // 50):
-            board.light(t_ns, light)
-            assert board.changed is None
-            np.testing.assert_array_equal(light, draw(size, t_ns, speed_px_s=50.0))

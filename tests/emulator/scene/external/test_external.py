@@ -81,19 +81,6 @@ def lit(scene, t_ms):
     return float(light[0, 0]), float(rate[0, 0])
 
 
-@pytest.mark.long
-def test_light_between_the_images_of_the_grid():
-    with scene_of(lambda t_s, _: 100 * t_s**2, {"period_ms": 10.0, "ahead": 0}) as (scene, renderer):
-        assert lit(scene, 0) == (0, 0)
-        light, rate = lit(scene, 15)
-        assert light == pytest.approx(2 * 100 * (0.01**2 + 0.02**2) / 2)
-        assert rate == pytest.approx(2 * 100 * (0.02**2 - 0.01**2) / 0.01)
-        assert lit(scene, 20)[0] == pytest.approx(2 * 100 * 0.02**2)
-        assert renderer.times == [0, 10, 20]
-        assert scene.counts == {"images": 3}
-        assert scene.renderer == "test"
-
-
 def test_images_are_requested_in_advance():
     with scene_of(lambda t_s, _: t_s, {"ahead": 3}) as (scene, renderer):
         lit(scene, 0)
@@ -121,12 +108,6 @@ def test_what_a_renderer_writes_after_it_has_sent_an_image_changes_nothing(monke
             for plane in planes.values():
                 plane[:] = value
         assert lit(scene, 5) == before
-
-
-def test_long_steps_do_not_run_out_of_slots():
-    with scene_of(lambda t_s, _: t_s) as (scene, _):
-        for t_ms in (0, 500, 501, 2000):
-            assert lit(scene, t_ms)[0] == pytest.approx(2e-3 * t_ms)
 
 
 @pytest.mark.parametrize(("levels", "white", "srgb"), [("uint8", 200, False), ("uint16", 1023, True)])

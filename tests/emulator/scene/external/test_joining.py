@@ -101,17 +101,6 @@ def test_an_edge_before_black_arrives_in_each_pixel_at_its_own_time(angle_deg: f
         assert agree.mean() > 0.995  # not where the edge passes a corner of a pixel within the 40 us
 
 
-def test_a_slope_of_light_down_to_black_stays_a_slope() -> None:
-    """A terminator moves 1 px: no steps within its pixels."""
-
-    def slope(place: float) -> _Floats:
-        return np.maximum(np.tile(np.arange(_SIZE[0]) - 10.5 - place, (_SIZE[1], 1)), 0).astype(np.float32)
-
-    flow = _flow(100, 0)
-    light, _ = _written((TimedImage(0, slope(0), flow), TimedImage(_T_NS, slope(1), flow)), _T_NS // 2)
-    np.testing.assert_allclose(light[:, 12:-2], slope(0.5)[:, 12:-2], atol=0.08)
-
-
 def test_a_point_that_accelerates_is_followed() -> None:
     """From 500 to 800 px/s it moves 6.5 px, and half way in time 2.875 px, not 3.25."""
     pair = TimedImage(0, _blob(20, 20), _flow(500, 0)), TimedImage(_T_NS, _blob(20, 26.5), _flow(800, 0))
@@ -146,14 +135,6 @@ def test_an_object_hides_and_uncovers_what_is_behind_it(with_depth: bool) -> Non
     assert wrong.mean() < 0.25 * without.mean()
 
 
-def test_light_has_no_step_at_the_time_of_an_image() -> None:
-    images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=False) for k in (0, 1, 2)]
-    before, _ = _written((images[0], images[1]), _T_NS)
-    after, _ = _written((images[1], images[2]), _T_NS)
-    np.testing.assert_allclose(before, images[1].light, atol=1e-5)
-    np.testing.assert_allclose(after, images[1].light, atol=1e-5)
-
-
 def test_the_derivative_is_that_of_the_light() -> None:
     images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=True) for k in (0, 1)]
     pair = images[0], images[1]
@@ -179,21 +160,3 @@ def test_motion_out_of_every_bound_stays_within_the_image() -> None:
     out, _ = _written((TimedImage(0, light, wild), TimedImage(_T_NS, light, -wild)), _T_NS // 3)
     assert (out >= light.min()).all()
     assert (out <= light.max()).all()
-
-
-def test_the_white_light_is_a_factor() -> None:
-    image = TimedImage(0, np.full(_SIZE[::-1], 0.5, np.float32))
-    joined, out = Joined(_SIZE, white=30.0), np.zeros(_SIZE[::-1], np.float32)
-    joined.write((image, image), 5, out)
-    np.testing.assert_array_equal(out, 15.0)
-
-
-def test_front_motion_is_that_of_the_nearest_neighbour() -> None:
-    motion, depth = np.zeros((5, 5, 2), np.float32), np.full((5, 5), np.inf, np.float32)
-    motion[2, 2], depth[2, 2] = (7.0, 1.0), 3.0
-    out = front_motion(motion, depth)
-    assert (out[1:4, 1:4] == (7.0, 1.0)).all()
-    assert (out[0] == 0).all()
-    motion[2, 3] = 100.0, 0.0  # faster, and farther away
-    assert tuple(front_motion(motion, depth)[2, 2]) == (7.0, 1.0)
-    assert tuple(front_motion(motion, None)[2, 2]) == (100.0, 0.0)

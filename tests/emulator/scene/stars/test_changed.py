@@ -70,20 +70,6 @@ def test_all_changes_lie_in_the_boxes_and_little_else(scene):
         assert told.mean() < 0.5
 
 
-def test_other_arrays_are_drawn_whole(scene):
-    arrays = pictures()
-    for k in range(2):
-        scene.light_and_rate(k * STEP_NS, *arrays)
-    assert scene.changed is not None
-    light = np.full(SIZE[::-1], np.nan, np.float32)
-    scene.light(2 * STEP_NS, light)
-    assert scene.changed is None
-    np.testing.assert_array_equal(light, drawn_afresh(scene, 2 * STEP_NS)[0])
-    scene.light_and_rate(2 * STEP_NS, *arrays)
-    assert scene.changed is None
-    np.testing.assert_array_equal(arrays[0], light)
-
-
 @pytest.mark.parametrize("preset", ["davis346", "imx636"])
 def test_a_sensor_that_is_told_gives_the_events_of_the_full_pass(preset):
     sky = dataclasses.replace(SKY, faintest_v=3.0)  # few stars: blocks between them rest

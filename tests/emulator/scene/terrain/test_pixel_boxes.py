@@ -7,11 +7,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from emulator.scene.terrain import tile
 from emulator.scene.terrain.box_moments import add_box
-from emulator.scene.terrain.pixel_boxes import box_means, footprints
-from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, level_for
+from emulator.scene.terrain.pixel_boxes import footprints
+from emulator.scene.terrain.pixel_hits import Projection
 from emulator.scene.terrain.tile import MOMENTS, RATES, TILE, new_tile
 
-ROWS, COLUMNS, UNIT_M = 23, 31, 0.5
+ROWS, COLUMNS = 23, 31
 POINTS = 400  # along each side of a box
 
 
@@ -107,53 +107,3 @@ def test_boxes_have_the_spread_of_a_footprint(a, b):
     assert abs(spread[0, 1] - wanted[0, 1]) <= lean + 0.5 * (least - thin) + 1e-4 * most
     middle = np.array((0.3, -0.2)) + (np.array(a) + b) / 2
     assert (got["MIDDLE_X"], got["MIDDLE_Y"]) == pytest.approx(tuple(middle), abs=1e-5)
-
-
-def test_a_square_is_one_box_and_not_doubtful():
-    got = boxes_of(parallelogram((1.0, 0.0), (0.0, -1.0)))
-    assert (got["TAPS"], got["HALF_X"], got["HALF_Y"], got["DOUBT"]) == pytest.approx((1.0, 0.5, 0.5, 0.0))
-
-
-def test_ground_edge_on_and_twisted_footprints_are_doubtful():
-    edge_on = parallelogram((1.0, 0.0), (0.0, -1.0))
-    edge_on[1, :, 2] -= 12.0
-    twisted = parallelogram((1.0, 0.0), (0.0, -1.0))
-    twisted[1, 1, 0] += 0.6
-    assert [boxes_of(corners)["DOUBT"] for corners in (edge_on, twisted)] == [1.0, 1.0]
-
-
-@pytest.mark.long
-def test_the_next_level_counts_by_its_share(posts):
-    """Level 1 is made of numbers of its own; a box that fills 95 % of the range takes half of it."""
-    coarse = np.random.default_rng(4).uniform(-1, 1, (ROWS // 2 + 1, COLUMNS // 2 + 1, MOMENTS)).astype(np.float16)
-    moments = np.concatenate([posts.reshape(-1, MOMENTS).reshape(-1).view(np.uint16), flat(coarse)])
-    levels = np.zeros((2, 9), np.int64)
-    levels[:, 1:3] = posts.shape[:2], coarse.shape[:2]
-    levels[1, 0] = ROWS * COLUMNS
-    room = new_tile()
-    s = room.fields
-    half_m = 0.95 * 4.0 * UNIT_M
-    for field, value in ((tile.MIDDLE_X, 7.1), (tile.MIDDLE_Y, 5.2), (tile.HALF_X, half_m), (tile.HALF_Y, half_m)):
-        s[field * TILE] = value
-    s[tile.TAPS * TILE : (tile.TAPS + 1) * TILE] = 1.0
-    s[tile.BOX_SIZE * TILE] = half_m * 2 / (8.0 * UNIT_M)
-    fine_map = Posts(np.zeros(0, np.float32), moments, levels, Grids(UNIT_M, 1, 11.0), np.zeros(0, np.uint16))
-    box_means(1, fine_map, 1, np.zeros(3), room)
-    fine = expected(posts, 14.2, 10.4, 3.8, 3.8)
-    ground = RegularGridInterpolator((np.arange(ROWS // 2 + 1), np.arange(COLUMNS // 2 + 1)), coarse.astype(np.float64))
-    within = ((np.arange(POINTS) + 0.5) / POINTS * 2 - 1) * 1.9
-    both = 0.5 * fine + 0.5 * ground(tuple(np.meshgrid(5.2 + within, 7.1 + within, indexing="ij"))).mean(axis=(0, 1))
-    np.testing.assert_allclose(room.sums[:MOMENTS], both, atol=5e-4)
-
-
-@njit
-def found(size, begin, lowest, top):
-    return level_for(size, begin, lowest, top)
-
-
-@pytest.mark.parametrize("begin", range(8))
-def test_the_level_does_not_depend_on_where_the_search_begins(begin):
-    for size, lowest, top, level in [(0.1, 0, 6, 0), (1.0, 0, 6, 0), (1.01, 0, 6, 1), (8.0, 1, 6, 3), (999.0, 0, 6, 6)]:
-        assert found(size, begin, lowest, top) == level
-    assert found(0.1, begin, 2, 6) == 2
-    assert found(9.0, begin, 3, 1) == 3

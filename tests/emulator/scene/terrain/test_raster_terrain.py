@@ -8,7 +8,6 @@ import pytest
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
-from emulator.scene.terrain import ground as of_ground
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
@@ -93,20 +92,6 @@ def test_the_rate_is_the_change_of_light(t_s, median, p90, law):
     assert np.percentile(errors, 90) < p90 * middle
 
 
-def test_the_rate_of_ground_seen_edge_on_follows_the_ground():
-    path = KeyframePath((Keyframe(0.0, (0.0, -300.0, 175.0)), Keyframe(10.0, (60.0, -250.0, 165.0))), (0.0, 0.0, 90.0))
-    p = parameters(camera=path, ground=dataclasses.replace(RIDGE, slope_deg=20.0))
-    light, rate = (np.zeros(CAMERA.size[::-1], np.float32) for _ in range(2))
-    with RasterTerrain(p, CAMERA) as scene:
-        scene.light_and_rate(5 * 10**9, light, rate)
-        doubtful = scene._smooth[1] > 0
-    change = difference(p, 5 * 10**9)
-    assert doubtful.sum() > 100
-    errors = np.abs(rate - change)[doubtful]
-    assert np.median(errors) < 0.6 * np.median(np.abs(change[doubtful]))  # without a rate it is all of it
-    assert not rate[light == 0].any()
-
-
 def test_a_plane_s_rate_is_that_of_the_turning_view(tmp_path):
     """The camera stands still and turns: light changes with the direction of view alone."""
     np.save(tmp_path / "plane.npy", np.zeros((257, 257)))
@@ -126,21 +111,7 @@ def test_light_is_the_same_with_its_rate():
     np.testing.assert_array_equal(with_rate(p, 10**10)[0], looked_at(p, 10**10))
 
 
-def test_what_changed_is_known_for_the_same_two_arrays_only():
-    light, rate, other = (np.zeros(CAMERA.size[::-1], np.float32) for _ in range(3))
-    with RasterTerrain(parameters(), CAMERA) as scene:
-        known = []
-        for second in (rate, rate, other, None, None):
-            if second is None:
-                scene.light(0, light)
-            else:
-                scene.light_and_rate(0, light, second)
-            known.append(scene.changed is not None)
-    assert known == [False, True, False, False, True]
-
-
 SCREEN = Projection(40.0, 20.0, 10.0)
-STANDING = Motion(np.zeros((3, 3)), np.zeros(3))
 
 
 def rate_by_gradient(light, motion, inverse_depth=0.1, doubtful=1):
@@ -170,25 +141,6 @@ def test_light_that_goes_with_the_ground_has_the_rate_of_its_gradient(motion, fl
     inner = np.s_[3:-3, 3:-3]
     rate = rate_by_gradient(light, motion)[inner]
     np.testing.assert_allclose(rate, -(u * across + v * down)[inner], atol=0.06)
-
-
-def test_pixels_that_are_not_doubtful_keep_their_rate():
-    assert np.isnan(rate_by_gradient(np.ones((20, 40)), STANDING, doubtful=0)).all()
-    assert not rate_by_gradient(np.ones((20, 40)), STANDING).any()
-
-
-@pytest.mark.long
-@pytest.mark.system
-def test_parts_of_a_pixel_with_heights_of_their_own_are_nearer_to_every_facet():
-    rough = dataclasses.replace(RIDGE, finest_m=0.25, posts=512, size_m=512.0)
-    slanting = FixedPath((0.0, -150.0, 150.0), look_at_m=(0.0, 0.0, 0.0))
-    errors = []
-    for samples in (1, 3):
-        p = parameters(ground=rough, camera=slanting, samples=samples, sun_elevation_deg=8.0)
-        light, truth = looked_at(p, 0), sampled(p, 0, samples=32)  # fewer points would add half of the error
-        errors.append(float(np.abs(light - truth).mean() / truth.mean()))
-    assert errors[1] < 0.7 * errors[0]
-    assert errors[1] < 0.015
 
 
 def test_light_where_a_shadow_ends_is_that_of_the_horizon_between_posts(tmp_path, monkeypatch):
@@ -233,15 +185,6 @@ def test_light_at_outlines_is_that_of_rays():
     assert errors.mean() < 0.12
     assert np.isfinite(light).all()
     assert (light >= 0).all()
-
-
-def test_sides_of_facets_through_the_middles_of_pixels_are_no_outlines():
-    """An odd number of columns above the line on which blocks meet, looking straight down."""
-    camera, above = Pinhole.of_field((97, 65), 60.0), FixedPath((0.0, 0.37, 300.0), DOWN)
-    with RasterTerrain(parameters(camera=above, sun_elevation_deg=60.0), camera) as scene:
-        scene.light(0, np.zeros(camera.size[::-1], np.float32))
-        assert (scene._owners.facets >= 0).all()
-        assert (scene._owners.coverage < 0.999).sum() <= 2
 
 
 @pytest.mark.system
@@ -294,19 +237,6 @@ def test_levels_have_the_ground_s_heights_and_keep_means():
         if level >= ground.grids:
             np.testing.assert_allclose(inner.mean(axis=(0, 1)), coarser, atol=0.02)
         coarser = inner.mean(axis=(0, 1))
-
-
-def test_moments_do_not_depend_on_bands_and_threads(monkeypatch):
-    ridge = make_ridge(RIDGE)
-    rng = np.random.default_rng(5)
-    albedo = rng.uniform(0.1, 1.0, ridge.heights_m.shape).astype(np.float32)
-    uneven = dataclasses.replace(ridge, albedo=albedo)
-    radii = rng.normal(0.0, 1.0, ridge.heights_m.shape).astype(np.float32)
-    sun = np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 0.0]])
-    at_once = build_pyramid(uneven, radii, sun, ridge.grids + 3).moments
-    monkeypatch.setattr(of_ground, "_BAND", 5)
-    monkeypatch.setattr(of_ground, "available_threads", lambda: 3)
-    np.testing.assert_array_equal(build_pyramid(uneven, radii, sun, ridge.grids + 3).moments, at_once)
 
 
 def test_light_of_a_plane_is_its_law_of_reflection(tmp_path):
@@ -372,22 +302,3 @@ def test_the_part_of_the_picture_that_changed_holds_the_ground():
     rows = np.flatnonzero(light.any(axis=1))
     assert region.first_row <= rows.min()
     assert region.last_row > rows.max()
-
-
-def test_a_map_is_in_memory_once():
-    with RasterTerrain(parameters(), CAMERA) as scene:
-        ground = scene._world.ground
-        assert np.shares_memory(ground.heights_m, scene._pyramid.heights)
-        assert np.array_equal(ground.heights_m, make_ridge(RIDGE).curved(parameters().body_radius_m).heights_m)
-        assert ground.albedo is None
-
-
-@pytest.mark.parametrize("posts", [(4, 4), (5, 9), (13, 7)])
-def test_a_map_of_few_posts_has_finite_light(tmp_path, posts):
-    np.save(tmp_path / "tiny.npy", np.zeros(posts))
-    tiny = Heightmap(path=str(tmp_path / "tiny.npy"), post_m=40.0)
-    for height_m in (20.0, 3000.0):
-        path = FixedPath((0.0, 0.0, height_m), DOWN)
-        light = looked_at(parameters(ground=tiny, camera=path, body_radius_m=0.0), 0)
-        assert np.isfinite(light).all()
-        assert light.max() > 0

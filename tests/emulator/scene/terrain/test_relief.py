@@ -10,7 +10,7 @@ import pytest
 from scipy import integrate, special
 
 from emulator.scene import files
-from emulator.scene.files import cached_array, report_progress
+from emulator.scene.files import cached_array
 from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.relief import (
     DEPTH,
@@ -111,18 +111,6 @@ def test_an_old_crater_is_shallower_its_rim_is_gone_first_and_its_floor_is_flat(
     assert (heights == heights.min()).sum() == pytest.approx(0.3 * math.pi * 40**2, rel=0.02)
 
 
-def test_an_outline_s_harmonics_keep_the_crater_s_size():
-    shape = np.array([[1.0, 0.0, 0.08, 1.0, 0.06, 2.0]])
-    heights = np.zeros((401, 401))
-    sink_craters(heights, np.array([[200.0, 200.0]]), np.array([100.0]), shape)
-    # where the profile passes 0, at r0 radii, it encloses r0^2 pi R^2 (1 + (a^2 + b^2) / 2)
-    r0 = math.sqrt((DEPTH - RIM) / DEPTH)
-    assert (heights < 0).sum() == pytest.approx(math.pi * (50 * r0) ** 2 * (1 + (0.08**2 + 0.06**2) / 2), rel=0.01)
-    rows, columns = np.nonzero(heights < 0)
-    low, high = np.linalg.eigvalsh(np.cov(rows, columns))
-    assert 1.2 < high / low < 1.6  # the second harmonic makes it longer one way
-
-
 def test_most_craters_are_old_and_some_stand_in_chains():
     rng = np.random.default_rng(4)
     ages = crater_shapes(rng, 20_000)[:, 0]
@@ -190,14 +178,6 @@ def test_a_map_is_the_same_for_a_seed_and_another_for_another():
     assert np.abs(first - other).max() > 1
 
 
-def test_the_ridge_rises_above_its_base():
-    bare = Ridge(size_m=32768.0, finest_m=256.0, posts=128, slope_deg=0.0, crater_density=0.0, boulder_cover=0.0)
-    ground = make_ridge(bare)
-    assert ground.heights_m.max() == 0  # the site is on the crest
-    assert ground.heights_m.min() == pytest.approx(-5000.0, rel=1e-3)
-    assert ground.height_m(0.0, 7500.0) == pytest.approx(-4500.0, rel=0.01)  # the edge of a base 15 km wide
-
-
 def test_heights_between_posts_are_linear():
     rows, columns = np.mgrid[:9, :13].astype(float)
     ground = nested(2.0, [3 * rows + columns])
@@ -239,12 +219,6 @@ def test_a_user_without_a_place_at_home_has_a_folder_below_tmpdir(tmp_path, monk
     private.chmod(0o755)
     assert np.all(cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)))
     assert list(tmp_path.rglob("*")) == [private]
-
-
-def test_progress_is_told_on_stderr(capsys):
-    for done in range(4):
-        report_progress("making the map", done, 3)
-    assert capsys.readouterr().err == "evstim: making the map: 0 %\nevstim: making the map: 100 %\n"
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,8 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import SUN_W_M2, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
 from emulator.scene.terrain.gl_terrain import GlTerrain
-from emulator.scene.terrain.ground import nested
-from emulator.scene.terrain.quadtree import BLOCK, Quadtree
 from emulator.scene.terrain.raster_terrain import RasterTerrain
-from emulator.scene.terrain.relief import make_albedo, make_ridge
+from emulator.scene.terrain.relief import make_albedo
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
 from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
@@ -59,56 +57,6 @@ def flat_map(folder, posts=65, post_m=8.0):
 
 
 # Blocks
-
-
-@pytest.mark.parametrize("place", [(0.0, 0.0, 30.0), (120.0, -300.0, 5.0), (-700.0, 10.0, 400.0)])
-def test_blocks_cover_the_ground_once(place):
-    ground = make_ridge(RIDGE)
-    tree = Quadtree(ground, 80.0)
-    half = 64 << (ground.grids - 1)
-    covered = np.zeros((2 * half, 2 * half), int)
-    for grid, blocks in enumerate(tree.blocks(np.array(place), np.empty((0, 3)))):
-        x0, y0 = ground.first(grid)
-        for column, row, stride in blocks:
-            side = BLOCK * stride << grid
-            x, y = x0 + (column << grid) + half, y0 + (row << grid) + half
-            covered[y : y + side, x : x + side] += 1
-            assert column + BLOCK * stride <= 128  # the grid holds it
-            assert row + BLOCK * stride <= 128
-    assert (covered == 1).all()
-
-
-@pytest.mark.parametrize("shape", [(4, 4), (9, 9), (10, 5), (41, 71), (129, 129), (257, 33)])
-def test_a_block_of_the_last_level_alone_holds_all(shape):
-    for ground in (nested(1.0, [np.zeros(shape)]), make_ridge(RIDGE)):
-        blocks = Quadtree(ground, 80.0).levels[:, :2].prod(axis=1)
-        assert blocks[-1] == 1
-        assert (blocks[ground.grids - 1 : -1] > 1).all()
-
-
-def test_blocks_out_of_sight_are_left_out():
-    ground = make_ridge(RIDGE)
-    tree = Quadtree(ground, 80.0)
-    eastern = np.array([[1.0, 0.0, 0.0]])
-    blocks = tree.blocks(np.array([300.0, 0.0, 100.0]), eastern)
-    ends = [
-        ground.first(grid)[0] + ((column + BLOCK * stride) << grid)
-        for grid, chosen in enumerate(blocks)
-        for column, _, stride in chosen
-    ]
-    assert min(ends) * ground.unit_m >= 300.0
-    assert sum(map(len, blocks)) > 4
-
-
-def test_a_quad_is_no_finer_than_its_distance_asks():
-    ground = nested(1.0, [np.zeros((257, 257))])
-    camera = np.array([0.0, 0.0, 20.0])
-    (blocks,) = Quadtree(ground, 80.0).blocks(camera, np.empty((0, 3)))
-    for column, row, stride in blocks:
-        nearest = [max(c - 128, 128 - c - BLOCK * stride, 0) for c in (column, row)]
-        distance = math.hypot(*nearest, 20.0)
-        assert stride == 1 or distance > 80.0 * stride / 2
-        assert distance <= 80.0 * stride + 2 * BLOCK * stride * math.sqrt(2)
 
 
 # Light
@@ -236,18 +184,6 @@ def test_light_seen_at_a_slant_is_that_of_the_map_and_not_of_coarse_facets(tmp_p
     assert np.sqrt(np.mean(error**2)) < 0.003
 
 
-@pytest.mark.gl
-def test_one_point_for_many_cells_has_the_mean_of_their_light():
-    """A pixel is five posts wide."""
-    ground = dataclasses.replace(RIDGE, posts=512)
-    high = parameters(
-        ground=ground, sun_elevation_deg=8.0, camera=FixedPath((0.0, 0.0, 900.0), DOWN), reflectance=Lambert(1.0)
-    )
-    point, mean = (drawn(draws, high) for draws in (GlTerrain, RasterTerrain))
-    assert point.mean() == pytest.approx(mean.mean(), rel=0.03)
-    assert np.sqrt(np.mean((point - mean) ** 2)) < 0.25 * mean.std()  # 0.28 without the means of cells
-
-
 def test_albedo_dims_and_brightens_the_light_of_the_sun(terrain):
     level = Ridge(1024.0, 8.0, 128, ridge_m=0.0, slope_deg=0.0, crater_density=0.0, boulder_cover=0.0)
     lit, plain = (
@@ -278,20 +214,6 @@ def test_there_are_no_cracks_and_nothing_jumps_on_the_way(terrain, path):
         assert ground.min() > 5  # a crack would show the black sky; ambient light alone gives 15
         assert np.median(np.abs(after - before)) < 1e-3 * np.median(before)
         assert (np.abs(after - before) > 0.2 * before.max()).sum() <= 2  # samples on a rim's outline may change sides
-
-
-def test_coarse_facets_keep_the_fine_map_s_light(terrain):
-    slanting = parameters(sun_elevation_deg=8.0, camera=FixedPath((0.0, 0.0, 600.0), DOWN), samples=2)
-    fine, coarse = (drawn(terrain, dataclasses.replace(slanting, detail_px=d)) for d in (0.0, 4.0))
-    scale = fine.std()
-    assert np.sqrt(np.mean((fine - coarse) ** 2)) < 0.2 * scale
-
-
-def test_the_sky_and_what_lies_beyond_the_map_are_black(terrain):
-    p = parameters(camera=FixedPath((0.0, 0.0, 50.0), look_at_m=(0.0, 500.0, 50.0)), ambient_w_m2=10.0)
-    light = drawn(terrain, p)
-    assert (light[:16] == 0).all()
-    assert (light[-6:] > 0).all()
 
 
 def test_a_night_is_told(terrain):

@@ -131,18 +131,6 @@ def test_images_at_the_same_time_are_refused_and_older_ones_too():
     assert images.counts["images at the time of the one before"] == 2
 
 
-def test_images_of_another_size_keep_their_mean_light():
-    fake = Fake()
-    images = scene(fake)
-    drawn(images, fake, 0)
-    levels = np.random.default_rng(1).uniform(0.1, 1, (19, 31)).astype(np.float32)
-    fake.write(levels, 10 * MS, size=(31, 19))
-    out = np.zeros(SIZE[::-1], np.float32)
-    fake.now_ns += 20 * MS
-    images.light(20 * MS, out)
-    assert out.mean() == pytest.approx(levels.mean(), rel=1e-4)
-
-
 def test_levels_of_srgb_are_decoded():
     fake = Fake()
     images = Ros2Images(Ros2ImageParameters(delay_ms=0.0, floor=1e-6), SIZE, fake, fake.clock)
