@@ -49,6 +49,7 @@ from emulator.sensor.passages.rows import (
     SEEK,
     SLICE,
     Column,
+    chosen,
     curve_of,
     noise_at,
     replace,
@@ -370,9 +371,10 @@ def choose(rows: _Float32s, n: int) -> None:
         on = take(rows, Column.POLARITY + i) * total < on_integral
         bits = take(rows, Column.TELESCOPED + i)
         over_distance = (bits == _ON + _OFF) | (bits == (_ON if on else _OFF))
-        h0 = take(rows, Column.ON_RATE0 + i) if on else take(rows, Column.OFF_RATE0 + i)
-        middle = take(rows, Column.ON_MIDDLE + i) if on else take(rows, Column.OFF_MIDDLE + i)
-        h1 = take(rows, Column.ON_RATE1 + i) if on else take(rows, Column.OFF_RATE1 + i)
+        of_on = _ONE if on else _ZERO
+        h0 = chosen(rows, Column.ON_RATE0 + i, Column.OFF_RATE0 + i, of_on)
+        middle = chosen(rows, Column.ON_MIDDLE + i, Column.OFF_MIDDLE + i, of_on)
+        h1 = chosen(rows, Column.ON_RATE1 + i, Column.OFF_RATE1 + i, of_on)
         p, r, f = _FOUR * middle - _THREE * h0 - h1, _TWO * (h0 - _TWO * middle + h1), left / total
         wanted = f * (h0 + _HALF * p + _THIRD * r)
         f = nearer_share(f, h0, p, r, wanted)
@@ -380,8 +382,8 @@ def choose(rows: _Float32s, n: int) -> None:
         f = nearer_share(f, h0, p, r, wanted)
         replace(rows, Column.EVENT + i, end if over_distance else x + f * (end - x), mine)
         replace(rows, Column.SIGN + i, _ONE if on else -_ONE, mine)
-        replace(rows, Column.C + i, take(rows, Column.ON_C1 + i) if on else take(rows, Column.OFF_C1 + i), mine)
-        replace(rows, Column.NU + i, take(rows, Column.ON_NU1 + i) if on else take(rows, Column.OFF_NU1 + i), mine)
+        replace(rows, Column.C + i, chosen(rows, Column.ON_C1 + i, Column.OFF_C1 + i, of_on), mine)
+        replace(rows, Column.NU + i, chosen(rows, Column.ON_NU1 + i, Column.OFF_NU1 + i, of_on), mine)
         put(rows, Column.STATE + i, (SEEK if over_distance else AGED) if mine else state)
 
 
@@ -437,9 +439,7 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
     for i in range(n):
         state = take(rows, Column.STATE + i)
         mine, up = state == SEEK, take(rows, Column.SIGN + i) > _ZERO
-        # A weight in place of a choice: LLVM would load from a chosen address, which does not become a vector.
-        of_on = _ONE if up else _ZERO
-        c0 = of_on * take(rows, Column.ON_C0 + i) + (_ONE - of_on) * take(rows, Column.OFF_C0 + i)
+        c0 = chosen(rows, Column.ON_C0 + i, Column.OFF_C0 + i, _ONE if up else _ZERO)
         c0 = _AFAR if take(rows, Column.BEGINS + i) > _ZERO else c0
         approach = Approach(c0, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
         seen = Seen(take(rows, Column.C + i), take(rows, Column.NU + i), take(rows, Column.SLOPE1 + i), take(rows, Column.Z1 + i))

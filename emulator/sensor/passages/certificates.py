@@ -27,12 +27,12 @@ _Float32s = npt.NDArray[np.float32]
 
 _ZERO, _HALF, _ONE, _TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
 _ENDLESS = np.float32(np.inf)
-_TAKEN = np.float32(0.5)  # of what is left, by the bound, while moving light comes to its limits
+_TAKEN, _OTHER = np.float32(0.8), np.float32(0.1)  # of what is left, by the bound, while moving light comes to its limits
 _ALMOST = np.float32(0.95)  # of it, while light stands still
 _FORGOTTEN = np.float32(10)  # times of the slower pole after which a reset is forgotten
-_HORIZON, _KEPT = np.float32(1), np.float32(np.exp(-1))  # of a certificate before that, in these times
+_FEW_STEPS = np.float32(4)  # of a certificate before that, at least
 _KICK = np.float32(0.4)  # of the mean of the noise by its slope at the reset, at most, over slope / rate
-_SLOW, _FASTER = np.float32(0.3), np.float32(2)  # least speed of a certificate; its speed over the present one
+_SLOW, _FASTER = np.float32(0.1), np.float32(2)  # least speed of a certificate; its speed over the present one
 _NEAREST, _NEAREST_SETTLED = np.float32(1.5), np.float32(0.75)  # deviations from which on the bound holds
 _CROSSINGS, _CARRIED = np.float32(0.25), np.float32(0.6)
 _FARTHEST = np.float32(30)  # deviations at which a hazard is still a number
@@ -73,8 +73,8 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         kick = abs(v_r) / noise.rate * (_KICK if age < _ONE else age * fading) if recent else _ZERO
         # It keeps the other threshold away for some time, at least as long as the slower pole lets it.
         mean = (_ONE + age) * fading if recent else _ZERO
-        kept = fading * _KEPT if recent else _ZERO
-        horizon = _HORIZON / slow if recent else _LONGEST_S
+        horizon = max(_ONE / slow, _FEW_STEPS * span) if recent else _LONGEST_S
+        kept = fading * exponential(-slow * horizon) if recent else _ZERO
         up, down = max(n_r, _ZERO), max(-n_r, _ZERO)
         offset = value - reference
         on, off = take(rows, Visit.ON + j) - offset, take(rows, Visit.OFF + j) + offset
@@ -101,13 +101,16 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         ahead = c_on if moving > _ZERO else c_off
         # The longer a rest, the nearer must its limits be, and the sooner the pixel comes to them: two steps to a balance.
         lasts = longest
-        limit = _limit(steep, _HALF * _TAKEN * left / lasts, least)
+        limit = _limit(steep, _TAKEN * left / lasts, least)
         lasts = min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest) if moves else longest
-        limit = _limit(steep, _HALF * _TAKEN * left / lasts, least)
+        limit = _limit(steep, _TAKEN * left / lasts, least)
         lasts = min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest) if moves else longest
-        limit = _limit(steep, _HALF * _TAKEN * left / lasts, least)
-        holds = (c_on > limit) & (c_off > limit)
-        on_limit, off_limit = on_room + offset - sigma * limit, off_room - offset - sigma * limit
+        limit = _limit(steep, _TAKEN * left / lasts, least)
+        farther = _limit(steep, _OTHER * left / lasts, least)
+        rises = moving > _ZERO
+        on_least, off_least = limit if rises else farther, farther if rises else limit
+        holds = (c_on > on_least) & (c_off > off_least)
+        on_limit, off_limit = on_room + offset - sigma * on_least, off_room - offset - sigma * off_least
         fastest = _ENDLESS if ample else nu * unit
         speed = fastest if moves | (c.high == _ZERO) else _ZERO
         # Still light: a filter that settles may still move the value by little, and leak too.

@@ -17,7 +17,7 @@ from emulator.sensor.numerics.compiled import vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log, use_widest_vectors
 from emulator.sensor.numerics.keyed import mix_word
 from emulator.sensor.passages.bursts import after_bound, bound_of, store_bound
-from emulator.sensor.passages.rows import DONE, PLACED, Column, curve_of, noise_at, replace, speed_at, value_at
+from emulator.sensor.passages.rows import DONE, PLACED, Column, chosen, curve_of, noise_at, replace, speed_at, value_at
 
 _Float32s = npt.NDArray[np.float32]
 _Words = npt.NDArray[np.uint64]
@@ -74,7 +74,7 @@ def leave(rows: _Float32s, tables: _Float32s, n: int) -> None:
         x, sign, c = take(rows, Column.EVENT + i), take(rows, Column.SIGN + i), take(rows, Column.C + i)
         nu, z, curve = take(rows, Column.NU + i), take(rows, Column.EVENT_Z + i), curve_of(rows, i)
         w, reference = value_at(curve, x), take(rows, Column.REFERENCE + i)
-        threshold = take(rows, Column.ON + i) if sign > _ZERO else take(rows, Column.OFF + i)
+        threshold = chosen(rows, Column.ON + i, Column.OFF + i, _ONE if sign > _ZERO else _ZERO)
         deviation = noise_at(rows, i, x).sigma * take(rows, Column.DEVIATION + i)
         # The noise is what the signal lacks; of a signal that has jumped beyond the level, any.
         deep = c < _DEEP

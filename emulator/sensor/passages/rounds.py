@@ -152,8 +152,8 @@ def _count(rows: _Float32s, counts: _Int64s, n: int) -> None:
 def _event_ns(visits: Visits, i: int) -> int:
     """Return the time of column i's event in the step, ns."""
     rows, j = visits.columns.rows, visits.columns.visits[i]
-    span_ns = np.float64(rows[Column.SPAN + i]) * 1e9
-    return np.int64(visits.begins_ns[j] + np.float64(rows[Column.EVENT + i]) * span_ns)
+    begin_s, span_s = np.float64(visits.rows[Visit.BEGIN + j]), np.float64(rows[Column.SPAN + i])
+    return np.int64((begin_s + np.float64(rows[Column.EVENT + i]) * span_s) * 1e9)
 
 
 @kernel
@@ -206,7 +206,7 @@ def _let_fire(  # noqa: PLR0913, PLR0917
         fired = visits.rows[Visit.COUNT + j]
         if fired >= MOST_PASSAGES and rows[Column.STATE + i] != DONE:
             passed_ns = np.float64(columns.resets_ns[i] - c.t0_ns)
-            end_ns = visits.begins_ns[j] + np.float64(rows[Column.SPAN + i]) * 1e9
+            end_ns = np.float64(visits.rows[Visit.BEGIN + j] + rows[Column.SPAN + i]) * 1e9
             lost += 1 + int(min(fired * (end_ns - passed_ns) / max(passed_ns, 1.0), _MOST_LOST))
             rows[Column.STATE + i] = DONE
             rows[Column.REFERENCE + i] = value_at(curve_of(rows, i), _ONE)

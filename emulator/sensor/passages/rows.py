@@ -55,6 +55,8 @@ class Visit(IntEnum):
     C1 = auto()
     C2 = auto()
     C3 = auto()
+    BASE = auto()  # value at the start, ln units, and the start since that of the step, s
+    BEGIN = auto()
     SPAN = auto()  # length of the piece, s
     RATE0 = auto()  # of the receptor's pole at both ends, 1/s
     RATE1 = auto()
@@ -215,8 +217,6 @@ class Visits(NamedTuple):
     """The visited pixels, and what is whole numbers of them."""
 
     rows: _Float32s
-    bases: npt.NDArray[np.float64]  # value at the start of the piece, ln units
-    begins_ns: npt.NDArray[np.float64]  # start of the piece in the step
     streams: _Words
     resets_ns: _Int64s
     columns: Columns
@@ -235,7 +235,7 @@ def new_visits() -> Visits:
         np.zeros(2 * CAPACITY, np.int32),
     )
     rows = aligned_zeros(len(Visit) * CAPACITY)
-    return Visits(rows, np.zeros(CAPACITY), np.zeros(CAPACITY), words[1], times[1], columns)
+    return Visits(rows, words[1], times[1], columns)
 
 
 @inlined
@@ -252,7 +252,7 @@ class Curve(NamedTuple):
     c3: Real
 
 
-_TWO, _THREE, _SIX = (np.float32(x) for x in (2, 3, 6))
+_ONE, _TWO, _THREE, _SIX = (np.float32(x) for x in (1, 2, 3, 6))
 
 
 @lane
@@ -290,6 +290,15 @@ def noise_at(rows: _Float32s, i: int, x: Real) -> Noise:
         take(rows, Column.A1 + i) + take(rows, Column.D_A1 + i) * x,
         take(rows, Column.A2 + i) + take(rows, Column.D_A2 + i) * x,
     )
+
+
+@lane
+def chosen(rows: _Float32s, at: int, other: int, of_first: Real) -> Real:
+    """Return the value at one of two indices: a weight, 1 or 0, in place of a choice.
+
+    From a choice LLVM makes a load from a chosen address, which does not become a vector.
+    """
+    return of_first * take(rows, at) + (_ONE - of_first) * take(rows, other)
 
 
 @lane

@@ -43,6 +43,7 @@ from emulator.sensor.passages.rows import (
     Column,
     Curve,
     bend_at,
+    chosen,
     curve_of,
     noise_at,
     replace,
@@ -251,10 +252,10 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:
         on_integral, off_integral = take(rows, Column.ON_INTEGRAL + i), take(rows, Column.OFF_INTEGRAL + i)
         cells, total = take(rows, Column.CELL + i), on_integral + off_integral
         in_cells, on_first = cells == _ON + _OFF, on1 > on0
-        of_first = on_integral if on_first else off_integral
+        of_first = chosen(rows, Column.ON_INTEGRAL + i, Column.OFF_INTEGRAL + i, _ONE if on_first else _ZERO)
         by_first = left < of_first
         is_on = (take(rows, Column.POLARITY + i) * total < on_integral) if in_cells else (on_first == by_first)
-        integral = on_integral if is_on else off_integral
+        integral = chosen(rows, Column.ON_INTEGRAL + i, Column.OFF_INTEGRAL + i, _ONE if is_on else _ZERO)
         rest = left * integral / total if in_cells else (left if by_first else left - of_first)
         c0, c1 = on0 if is_on else off0, on1 if is_on else off1
         sign = _ONE if is_on else -_ONE
@@ -268,7 +269,7 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:
         approach, per_deviation = c1 < c0, (end - x) / (c0 - c1)
         guess = x + max(c0 - _THREE, _ZERO) * per_deviation if c1 < _TWO else end
         fast = max((sign * speed_at(curve, guess) + _THREE * change) / (sigma + change * guess) * per, _LEAST_SPEED)
-        nu = take(rows, Column.ON_SPEED + i) if is_on else take(rows, Column.OFF_SPEED + i)
+        nu = chosen(rows, Column.ON_SPEED + i, Column.OFF_SPEED + i, _ONE if is_on else _ZERO)
         nu = fast if approach & (c1 < _TWO) else nu
         rho = rho_of(nu)
         least, most = min(c0, c1), max(c0, c1)

@@ -47,10 +47,10 @@ _U, _V, _L, _REF, _LEAK, _P, _ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL = (
         Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL,
     )
 )  # fmt: skip
-_ROUNDED = 1e-6  # share of a number, more than float32 rounds
+_ROUNDED = np.float32(1e-6)  # share of a number, more than float32 rounds
 _LEAST_RMS = np.float32(1e-6)  # ln units: float32 resolves no less in a log light
-_STEEPEST = np.float32(1e15)
-_LEAST_REST_S = 2e-6  # below it a time since the last visit is rounding
+_STEEPEST, _A_NS = np.float32(1e15), np.float32(1e-9)
+_LEAST_REST_S = np.float32(2e-6)  # below it a time since the last visit is rounding
 _ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
 
 
@@ -68,42 +68,57 @@ def _make_pieces(rows: _Float32s, n: int) -> None:
 
 @vector_kernel
 def _visit_whole(visits: _Float32s, rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Write curve and light of each candidate whose step is one piece to the visited pixels; junction leak left out."""
+    """Write curve, light and comparator of each candidate whose step is one piece to the visited pixels."""
     use_widest_vectors()
     for j in range(n):
         still = (rows[row.C_U0 + j] == rows[row.C_U1 + j]) & (rows[row.C_A0 + j] == _ZERO) & (rows[row.C_A1 + j] == _ZERO)
         put(visits, Visit.C1 + j, rows[row.C_C1 + j])
         put(visits, Visit.C2 + j, rows[row.C_C2 + j])
         put(visits, Visit.C3 + j, rows[row.C_C3 + j])
+        put(visits, Visit.BASE + j, rows[row.C_BASE + j])
+        put(visits, Visit.BEGIN + j, _ZERO)
         put(visits, Visit.SPAN + j, c.h)
         put(visits, Visit.RATE0 + j, rows[row.C_L0 + j])
         put(visits, Visit.RATE1 + j, rows[row.C_L1 + j])
+        put(visits, Visit.ON + j, rows[row.C_ON + j])
+        put(visits, Visit.OFF + j, rows[row.C_OFF + j])
         put(visits, Visit.LIT + j, rows[row.C_LIT + j] if c.parasitic > _ZERO else _ZERO)
         put(visits, Visit.STILL + j, _ONE if still else _ZERO)
+        put(visits, Visit.COUNT + j, _ZERO)
 
 
 @kernel
-def _visit(visits: Visits, j: int, pixels: Pixels, pixel: int, begin_ns: float, c: StepConstants) -> None:  # noqa: PLR0913, PLR0917
-    """Write the state of a pixel, whose curve and its value `bases[j]` without leak are written, to the visited ones."""
-    rows, fields, memory, at = visits.rows, pixels.fields, pixels.memory, slot(pixel)
-    of_pixel = pixel * MEMORY
-    leak, span_s = np.float64(fields[at + _LEAK]), np.float64(rows[Visit.SPAN + j])
-    base = visits.bases[j] + leak * (c.since_s + begin_ns * 1e-9)
-    rested_s = np.float64(c.since_epoch_0) - np.float64(memory[of_pixel + Memory.SEEN_S])
-    visits.bases[j], visits.begins_ns[j] = base, begin_ns
-    visits.streams[j], visits.resets_ns[j] = noise_stream(pixels, pixel, c), pixels.refractory_until_ns[pixel]
-    rows[Visit.RMS + j] = max(np.float32(c.noise_rms) * memory[of_pixel + Memory.SCALE], _LEAST_RMS)
-    rows[Visit.ON + j], rows[Visit.OFF + j] = fields[at + _REF + BLOCK], fields[at + _REF + 2 * BLOCK]
-    rows[Visit.LEAK + j] = fields[at + _LEAK]
-    rows[Visit.C1 + j] += np.float32(leak * span_s)
-    for k in (Visit.C1, Visit.C2, Visit.C3):  # steeper, all is passed at once
-        rows[k + j] = min(max(rows[k + j], -_STEEPEST), _STEEPEST)
-    rows[Visit.REFERENCE + j] = np.float32(np.float64(fields[at + _REF]) - base)
-    rows[Visit.LEFT + j] = memory[of_pixel + Memory.LEFT]
-    rows[Visit.N + j], rows[Visit.V + j] = memory[of_pixel + Memory.N], memory[of_pixel + Memory.V]
-    rows[Visit.RESET + j] = np.float32((visits.resets_ns[j] - c.t0_ns - begin_ns) / (span_s * 1e9))
-    rows[Visit.SEEN + j] = memory[of_pixel + Memory.SEEN]
-    rows[Visit.RESTED + j] = np.float32(rested_s / span_s) if rested_s > _LEAST_REST_S else _ZERO
+def _gather(visits: Visits, pixels: Pixels, of: _Int64s, n: int, c: StepConstants) -> None:
+    """Write the state of the noise of pixels to the visited ones."""
+    rows, memory = visits.rows, pixels.memory
+    for j in range(n):
+        pixel = of[j]
+        at = pixel * MEMORY
+        visits.streams[j], visits.resets_ns[j] = noise_stream(pixels, pixel, c), pixels.refractory_until_ns[pixel]
+        rows[Visit.N + j], rows[Visit.V + j] = memory[at + Memory.N], memory[at + Memory.V]
+        rows[Visit.RMS + j], rows[Visit.LEFT + j] = memory[at + Memory.SCALE], memory[at + Memory.LEFT]
+        rows[Visit.RESTED + j], rows[Visit.SEEN + j] = memory[at + Memory.SEEN_S], memory[at + Memory.SEEN]
+        rows[Visit.RESET + j] = np.float32(visits.resets_ns[j] - c.t0_ns)
+
+
+@vector_kernel
+def _complete(rows: _Float32s, n: int, rms: np.float32, c: StepConstants) -> None:
+    """Turn what was gathered into the units of a piece: times over its length, values from that at its start."""
+    use_widest_vectors()
+    for j in range(n):
+        leak, span, begin = rows[Visit.LEAK + j], rows[Visit.SPAN + j], rows[Visit.BEGIN + j]
+        base = rows[Visit.BASE + j] + leak * (c.since_epoch_0 + begin)
+        rested = c.since_epoch_0 - rows[Visit.RESTED + j]
+        per_span = _ONE / span
+        # Steeper curves pass all at once.
+        rows[Visit.C1 + j] = min(max(rows[Visit.C1 + j] + leak * span, -_STEEPEST), _STEEPEST)
+        rows[Visit.C2 + j] = min(max(rows[Visit.C2 + j], -_STEEPEST), _STEEPEST)
+        rows[Visit.C3 + j] = min(max(rows[Visit.C3 + j], -_STEEPEST), _STEEPEST)
+        rows[Visit.BASE + j] = base
+        rows[Visit.REFERENCE + j] -= base
+        rows[Visit.RMS + j] = max(rms * rows[Visit.RMS + j], _LEAST_RMS)
+        rows[Visit.RESET + j] = (rows[Visit.RESET + j] * _A_NS - begin) * per_span
+        rows[Visit.RESTED + j] = rested * per_span if (rested > _LEAST_REST_S) & (begin == _ZERO) else _ZERO
 
 
 @kernel
@@ -116,7 +131,7 @@ def _leave(visits: Visits, j: int, pixels: Pixels, pixel: int) -> None:
         pixels.refractory_until_ns[pixel] = visits.resets_ns[j]
         at = slot(pixel) + _REF
         if rows[Visit.COUNT + j] > 0 or pixels.fields[at] != pixels.fields[at]:
-            pixels.fields[at] = np.float32(visits.bases[j] + np.float64(rows[Visit.REFERENCE + j]))
+            pixels.fields[at] = rows[Visit.BASE + j] + rows[Visit.REFERENCE + j]
 
 
 @kernel
@@ -130,12 +145,12 @@ def _finish(visits: Visits, j: int, pixels: Pixels, pixel: int, leaked: float, c
     if c.parasitic > _ZERO and rows[Visit.COUNT + j] > 0:
         fields[at + _REF] -= np.float32(leaked)
         fields[at + _P] = np.float32(-np.float64(rows[Visit.LIT + j]) * c.since_epoch_1)
-    until_s = np.float64(c.since_epoch_1) + np.float64(rows[Visit.LASTS + j])
     memory[pixel * MEMORY + Memory.SEEN_S] = c.since_epoch_1
     memory[pixel * MEMORY + Memory.SEEN] = rise - rows[Visit.REFERENCE + j]
     fields[at + _ON_LIMIT], fields[at + _OFF_LIMIT] = rows[Visit.ON_LIMIT + j], rows[Visit.OFF_LIMIT + j]
+    until_s = c.since_epoch_1 + rows[Visit.LASTS + j]
     fields[at + _SPEED] = rows[Visit.SPEED + j]
-    fields[at + _UNTIL] = np.float32(until_s - 1e-6 - _ROUNDED * abs(until_s))  # earlier by more than rounding
+    fields[at + _UNTIL] = until_s - _LEAST_REST_S - _ROUNDED * abs(until_s)  # earlier by more than rounding
 
 
 @kernel
@@ -158,21 +173,20 @@ def _visit_as_whole(pixels: Pixels, table: Table, n: int, c: StepConstants, cons
     """
     rows, visits, in_substeps = table.rows, table.visits, NONE
     for j in range(n):
-        rows[row.C_LEAK + j] = _ZERO  # added in float64 by time
+        visits.rows[Visit.LEAK + j], visits.rows[Visit.REFERENCE + j] = rows[row.C_LEAK + j], rows[row.C_REF + j]
+        rows[row.C_LEAK + j] = _ZERO  # added by `_complete`
         rows[row.C_REF + j] = _NAN  # no curve is relative to a reference, which depends on the step
     make_curves(pixels, table, n, c)
     _make_pieces(rows, whole_vectors(n))
     _visit_whole(visits.rows, rows, whole_vectors(n), c)
+    _gather(visits, pixels, table.pixels, n, c)
+    _complete(visits.rows, whole_vectors(n), np.float32(c.noise_rms), c)
     for j in range(n):
         if rows[row.C_KIND + j] == row.NEEDS_SUBSTEPS:
             enter(table, j, in_substeps, c)
             in_substeps += 1
             visits.rows[Visit.RESET + j] = _TWO  # takes no part
             visits.rows[Visit.RESTED + j] = _ZERO
-            continue
-        visits.bases[j] = np.float64(rows[row.C_BASE + j])
-        visits.rows[Visit.COUNT + j] = _ZERO
-        _visit(visits, j, pixels, table.pixels[j], 0.0, c)
     return _look(visits, pixels.tables, n, c, constants), in_substeps
 
 
@@ -199,21 +213,24 @@ def _rate(u: np.float32, c: StepConstants) -> np.float32:
 def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, constants: Constants) -> int:
     """Let the n pixels of the table of substeps visit with their next substep; return the number of columns set up."""
     visits, of, pieces = table.visits, table.substep_table.pixels, table.substep_table.rows
-    rows = visits.rows
+    rows, fields = visits.rows, pixels.fields
     begin_substep(pieces, state.whole_vectors(n), c)
     for j in range(n):
+        at = slot(of[j])
         rows[Visit.C1 + j], rows[Visit.C2 + j] = pieces[sub.C1 + j], pieces[sub.C2 + j]
-        rows[Visit.C3 + j] = pieces[sub.C3 + j]
+        rows[Visit.C3 + j], rows[Visit.BASE + j] = pieces[sub.C3 + j], pieces[sub.BASE + j] + pieces[sub.D0 + j]
+        rows[Visit.BEGIN + j] = pieces[sub.Z + j] * c.h
         rows[Visit.SPAN + j] = (pieces[sub.Z1 + j] - pieces[sub.Z + j]) * c.h
         rows[Visit.RATE0 + j], rows[Visit.RATE1 + j] = _rate(pieces[sub.U0 + j], c), _rate(pieces[sub.U1 + j], c)
+        rows[Visit.ON + j], rows[Visit.OFF + j] = pieces[sub.ON + j], pieces[sub.OFF + j]
+        rows[Visit.LEAK + j], rows[Visit.REFERENCE + j] = fields[at + _LEAK], fields[at + _REF]
         rows[Visit.LIT + j] = c.parasitic * pieces[sub.ON + j] * photocurrent(pieces[sub.U1 + j])
         rows[Visit.STILL + j], rows[Visit.COUNT + j] = _ZERO, pieces[sub.COUNT + j]
-        visits.bases[j] = np.float64(pieces[sub.BASE + j]) + np.float64(pieces[sub.D0 + j])
-        _visit(visits, j, pixels, of[j], np.float64(pieces[sub.Z + j]) * c.h_ns, c)
+    _gather(visits, pixels, of, n, c)
+    _complete(rows, whole_vectors(n), np.float32(c.noise_rms), c)
+    for j in range(n):
         if pieces[sub.COUNT + j] >= rounds.MOST_PASSAGES:
             rows[Visit.RESET + j] = _TWO  # takes no part any more
-        if pieces[sub.Z + j] > _ZERO:
-            rows[Visit.RESTED + j] = _ZERO  # the pixel was seen at the end of the last substep
     return _look(visits, pixels.tables, n, c, constants)
 
 
