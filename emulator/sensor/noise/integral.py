@@ -11,8 +11,8 @@ Along an approach that is the c at which K has the value that is left: the inver
     G, K    (SLICES, 65, 105)    over nu / (1 + |nu|) = -1 + j / 32 and c = -4 + i / 8, times sqrt(2 pi) e^(c^2 / 2)
     C       (SLICES, 65, 141)    c by ln K = -32 + i / 4
 
-Slice k of 0 to 48 is two poles of 1/b = 1/8 + k / 128 (`hazard`), the nearest is taken; slice 49 is one pole. Derived from
-`hazards.npz` when a process begins, in .2 s. Behind them follow the tables of `hazard` themselves.
+Slice k of 0 to 48 is two poles of 1/b = 1/8 + k / 128 (`hazard`), the nearest is taken; slice 49 is one pole. Derived
+from `hazards.npz` when a process begins, in .2 s. Behind them follow the tables of `hazard` themselves.
 
 Accuracy: .2 % of a hazard by the nearest slice; .3 % between entries. Source of the law: first passages as a point
 process with a hazard, whose integral at the passages is exponential (time change of a point process, Meyer 1971).
@@ -85,7 +85,9 @@ def integral_tables() -> _Float32s:
     k = np.concatenate([np.cumsum(below[..., ::-1], -1)[..., ::-1], np.zeros_like(beyond)], -1) + beyond
     scaled = k[..., ::_FINE] / np.where(c > 0, np.exp(-(c**2) / 2), 1.0)[::_FINE] * math.sqrt(2 * math.pi)
     logs = _LEAST_LOG + np.arange(_LOGS) / _A_LOG
-    inverse = np.array([[np.interp(logs, np.log(np.maximum(row[::-1], _NO_INTEGRAL)), c[::-1]) for row in of_ratio] for of_ratio in k])
+    inverse = np.array(
+        [[np.interp(logs, np.log(np.maximum(row[::-1], _NO_INTEGRAL)), c[::-1]) for row in of_ratio] for of_ratio in k]
+    )
     tables = [_finer(table).ravel() for table in (entries, scaled, inverse)]
     return np.concatenate([*tables, hazard.hazard_tables()])
 

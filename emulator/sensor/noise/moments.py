@@ -5,8 +5,8 @@ become vectors. lo <= hi are the rates of the poles; over a time s, with e = e^(
 
     p12 = e s (1 - e^-y) / y, y = (hi - lo) s        p11 = e + lo p12        p22 = e - hi p12        p21 = -lo hi p12
 
-which holds for equal poles too. Differences of nearly equal numbers are replaced by their series below X = (lo + hi) s of
-.15 (variance of the value) and .01 (of the slope).
+which holds for equal poles too. Differences of nearly equal numbers are replaced by their series below X = (lo + hi) s
+of .15 (variance of the value) and .01 (of the slope).
 """
 
 from __future__ import annotations

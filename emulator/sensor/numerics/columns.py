@@ -8,7 +8,8 @@
 
 A loop that stores to one array and reads another one at computed places becomes vectors only if LLVM knows that the
 stores never meet the reads. `put` and `take` declare that they do not meet `fetch` and `pick` (alias scopes). So what
-`fetch` and `pick` read must not be written in the same loop. A plain load of `rows` in such a loop would join both sets.
+`fetch` and `pick` read must not be written in the same loop. A plain load of `rows` in such a loop would join both
+sets.
 
 Fast because 16 look-ups then are one gather: with 32-bit indices, as 64-bit ones make it 8 at a time.
 """

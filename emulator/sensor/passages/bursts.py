@@ -1,13 +1,15 @@
 """The time shortly after a reset, when the noise is near the value at which it left: a burst of events may follow.
 
-A burst lasts 9 times of the slower pole, and each of its parts between turns of the curve is first bounded (`bound_of`):
+A burst lasts 9 times of the slower pole, and each of its parts between turns of the curve is first bounded
+(`bound_of`):
 
-    calm      a bound of its integral is below half of what is left: the settled hazard, which the noise's mean lessens by
-              e^(-A e^-s) at the age s, counts for as long as the integral of that factor, a difference of E1(A e^-s)
+    calm      a bound of its integral is below half of what is left: the settled hazard, which the noise's mean lessens
+              by e^(-A e^-s) at the age s, counts for as long as the integral of that factor, a difference of E1(A e^-s)
     fast      the curve passes a threshold swiftly: `direct` finds the c = c* from afar, with the distances, speed and
               poles of that age
-    other     slices between ages .35, .8, 1.4, 2.2, 3.3, 5 and 9: exact distances and speeds at both ends, and a parabola of
-              the hazard in time, by one more look-up in the middle; the first one, and fast approaches, over the distance
+    other     slices between ages .35, .8, 1.4, 2.2, 3.3, 5 and 9: exact distances and speeds at both ends, and a
+              parabola of the hazard in time, by one more look-up in the middle; the first one, and fast approaches,
+              over the distance
 
 All of it follows the exact mean and variance of the noise since the reset (`moments`).
 """
@@ -33,7 +35,7 @@ from emulator.sensor.noise.integral import (
     slice_of,
     steeper_beyond,
 )
-from emulator.sensor.noise.moments import Nearness, Noise, Signal, Start, nearness, slower_rate
+from emulator.sensor.noise.moments import Nearness, Signal, Start, nearness, slower_rate
 from emulator.sensor.numerics.columns import put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
@@ -109,7 +111,10 @@ def mean_factor(c: Real, inward: Real, age0: Real, age1: Real) -> Real:
     `c` is the nearer threshold's distance, `inward` by how much the noise was farther from it at the reset.
     """
     deficit = max((_TWO * max(inward, _ZERO) + _CLOSER * c) * c, _LEAST_DEFICIT)
-    later, earlier = exponential_integral(deficit * exponential(-age1)), exponential_integral(deficit * exponential(-age0))
+    later, earlier = (
+        exponential_integral(deficit * exponential(-age1)),
+        exponential_integral(deficit * exponential(-age0)),
+    )
     return (later - earlier) / max(age1 - age0, _LEAST_DEFICIT)
 
 
@@ -143,7 +148,9 @@ def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, lef
     gone, gone_later = abs(w1 - w0) * inverse, abs(w2 - w1) * inverse
     q, q_later, two = (middle - x) * noise.rate, (end - middle) * noise.rate, noise.z < ONE_POLE
     weight = _CROSSINGS * q + _CARRIED * gone if two else _HALF * ((_ONE + c) * q + gone)
-    weight_later = _CROSSINGS * q_later + _CARRIED * gone_later if two else _HALF * ((_ONE + later) * q_later + gone_later)
+    weight_later = (
+        _CROSSINGS * q_later + _CARRIED * gone_later if two else _HALF * ((_ONE + later) * q_later + gone_later)
+    )
     near, near_later = min(max(c, _ZERO), _NINE), min(max(later, _ZERO), _NINE)
     early = weight * exponential(-_HALF * near * near)
     total = early + weight_later * exponential(-_HALF * near_later * near_later)
@@ -261,13 +268,13 @@ def along(tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, 
 @lane
 def next_age(age: Real) -> Real:
     """Return the age at which the slice from `age` on ends."""
-    late = _AGE5 if _AGE5 > age else (_AGE6 if _AGE6 > age else _AGE7)
-    middle = _AGE3 if _AGE3 > age else (_AGE4 if _AGE4 > age else late)
-    return _AGE1 if _AGE1 > age else (_AGE2 if _AGE2 > age else middle)
+    late = _AGE5 if age < _AGE5 else (_AGE6 if age < _AGE6 else _AGE7)
+    middle = _AGE3 if age < _AGE3 else (_AGE4 if age < _AGE4 else late)
+    return _AGE1 if age < _AGE1 else (_AGE2 if age < _AGE2 else middle)
 
 
 @vector_kernel
-def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
     """Integrate the next slice of each column in state SLICE; of one in state FIRST, find the values at its start."""
     use_widest_vectors()
     for i in range(n):
@@ -278,10 +285,11 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:
         cut_at, left = take(rows, Column.CUT_AT + i), take(rows, Column.LEFT + i)
         begins = take(rows, Column.BEGINS + i) > _ZERO
         slow, apart = slower_rate(noise_at(rows, i, x)), take(rows, Column.APART + i)
-        # The slice: to the next of the ages. A slower pole that speeds up may bring the last one before the burst's end.
+        # The slice: to the next of the ages. A slower pole that speeds up may bring the last one before the burst's
+        # end.
         age = (x - reset) * slow * _NEXT_AGE + _LEAST_AGE
         end = min(min(reset + next_age(age) / slow, cut_at), last)
-        end = x if first else (last if _AGE7 <= age else end)
+        end = x if first else (last if age >= _AGE7 else end)
         # Distances, speeds and hazards at its end, the factor of two thresholds included.
         there = near_at(rows, i, end)
         k = slice_of(there.z)
@@ -309,7 +317,9 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:
         on_telescoped, off_telescoped = begins | on_fast, begins | off_fast
         in_middle = q * _LIKELY
         on_total = on.value * on_factor if on_telescoped else on.value + in_middle * on.middle * (on_factor - _ONE)
-        off_total = off.value * off_factor if off_telescoped else off.value + in_middle * off.middle * (off_factor - _ONE)
+        off_total = (
+            off.value * off_factor if off_telescoped else off.value + in_middle * off.middle * (off_factor - _ONE)
+        )
         total, halvings = on_total + off_total, take(rows, Column.HALVINGS + i)
         # A first slice that takes much is halved, as its speed at the end stands for all of it.
         steady = (max(there.nu_on, there.nu_off) < _ONE) & (halvings < _MOST_HALVINGS)
@@ -352,7 +362,7 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:
 
 @lane
 def nearer_share(f: Real, h0: Real, p: Real, r: Real, wanted: Real) -> Real:
-    """Return a step of Newton's method for the share of a slice at which the integral of h0 + p x + r x^2 is `wanted`."""
+    """Return a step of Newton's method for the share at which the integral of h0 + p x + r x^2 is `wanted`."""
     slope = max(h0 + (p + r * f) * f, _LEAST_HAZARD)
     return min(max(f - (((_THIRD * r * f + _HALF * p) * f + h0) * f - wanted) / slope, _ZERO), _ONE)
 
@@ -362,10 +372,8 @@ def choose(rows: _Float32s, n: int) -> None:
     """Choose the polarity of each column in state CUT, and its time by the parabola of the hazard where it has one."""
     use_widest_vectors()
     for i in range(n):
-        state, x, end, left = (
-            take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.END + i), take(rows, Column.LEFT + i)
-        )  # fmt: skip
-        mine = state == CUT
+        state, x, end = take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.END + i)
+        mine, left = state == CUT, take(rows, Column.LEFT + i)
         on_integral = take(rows, Column.ON_INTEGRAL + i)
         total = on_integral + take(rows, Column.OFF_INTEGRAL + i)
         on = take(rows, Column.POLARITY + i) * total < on_integral
@@ -442,7 +450,12 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
         c0 = chosen(rows, Column.ON_C0 + i, Column.OFF_C0 + i, _ONE if up else _ZERO)
         c0 = _AFAR if take(rows, Column.BEGINS + i) > _ZERO else c0
         approach = Approach(c0, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
-        seen = Seen(take(rows, Column.C + i), take(rows, Column.NU + i), take(rows, Column.SLOPE1 + i), take(rows, Column.Z1 + i))
+        seen = Seen(
+            take(rows, Column.C + i),
+            take(rows, Column.NU + i),
+            take(rows, Column.SLOPE1 + i),
+            take(rows, Column.Z1 + i),
+        )
         low, high = take(rows, Column.AT + i), take(rows, Column.END + i)
         at = Bracket(min(max(take(rows, Column.EVENT + i), low), high), low, high)
         at = nearer_event(tables, at, seen, approach).at
@@ -454,7 +467,7 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
 
 
 @lane
-def store_event(rows: _Float32s, i: int, near: Nearness, c: Real, nu: Real, mine: Real) -> None:  # noqa: PLR0913, PLR0917
+def store_event(rows: _Float32s, i: int, near: Nearness, c: Real, nu: Real, mine: Real) -> None:
     """Store the noise of column i's event."""
     replace(rows, Column.C + i, c, mine)
     replace(rows, Column.NU + i, nu, mine)
@@ -482,11 +495,8 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
     """Find the event of each column in state DIRECT by three steps of Newton's method, or leave it to slices."""
     use_widest_vectors()
     for i in range(n):
-        state, x, end, reset = (
-            take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.BURST_END + i),
-            take(rows, Column.RESET + i),
-        )  # fmt: skip
-        mine, curve = state == DIRECT, curve_of(rows, i)
+        state, x, end = take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.BURST_END + i)
+        mine, curve, reset = state == DIRECT, curve_of(rows, i), take(rows, Column.RESET + i)
         w0, w1 = value_at(curve, x), value_at(curve, end)
         up = w1 > w0
         sign, reference = _ONE if up else -_ONE, take(rows, Column.REFERENCE + i)

@@ -1,7 +1,7 @@
 """Certificates: until when, and within which limits, a visited pixel takes little of what is left of its drawn number.
 
-The quiet pass tests them in place of the thresholds (`Field`), so a pixel that noise does not fire costs as little as one
-without noise. What a pixel took of its number while it rested is booked at its next visit (`visiting.book_rest`).
+The quiet pass tests them in place of the thresholds (`Field`), so a pixel that noise does not fire costs as little as
+one without noise. What a pixel took of its number while it rested is booked at its next visit (`visiting.book_rest`).
 
     moving light    limits at which a bound of the hazard, 1/4 + .6 nu times rate e^(-c^2 / 2), takes a share of what is
                     left until the pixel comes to them
@@ -27,7 +27,10 @@ _Float32s = npt.NDArray[np.float32]
 
 _ZERO, _HALF, _ONE, _TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
 _ENDLESS = np.float32(np.inf)
-_TAKEN, _OTHER = np.float32(0.8), np.float32(0.1)  # of what is left, by the bound, while moving light comes to its limits
+_TAKEN, _OTHER = (
+    np.float32(0.8),
+    np.float32(0.1),
+)  # of what is left, by the bound, while moving light comes to its limits
 _ALMOST = np.float32(0.95)  # of it, while light stands still
 _FORGOTTEN = np.float32(10)  # times of the slower pole after which a reset is forgotten
 _FEW_STEPS = np.float32(4)  # of a certificate before that, at least
@@ -55,7 +58,7 @@ def _limit(steep: Real, hz: Real, nearest: Real) -> Real:
 
 
 @vector_kernel
-def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
+def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  # noqa: PLR0915
     """Write the certificate of each visited pixel at the end of its piece."""
     use_widest_vectors()
     for j in range(n):
@@ -99,12 +102,21 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         longest_moving = min(_ONE / max(c.high, _SLOWEST), _LONGEST_STEPS * span)
         longest = min(longest_moving, horizon) if moves else horizon
         ahead = c_on if moving > _ZERO else c_off
-        # The longer a rest, the nearer must its limits be, and the sooner the pixel comes to them: two steps to a balance.
+        # The longer a rest, the nearer must its limits be, and the sooner the pixel comes to them: two steps to a
+        # balance.
         lasts = longest
         limit = _limit(steep, _TAKEN * left / lasts, least)
-        lasts = min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest) if moves else longest
+        lasts = (
+            min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest)
+            if moves & ~ample
+            else longest
+        )
         limit = _limit(steep, _TAKEN * left / lasts, least)
-        lasts = min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest) if moves else longest
+        lasts = (
+            min(max(_LEAVES * sigma * (ahead - limit) / max(abs(moving), _TINY), span), longest)
+            if moves & ~ample
+            else longest
+        )
         limit = _limit(steep, _TAKEN * left / lasts, least)
         farther = _limit(steep, _OTHER * left / lasts, least)
         rises = moving > _ZERO

@@ -1,11 +1,10 @@
 """Resets: the random numbers of an event, and how its column goes on behind its dead time.
 
-The noise leaves through a threshold with a slope that is drawn (`exit_speed`); value and slope are carried over the dead
-time exactly, with two normal numbers. The new reference is signal plus noise at its end.
+The noise leaves through a threshold with a slope that is drawn (`exit_speed`); value and slope are carried over the
+dead time exactly, with two normal numbers. The new reference is signal plus noise at its end.
 """
 
 from __future__ import annotations
-
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,7 @@ from emulator.sensor.numerics.compiled import vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log, use_widest_vectors
 from emulator.sensor.numerics.keyed import mix_word
 from emulator.sensor.passages.bursts import after_bound, bound_of, store_bound
-from emulator.sensor.passages.rows import DONE, PLACED, Column, chosen, curve_of, noise_at, replace, speed_at, value_at
+from emulator.sensor.passages.rows import DONE, PLACED, Column, chosen, curve_of, noise_at, replace, value_at
 
 _Float32s = npt.NDArray[np.float32]
 _Words = npt.NDArray[np.uint64]

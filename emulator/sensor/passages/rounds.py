@@ -1,10 +1,11 @@
 """Columns through a piece: rounds of kernels, each over the columns that are in its state.
 
-A round runs the kernel of the state that most columns are in, over the range that holds them; columns of other states in
-that range stay as they are. Where less than half of a range is useful, its columns are exchanged to the front first. A
-column's own arithmetic does not depend on which others are with it, so its events do not.
+A round runs the kernel of the state that most columns are in, over the range that holds them; columns of other states
+in that range stay as they are. Where less than half of a range is useful, its columns are exchanged to the front first.
+A column's own arithmetic does not depend on which others are with it, so its events do not.
 
-Fast because 16 columns are in flight at once, and because an exchange moves only the rows that a state uses, row by row.
+Fast because 16 columns are in flight at once, and because an exchange moves only the rows that a state uses, row by
+row.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
 
 @vector_kernel
 def _count(rows: _Float32s, counts: _Int64s, n: int) -> None:
-    """Count the columns of each state among the first n; those in FIRST with those in SLICE, whose kernel is the same."""
+    """Count the columns of each state among the first n; FIRST with SLICE too, whose kernel is the same."""
     use_widest_vectors()
     part = fired = slice_ = burst = placed = cut = direct = first = seek = aged = np.int32(0)
     for i in range(n):
@@ -244,7 +245,7 @@ def begin(visits: Visits, n: int, c: StepConstants, constants: Constants) -> int
 
 @kernel
 def _front_of(columns: Columns, best: int, active: int) -> int:
-    """Return the length of the range that holds the columns of the state `best`, after an exchange where it is sparse."""
+    """Return the length of the range that holds the columns of a state, after an exchange where it is sparse."""
     rows, state, n = columns.rows, np.float32(best), active
     sliced = best == State.SLICE
     while rows[n - 1] != state and not (sliced and rows[n - 1] == FIRST):
@@ -256,7 +257,7 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
 
 
 @cached_kernel
-def go_through(  # noqa: PLR0913, PLR0917
+def go_through(  # noqa: PLR0912, PLR0913, PLR0917
     visits: Visits, tables: _Float32s, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
 ) -> Progress:
     """Take the columns through their pieces, until all are DONE or `keys` have no room for the events of a round."""

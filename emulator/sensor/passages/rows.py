@@ -3,21 +3,21 @@
     Visit       all pixels that are solved: state, curve of the piece, noise's parameters, and what becomes of them
     Column      those of them in which an event may come in the piece; `rounds` takes each through its states
 
-A row is named by its first index, so `rows[Visit.C1 + j]` is quantity C1 of pixel j. Times within a piece are in units of
-its length, from 0 to 1, and values of the comparator in ln units from that at its start.
+A row is named by its first index, so `rows[Visit.C1 + j]` is quantity C1 of pixel j. Times within a piece are in units
+of its length, from 0 to 1, and values of the comparator in ln units from that at its start.
 
 States of a column, and the kernel that takes it to the next state:
 
-    BURST    a part of the time shortly after a reset comes next       bursts.bound        DONE, PART, SLICE, FIRST, DIRECT
-    PART     a part comes next in which the noise has settled          settled.part        DONE, PART, BURST, FIRED
-    FIRED    the event is in the part that was integrated              settled.locate      PLACED
-    FIRST    values at the start of a slice of a burst are missing     bursts.slice_       SLICE
-    SLICE    a slice of a burst comes next                             bursts.slice_       SLICE, PART, BURST, DONE, CUT
-    DIRECT   a fast approach in a burst                                bursts.direct       PLACED, SLICE, FIRST
-    CUT      the event is in the slice that was integrated             bursts.choose       SEEK, AGED
-    SEEK     it is in a slice of an approach                           bursts.seek         AGED
-    AGED     the event has its time; its noise is missing              bursts.age          PLACED
-    PLACED   time and noise of the event are known                     resets.reset        DONE, PART, BURST, SLICE, FIRST, DIRECT
+    BURST    a part of the time shortly after a reset is next      bursts.bound     DONE, PART, SLICE, FIRST, DIRECT
+    PART     a part is next in which the noise has settled         settled.part     DONE, PART, BURST, FIRED
+    FIRED    the event is in the part that was integrated          settled.locate   PLACED
+    FIRST    values at the start of a slice of a burst are missing bursts.slice_    SLICE
+    SLICE    a slice of a burst is next                            bursts.slice_    SLICE, PART, BURST, DONE, CUT
+    DIRECT   a fast approach in a burst                            bursts.direct    PLACED, SLICE, FIRST
+    CUT      the event is in the slice that was integrated         bursts.choose    SEEK, AGED
+    SEEK     it is in a slice of an approach                       bursts.seek      AGED
+    AGED     the event has its time; its noise is missing          bursts.age       PLACED
+    PLACED   time and noise of the event are known                 resets.reset     DONE, PART and those of BURST
     DONE     the end of the piece is reached
 """
 
@@ -29,10 +29,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.noise.moments import Noise
 from emulator.sensor.numerics.columns import put, take
 from emulator.sensor.numerics.compiled import Real, inlined, lane
 from emulator.sensor.numerics.elementary import aligned_zeros
-from emulator.sensor.noise.moments import Noise
 from emulator.sensor.pixels.substeps import CAPACITY
 
 _Float32s = npt.NDArray[np.float32]
@@ -84,7 +84,7 @@ class Visit(IntEnum):
 
 
 class Column(IntEnum):
-    """Rows of the columns, by their first index. The first ones are in use in all states, the last ones in bursts only."""
+    """Rows of the columns, by their first index; the first are used in all states, the last in bursts only."""
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:

@@ -5,8 +5,8 @@ hazard is gained over the last d = 1.27 / c deviations before it, so the speed t
 
     nu = (nu_near + sqrt(nu_near^2 + 2 a d)) / 2         a: the acceleration, seen from the near end outwards
 
-which is exact for a curve that turns at the near end, where it gives the Gaussian integral. A part in which the distance
-hardly changes (a cell) has no speed to divide by: there the hazard of its middle is multiplied by its length.
+which is exact for a curve that turns at the near end, where it gives the Gaussian integral. A part in which the
+distance hardly changes (a cell) has no speed to divide by: there the hazard of its middle is multiplied by its length.
 
 The event in an approach is at the c where K has the value that is left; its time is a root of the cubic.
 """
@@ -225,7 +225,7 @@ def nearer_root(at: Bracket, rising: Real, base: Real, curve: Curve) -> Bracket:
 
 @lane
 def root_of(at: Bracket, base: Real, curve: Curve) -> Bracket:
-    """Return the root of a monotone base + curve within bounds, after four steps, unrolled: a loop would be no vector."""
+    """Return the root of a monotone base + curve within bounds after four steps; a loop would be no vector."""
     rising = base + value_at(curve, at.low) < _ZERO
     at = nearer_root(at, rising, base, curve)
     at = nearer_root(at, rising, base, curve)
@@ -234,7 +234,7 @@ def root_of(at: Bracket, base: Real, curve: Curve) -> Bracket:
 
 
 @vector_kernel
-def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
     """Find time, polarity and noise of the event of each column in state FIRED."""
     use_widest_vectors()
     for i in range(n):
@@ -246,7 +246,12 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:
         sigma, change = take(rows, Column.SIGMA + i), take(rows, Column.D_SIGMA + i)
         noise, curve = noise_at(rows, i, _HALF * (x + end)), curve_of(rows, i)
         k, per = slice_of(noise.z), _ONE / noise.rate
-        w0, w1, i0, i1 = value_at(curve, x), value_at(curve, end), _ONE / (sigma + change * x), _ONE / (sigma + change * end)
+        w0, w1, i0, i1 = (
+            value_at(curve, x),
+            value_at(curve, end),
+            _ONE / (sigma + change * x),
+            _ONE / (sigma + change * end),
+        )
         on0, on1, off0, off1 = (on_level - w0) * i0, (on_level - w1) * i1, (off_level + w0) * i0, (off_level + w1) * i1
         # The polarity: by chance in two cells, else the threshold that recedes comes first.
         on_integral, off_integral = take(rows, Column.ON_INTEGRAL + i), take(rows, Column.OFF_INTEGRAL + i)
@@ -286,7 +291,9 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:
         v = (sign * speed_at(curve, at.x) + c * change) * inverse * per
         nu = max(near_speed(v, -sign * bend_at(curve, at.x) * inverse * per * per, c, c0 - c), _LEAST_SPEED)
         rho = rho_of(nu)
-        better = place_of(tables, k, rho, rest * rho + integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart)))
+        better = place_of(
+            tables, k, rho, rest * rho + integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart))
+        )
         better = min(max(better - farther(better, nu, noise.apart), least), most)
         c = better if approach else c
         base, at_c = sign * c * sigma - distance, Curve(curve.c1 + sign * c * change, curve.c2, curve.c3)

@@ -1,12 +1,12 @@
 """Visits of pixels: what their hazard has taken since the last one, and in which of them an event may come in a piece.
 
-A pixel rests while its certificate holds (`certificates`). At its next visit the integral over the rest is booked as that
-of a straight way from the value then to the value now, with today's noise: the certificate bounds it, and for light that
-stands still, or that moves evenly, this is exact.
+A pixel rests while its certificate holds (`certificates`). At its next visit the integral over the rest is booked as
+that of a straight way from the value then to the value now, with today's noise: the certificate bounds it, and for
+light that stands still, or that moves evenly, this is exact.
 
-`look` integrates a whole piece for all pixels at once. Most of them have no event, which costs a pixel two dozen look-ups.
-The others go to columns: those whose integral reaches what is left, which turn near a threshold, in which both thresholds
-count, which are in a burst, or whose noise changes with the light.
+`look` integrates a whole piece for all pixels at once. Most of them have no event, which costs a pixel two dozen
+look-ups. The others go to columns: those whose integral reaches what is left, which turn near a threshold, in which
+both thresholds count, which are in a burst, or whose noise changes with the light.
 """
 
 from __future__ import annotations
@@ -30,7 +30,11 @@ _Int32s = npt.NDArray[np.int32]
 
 _ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 0.5, 1, 2, 3))
 _BOTH, _BOTH_TOGETHER = np.float32(0.02), np.float32(0.1)  # see `settled.part`
-_PAIR_SUM, _PAIR_FAR, _PAIR_ALONE = np.float32(10), np.float32(5.4), np.float32(7.8)  # the factor is 1 within 1 % beyond
+_PAIR_SUM, _PAIR_FAR, _PAIR_ALONE = (
+    np.float32(10),
+    np.float32(5.4),
+    np.float32(7.8),
+)  # the factor is 1 within 1 % beyond
 _ALMOST = np.float32(0.98)  # of what is left: nearer to it, the column decides
 _CHANGES = np.float32(0.1)  # of a rate over a piece, from which on its noise changes along it
 _TINY, _THIRD = np.float32(1e-9), np.float32(1 / 3)
@@ -67,7 +71,12 @@ def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         reference, seen = take(rows, Visit.REFERENCE + j), take(rows, Visit.SEEN + j)
         on, off, inverse = take(rows, Visit.ON + j), take(rows, Visit.OFF + j), _ONE / noise.sigma
         k, q = slice_of(noise.z), max(rested * noise.rate, _TINY)
-        on0, on1, off0, off1 = (on - seen) * inverse, (on + reference) * inverse, (off + seen) * inverse, (off - reference) * inverse
+        on0, on1, off0, off1 = (
+            (on - seen) * inverse,
+            (on + reference) * inverse,
+            (off + seen) * inverse,
+            (off - reference) * inverse,
+        )
         nu = (on0 - on1) / q
         of_on = integral_of(tables, k, noise.apart, Ends(on0, on1, nu, nu, _ZERO, _ZERO), q)
         of_off = integral_of(tables, k, noise.apart, Ends(off0, off1, -nu, -nu, _ZERO, _ZERO), q)
@@ -87,10 +96,14 @@ def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
 
 @vector_kernel
 def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
-    """Book the integral of a piece for each visited pixel, or flag the pixel. The noise is that of the piece's middle."""
+    """Book the integral of a piece for each visited pixel, or flag it. The noise is that of the piece's middle."""
     use_widest_vectors()
     for j in range(n):
-        reference, left, reset = take(rows, Visit.REFERENCE + j), take(rows, Visit.LEFT + j), take(rows, Visit.RESET + j)
+        reference, left, reset = (
+            take(rows, Visit.REFERENCE + j),
+            take(rows, Visit.LEFT + j),
+            take(rows, Visit.RESET + j),
+        )
         rate0, rate1, rms = take(rows, Visit.RATE0 + j), take(rows, Visit.RATE1 + j), take(rows, Visit.RMS + j)
         span, middle = take(rows, Visit.SPAN + j), _HALF * (rate0 + rate1)
         noise = in_pieces(noise_in(middle, c.pole, rms, c.high), span)
@@ -106,7 +119,9 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         is_near = min(on - highest, off + lowest) < FARTHEST * (noise.sigma + _HALF * abs(widens))
         end = curve.c1 + _TWO * curve.c2 + _THREE * curve.c3
         turns = (curve.c1 * end < _ZERO) | (curve.c1 * (curve.c1 + curve.c2) < _ZERO)
-        short = (min(both.on.value, both.off.value) > _BOTH) & (total > _BOTH_TOGETHER) & ~(both.on.cell & both.off.cell)
+        short = (
+            (min(both.on.value, both.off.value) > _BOTH) & (total > _BOTH_TOGETHER) & ~(both.on.cell & both.off.cell)
+        )
         paired = (on + off) / noise.sigma < _TWO * _PAIR_ALONE
         changes = abs(rate1 - rate0) > _CHANGES * middle
         in_burst = -reset * slower_rate(noise) < LASTS
@@ -118,7 +133,7 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
 
 
 @vector_kernel
-def fill(rows: _Float32s, visits: _Float32s, listed: _Int32s, n: int, c: Constants) -> None:
+def fill(rows: _Float32s, visits: _Float32s, listed: _Int32s, n: int, c: Constants) -> None:  # noqa: PLR0915
     """Set up columns for the listed pixels, with the noise at both ends of the piece, and the turns of the curve."""
     use_widest_vectors()
     for i in range(n):

@@ -281,7 +281,7 @@ class PixelArray(PixelMethod):
         self.wake()
 
     def _settle(self) -> None:
-        """Draw the references of the start from laws at nodes around the pixels' parameters, and what is left until events."""
+        """Draw references of the start, from laws at nodes around the pixels' parameters, and first numbers."""
         state, p = self.state, self.parameters
         layout.put_field(state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))
         memory = state.memory.reshape(-1, layout.MEMORY)
@@ -459,6 +459,7 @@ class PixelArray(PixelMethod):
         resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(light.dark)
         resting[Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
         resting[[Field.ON, Field.OFF]] = np.inf
+        resting[[Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL]] = np.inf
         table = self._workers.buffers[0].table
         self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement

@@ -60,8 +60,7 @@ _SHARE = np.float32(0.01)  # of a threshold: what the cubic may miss of the expo
 
 
 class Table(NamedTuple):
-    """The candidates: float32 rows, their pixels, room to list columns, the table of those that need substeps, and those
-    of a sensor with noise.
+    """The candidates: float32 rows, their pixels, room to list columns, and tables of substeps and of noise.
 
     The caller uses one table for all steps: memory of this size costs page faults when it is allocated again.
     """

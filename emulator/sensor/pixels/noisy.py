@@ -71,7 +71,9 @@ def _visit_whole(visits: _Float32s, rows: _Float32s, n: int, c: StepConstants) -
     """Write curve, light and comparator of each candidate whose step is one piece to the visited pixels."""
     use_widest_vectors()
     for j in range(n):
-        still = (rows[row.C_U0 + j] == rows[row.C_U1 + j]) & (rows[row.C_A0 + j] == _ZERO) & (rows[row.C_A1 + j] == _ZERO)
+        still = (
+            (rows[row.C_U0 + j] == rows[row.C_U1 + j]) & (rows[row.C_A0 + j] == _ZERO) & (rows[row.C_A1 + j] == _ZERO)
+        )
         put(visits, Visit.C1 + j, rows[row.C_C1 + j])
         put(visits, Visit.C2 + j, rows[row.C_C2 + j])
         put(visits, Visit.C3 + j, rows[row.C_C3 + j])
@@ -135,7 +137,7 @@ def _leave(visits: Visits, j: int, pixels: Pixels, pixel: int) -> None:
 
 
 @kernel
-def _finish(visits: Visits, j: int, pixels: Pixels, pixel: int, leaked: float, c: StepConstants) -> None:  # noqa: PLR0913, PLR0917
+def _finish(visits: Visits, j: int, pixels: Pixels, pixel: int, leaked: float, c: StepConstants) -> None:
     """Write the certificate of a visited pixel behind its last piece to its state, and when and where it was seen.
 
     Its parasitic leak since its last event, `leaked`, moves into the reference of a pixel that fired.
@@ -191,7 +193,7 @@ def _visit_as_whole(pixels: Pixels, table: Table, n: int, c: StepConstants, cons
 
 
 @cached_kernel
-def _end_whole(pixels: Pixels, table: Table, n: int, columns: int, constants: Constants, c: StepConstants) -> None:  # noqa: PLR0913, PLR0917
+def _end_whole(pixels: Pixels, table: Table, n: int, columns: int, constants: Constants, c: StepConstants) -> None:
     """Store the candidates whose step was one piece."""
     rows, visits = table.rows, table.visits
     rounds.end(visits, columns)
@@ -235,7 +237,7 @@ def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, const
 
 
 @cached_kernel
-def _end_substep(pixels: Pixels, table: Table, n: int, columns: int, constants: Constants, c: StepConstants) -> int:  # noqa: PLR0913, PLR0917
+def _end_substep(pixels: Pixels, table: Table, n: int, columns: int, constants: Constants, c: StepConstants) -> int:
     """Store the pixels whose step has ended, and compact the others; return how many remain."""
     visits, pieces, remaining = table.visits, table.substep_table.rows, NONE
     rounds.end(visits, columns)
@@ -325,7 +327,9 @@ def settle(  # noqa: PLR0913, PLR0917
                     weight *= places[d, pixel] - place if after else 1 - (places[d, pixel] - place)
                 if weight > 0:
                     level += weight * (laws[at] + (laws[at + 1] - laws[at]) * fraction)
-            fields[field + _REF] = np.float32(value + level * c.noise_rms * pixels.memory[pixel * MEMORY + Memory.SCALE])
+            fields[field + _REF] = np.float32(
+                value + level * c.noise_rms * pixels.memory[pixel * MEMORY + Memory.SCALE]
+            )
         pixels.memory[pixel * MEMORY + Memory.SEEN_S] = c.since_epoch_1
         pixels.memory[pixel * MEMORY + Memory.SEEN] = np.float32(value) - fields[field + _REF]
         bits = mix_word(noise_stream(pixels, pixel, c) ^ np.uint64(pixels.refractory_until_ns[pixel]))

@@ -29,7 +29,17 @@ from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel,
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels import idle as rest
 from emulator.sensor.pixels import state
-from emulator.sensor.pixels.candidates import BATCH, NOISY_BATCH, Table, entry_at, gather, gather_rare, new_table, select, solve
+from emulator.sensor.pixels.candidates import (
+    BATCH,
+    NOISY_BATCH,
+    Table,
+    entry_at,
+    gather,
+    gather_rare,
+    new_table,
+    select,
+    solve,
+)
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import completed, is_undersampled
 from emulator.sensor.pixels.idle import Idle, Touched
