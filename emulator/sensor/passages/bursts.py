@@ -85,6 +85,7 @@ _AFAR = np.float32(1e3)
 _FAST, _FAST_END, _FAST_TRAVEL = np.float32(0.5), np.float32(0.1), np.float32(0.8)
 _LEAST_START, _LEAST_NU = np.float32(0.05), np.float32(0.02)
 _BEYOND, _UNRESOLVED = np.float32(-4), np.float32(16)
+_STEADY_OF_ONE = np.float32(3)
 _HALVED, _MOST_HALVINGS, _SHORTEST = np.float32(0.08), np.float32(4), np.float32(0.05)
 _PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)
 _LEAST_HAZARD = np.float32(1e-30)
@@ -242,7 +243,9 @@ class Along(NamedTuple):
 
 
 @lane
-def along(tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real) -> Along:  # noqa: PLR0913, PLR0917
+def along(  # noqa: PLR0913, PLR0917
+    tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real
+) -> Along:
     """Return a threshold's integral over a slice of q time constants from a to b, one look-up either way.
 
     Over the distance with the speed at b where the slice begins at the reset or is fast, else by Simpson's rule. Place
@@ -322,7 +325,8 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         )
         total, halvings = on_total + off_total, take(rows, Column.HALVINGS + i)
         # A first slice that takes much is halved, as its speed at the end stands for all of it.
-        steady = (max(there.nu_on, there.nu_off) < _ONE) & (halvings < _MOST_HALVINGS)
+        steady = max(there.nu_on, there.nu_off) < (_STEADY_OF_ONE if there.z > ONE_POLE else _ONE)
+        steady = steady & (halvings < _MOST_HALVINGS)
         halved = begins & (total > _HALVED) & steady & ((end - x) * slow > _SHORTEST)
         fired = ~(total < left) & ~halved & ~first
         over = DONE if end >= _ONE else (PART if end >= reset + take(rows, Column.BURST + i) else BURST)
@@ -503,7 +507,7 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
         on_threshold, off_threshold = take(rows, Column.ON + i), take(rows, Column.OFF + i)
         level = reference + (on_threshold if up else -off_threshold)
         # The first guess is where the signal alone passes the level; there it must be fast.
-        ahead = sign * (level - w0) > _ZERO
+        ahead = sign * (level - w0) >= _ZERO
         guess = min(max(x + (end - x) * (level - w0) / (w1 - w0), x), end)
         at = root_of(Bracket(guess, x, end), -level, curve)
         sigma = take(rows, Column.SIGMA + i) + max(take(rows, Column.D_SIGMA + i), _ZERO)

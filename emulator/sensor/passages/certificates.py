@@ -31,7 +31,7 @@ _TAKEN, _OTHER = (
     np.float32(0.8),
     np.float32(0.1),
 )  # of what is left, by the bound, while moving light comes to its limits
-_ALMOST = np.float32(0.95)  # of it, while light stands still
+_LITTLE, _ALMOST = np.float32(0.2), np.float32(0.95)  # of it, in a burst, and while light stands still
 _FORGOTTEN = np.float32(10)  # times of the slower pole after which a reset is forgotten
 _FEW_STEPS = np.float32(4)  # of a certificate before that, at least
 _KICK = np.float32(0.4)  # of the mean of the noise by its slope at the reset, at most, over slope / rate
@@ -129,13 +129,15 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         quiet = (take(rows, Visit.STILL + j) > _ZERO) & (c.high == _ZERO)
         quiet = quiet & (abs(moving - lit) * _LONGEST_S <= _STILL * noise.sigma)
         inverse, k = _ONE / noise.sigma, slice_of(noise.z)
-        still_on, still_off = on_room * inverse, off_room * inverse
-        nearing = abs(n_r) * fading * slow / (noise.sigma * noise.rate) if recent else _ZERO
+        still_on, still_off = on * inverse, off * inverse
         near_both = (still_on + still_off < _PAIR_SUM) & (max(still_on, still_off) < _PAIR_FAR)
         on_factor, off_factor = pair_factors(tables, still_on, still_off, noise.z)
-        hz = rate_of(tables, k, noise.apart, still_on, nearing) * (on_factor if near_both else _ONE)
-        hz += rate_of(tables, k, noise.apart, still_off, nearing) * (off_factor if near_both else _ONE)
+        speed_now = moving * inverse / noise.rate
+        hz = rate_of(tables, k, noise.apart, still_on, speed_now) * (on_factor if near_both else _ONE)
+        hz += rate_of(tables, k, noise.apart, still_off, -speed_now) * (off_factor if near_both else _ONE)
         drift = _LEAK * (leak + lit)
+        # What a rest after a recent reset takes is known less well: all of a burst must take little.
+        calm = hz * noise.rate * (_FORGOTTEN - age) / slow < _LITTLE * left
         still_s = min(_ALMOST * left / max(hz * noise.rate, _LEAST_HZ), horizon)
         still_s = min(still_s, _DRIFTS * noise.sigma / max(drift, _TINY))
         slack = _TWO * _STILL * noise.sigma + _ROUNDED * abs(offset)
@@ -143,5 +145,5 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         put(rows, Visit.OFF_LIMIT + j, slack - offset if quiet else off_limit)
         put(rows, Visit.SPEED + j, -_TWO * _STILL * noise.sigma / _LONGEST_S if quiet else speed)
         armed = reference == reference
-        lasts = lasts if holds else -_ENDLESS
-        put(rows, Visit.LASTS + j, (still_s if quiet else lasts) if armed else -_ENDLESS)
+        lasts = still_s if quiet else (lasts if holds else -_ENDLESS)
+        put(rows, Visit.LASTS + j, lasts if armed & (calm | ~recent) else -_ENDLESS)
