@@ -223,7 +223,8 @@ def near_at(rows: _Float32s, i: int, x: Real) -> Nearness:
     on, off = take(rows, Column.ON + i) + reference - w, take(rows, Column.OFF + i) - reference + w
     signal = Signal(on, off, speed_at(curve, x), -take(rows, Column.D_SIGMA + i) / noise.sigma)
     start = Start(take(rows, Column.N + i), take(rows, Column.V + i))
-    return nearness(max(x - take(rows, Column.RESET + i), _NO_AGE), signal, start, noise)
+    near: Nearness = nearness(max(x - take(rows, Column.RESET + i), _NO_AGE), signal, start, noise)
+    return near
 
 
 class Point(NamedTuple):

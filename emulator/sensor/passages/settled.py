@@ -230,7 +230,8 @@ def root_of(at: Bracket, base: Real, curve: Curve) -> Bracket:
     at = nearer_root(at, rising, base, curve)
     at = nearer_root(at, rising, base, curve)
     at = nearer_root(at, rising, base, curve)
-    return nearer_root(at, rising, base, curve)
+    root: Bracket = nearer_root(at, rising, base, curve)
+    return root
 
 
 @vector_kernel

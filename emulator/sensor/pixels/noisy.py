@@ -233,7 +233,8 @@ def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, const
     for j in range(n):
         if pieces[sub.COUNT + j] >= rounds.MOST_PASSAGES:
             rows[Visit.RESET + j] = _TWO  # takes no part any more
-    return _look(visits, pixels.tables, n, c, constants)
+    columns: int = _look(visits, pixels.tables, n, c, constants)
+    return columns
 
 
 @cached_kernel
