@@ -19,8 +19,10 @@ from emulator.sensor.numerics.columns import take
 from emulator.sensor.numerics.compiled import NONE, cached_kernel, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import use_widest_vectors
 from emulator.sensor.numerics.keyed import high, mix_word, unit
-from emulator.sensor.passages import bursts, resets, settled
-from emulator.sensor.passages.rows import (
+from emulator.sensor.pixels.crossings import Keys, pack
+from emulator.sensor.pixels.event_time import delay_s
+from emulator.sensor.pixels.passages import bursts, resets, settled
+from emulator.sensor.pixels.passages.rows import (
     AGED,
     BURST,
     CUT,
@@ -46,9 +48,7 @@ from emulator.sensor.passages.rows import (
     value_at,
     whole_vectors,
 )
-from emulator.sensor.passages.visiting import Constants, fill
-from emulator.sensor.pixels.crossings import Keys, pack
-from emulator.sensor.pixels.event_time import delay_s
+from emulator.sensor.pixels.passages.visiting import Constants, fill
 from emulator.sensor.pixels.state import StepConstants, reset_offset_at
 from emulator.sensor.pixels.substeps import CAPACITY
 

@@ -39,7 +39,7 @@ from emulator.sensor.noise.moments import Nearness, Signal, Start, nearness, slo
 from emulator.sensor.numerics.columns import put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
-from emulator.sensor.passages.rows import (
+from emulator.sensor.pixels.passages.rows import (
     AGED,
     BURST,
     CUT,
@@ -58,7 +58,7 @@ from emulator.sensor.passages.rows import (
     speed_at,
     value_at,
 )
-from emulator.sensor.passages.settled import Bracket, root_of
+from emulator.sensor.pixels.passages.settled import Bracket, root_of
 
 _Float32s = npt.NDArray[np.float32]
 
