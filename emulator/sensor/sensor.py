@@ -29,10 +29,10 @@ from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles, hits_per_second
 from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, rms, still_hz
 from emulator.sensor.parameters import DefectParameters, KickParameters
-from emulator.sensor.passages.rounds import MOST_PASSAGES
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
+from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.row_kicks import LineReads, RowKicks
 from firmware_protocol.events import Events

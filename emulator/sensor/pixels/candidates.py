@@ -22,11 +22,11 @@ import numpy.typing as npt
 import emulator.sensor.pixels.substeps as substep
 from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, decay, exponential, use_widest_vectors
-from emulator.sensor.passages.rows import Visits, new_visits
 from emulator.sensor.pixels import curve, event_time, state
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.idle import pixel_at
 from emulator.sensor.pixels.march import solve_substeps
+from emulator.sensor.pixels.passages.rows import Visits, new_visits
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, Pixels, StepConstants
 from emulator.sensor.pixels.substeps import CAPACITY, SubstepTable, new_substep_table

@@ -25,14 +25,14 @@ from emulator.sensor.numerics.compiled import (
 )
 from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
 from emulator.sensor.numerics.keyed import high, mix_word, stream, unit, word
-from emulator.sensor.passages import rounds
-from emulator.sensor.passages.certificates import certify
-from emulator.sensor.passages.rows import Visit, Visits, whole_vectors
-from emulator.sensor.passages.visiting import Constants, book_rest, look
 from emulator.sensor.pixels import state
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import photocurrent
+from emulator.sensor.pixels.passages import rounds
+from emulator.sensor.pixels.passages.certificates import certify
+from emulator.sensor.pixels.passages.rows import Visit, Visits, whole_vectors
+from emulator.sensor.pixels.passages.visiting import Constants, book_rest, look
 from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Memory, Pixels, StepConstants, noise_stream, slot
 from emulator.sensor.pixels.substeps import begin, begin_substep, go_on, store_filters
 
@@ -233,7 +233,8 @@ def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, const
     for j in range(n):
         if pieces[sub.COUNT + j] >= rounds.MOST_PASSAGES:
             rows[Visit.RESET + j] = _TWO  # takes no part any more
-    return _look(visits, pixels.tables, n, c, constants)
+    columns: int = _look(visits, pixels.tables, n, c, constants)
+    return columns
 
 
 @cached_kernel

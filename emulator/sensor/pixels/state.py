@@ -326,6 +326,7 @@ def leak_phase(parameters: SensorParameters, seed: int) -> _Float64s:
 def noise_memory(parameters: SensorParameters, seed: int, pixels: int) -> npt.NDArray[np.float32]:
     """Return the memory of pixels, (pixels * MEMORY,), whose noise has no last reset yet."""
     memory = np.zeros((pixels, MEMORY), np.float32)
+    memory[parameters.width * parameters.height :, Memory.LEFT] = np.inf  # those beyond the sensor's end never fire
     memory[:, Memory.SCALE] = np.exp(parameters.noise.spread * normal(seed, Purpose.NOISE_SPREAD, np.arange(pixels)))
     memory[:, Memory.NUMBER] = np.arange(pixels)
     return memory.reshape(-1)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from emulator.sensor.parameters import ComparatorParameters, NoiseParameters
-from emulator.sensor.passages.rounds import MOST_PASSAGES
 from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS
 from tests.emulator.sensor.noise.noisy_arrays import (

@@ -21,9 +21,9 @@ from emulator.sensor.noise.moments import Noise, noise_in, slower_rate
 from emulator.sensor.numerics.columns import pick, put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import use_widest_vectors
-from emulator.sensor.passages.bursts import LASTS, mean_factor
-from emulator.sensor.passages.rows import BURST, PART, Column, Curve, Visit
-from emulator.sensor.passages.settled import Ends, Span, Widening, integral_of, integrals
+from emulator.sensor.pixels.passages.bursts import LASTS, mean_factor
+from emulator.sensor.pixels.passages.rows import BURST, PART, Column, Curve, Visit
+from emulator.sensor.pixels.passages.settled import Ends, Span, Widening, integral_of, integrals
 
 _Float32s = npt.NDArray[np.float32]
 _Int32s = npt.NDArray[np.int32]

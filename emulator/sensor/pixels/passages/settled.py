@@ -34,7 +34,7 @@ from emulator.sensor.noise.moments import Noise
 from emulator.sensor.numerics.columns import put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential_less_one, log_of_one_more, use_widest_vectors
-from emulator.sensor.passages.rows import (
+from emulator.sensor.pixels.passages.rows import (
     BURST,
     DONE,
     FIRED,
@@ -230,7 +230,8 @@ def root_of(at: Bracket, base: Real, curve: Curve) -> Bracket:
     at = nearer_root(at, rising, base, curve)
     at = nearer_root(at, rising, base, curve)
     at = nearer_root(at, rising, base, curve)
-    return nearer_root(at, rising, base, curve)
+    root: Bracket = nearer_root(at, rising, base, curve)
+    return root
 
 
 @vector_kernel

@@ -15,8 +15,8 @@ from emulator.sensor.numerics.columns import put, take
 from emulator.sensor.numerics.compiled import vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log, use_widest_vectors
 from emulator.sensor.numerics.keyed import mix_word
-from emulator.sensor.passages.bursts import after_bound, bound_of, store_bound
-from emulator.sensor.passages.rows import DONE, PLACED, Column, chosen, curve_of, noise_at, replace, value_at
+from emulator.sensor.pixels.passages.bursts import after_bound, bound_of, store_bound
+from emulator.sensor.pixels.passages.rows import DONE, PLACED, Column, chosen, curve_of, noise_at, replace, value_at
 
 _Float32s = npt.NDArray[np.float32]
 _Words = npt.NDArray[np.uint64]

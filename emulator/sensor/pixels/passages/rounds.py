@@ -10,7 +10,7 @@ row.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,10 @@ from emulator.sensor.numerics.columns import take
 from emulator.sensor.numerics.compiled import NONE, cached_kernel, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import use_widest_vectors
 from emulator.sensor.numerics.keyed import high, mix_word, unit
-from emulator.sensor.passages import bursts, resets, settled
-from emulator.sensor.passages.rows import (
+from emulator.sensor.pixels.crossings import Keys, pack
+from emulator.sensor.pixels.event_time import delay_s
+from emulator.sensor.pixels.passages import bursts, resets, settled
+from emulator.sensor.pixels.passages.rows import (
     AGED,
     BURST,
     CUT,
@@ -46,9 +48,7 @@ from emulator.sensor.passages.rows import (
     value_at,
     whole_vectors,
 )
-from emulator.sensor.passages.visiting import Constants, fill
-from emulator.sensor.pixels.crossings import Keys, pack
-from emulator.sensor.pixels.event_time import delay_s
+from emulator.sensor.pixels.passages.visiting import Constants, fill
 from emulator.sensor.pixels.state import StepConstants, reset_offset_at
 from emulator.sensor.pixels.substeps import CAPACITY
 
@@ -60,7 +60,7 @@ _Bytes = npt.NDArray[np.uint8]
 MOST_PASSAGES = 1024
 """Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
 
-_LIKELIEST = np.int64(State.PART)
+_LIKELIEST: Any = np.int64(State.PART)
 SPARSE = 0.5
 """Useful share of a range below which its columns are exchanged to the front."""
 
@@ -75,7 +75,8 @@ _ROWS = len(Column)
 @kernel
 def polarity_of(stream: np.uint64, reset_ns: int) -> float:
     """Return the uniform number that decides the polarity of the event after a reset."""
-    return unit(high(mix_word(stream ^ (np.uint64(reset_ns) * _OF_RESET))))
+    share: float = unit(high(mix_word(stream ^ (np.uint64(reset_ns) * _OF_RESET))))
+    return share
 
 
 @kernel
@@ -150,7 +151,7 @@ def _count(rows: _Float32s, counts: _Int64s, n: int) -> None:
 
 
 @kernel
-def _event_ns(visits: Visits, i: int) -> int:
+def _event_ns(visits: Visits, i: int) -> np.int64:
     """Return the time of column i's event in the step, ns."""
     rows, j = visits.columns.rows, visits.columns.visits[i]
     begin_s, span_s = np.float64(visits.rows[Visit.BEGIN + j]), np.float64(rows[Column.SPAN + i])
@@ -162,7 +163,8 @@ def _delay_s(rows: _Float32s, i: int, c: StepConstants) -> float:
     """Return the comparator's delay of column i's event, by the slope of signal and noise."""
     curve = curve_of(rows, i)
     slope = (rows[Column.V + i] + speed_at(curve, rows[Column.EVENT + i])) / rows[Column.SPAN + i]
-    return delay_s(np.float64(abs(slope)), rows[Column.SIGN + i] > 0, c)
+    late_s: float = delay_s(np.float64(abs(slope)), rows[Column.SIGN + i] > 0, c)
+    return late_s
 
 
 @kernel
@@ -240,7 +242,7 @@ def begin(visits: Visits, n: int, c: StepConstants, constants: Constants) -> int
     fill(rows, visits.rows, columns.visits, whole_vectors(m), constants)
     for i in range(m, whole_vectors(m)):
         rows[Column.STATE + i] = DONE
-    return m
+    return int(m)
 
 
 @kernel
@@ -252,7 +254,7 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
         n -= 1
     if columns.counts[best] < SPARSE * n and n > WIDTH and not (sliced and columns.counts[State.FIRST] > 0):
         _bring_to_front(columns, state, n)
-        return columns.counts[best]
+        return int(columns.counts[best])
     return n
 
 

@@ -20,8 +20,8 @@ from emulator.sensor.noise.moments import noise_in, slower_rate
 from emulator.sensor.numerics.columns import put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
-from emulator.sensor.passages.rows import Visit, speed_at, value_at
-from emulator.sensor.passages.visiting import Constants, curve_of_visit
+from emulator.sensor.pixels.passages.rows import Visit, speed_at, value_at
+from emulator.sensor.pixels.passages.visiting import Constants, curve_of_visit
 
 _Float32s = npt.NDArray[np.float32]
 

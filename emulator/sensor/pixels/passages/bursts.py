@@ -39,7 +39,7 @@ from emulator.sensor.noise.moments import Nearness, Signal, Start, nearness, slo
 from emulator.sensor.numerics.columns import put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
-from emulator.sensor.passages.rows import (
+from emulator.sensor.pixels.passages.rows import (
     AGED,
     BURST,
     CUT,
@@ -58,7 +58,7 @@ from emulator.sensor.passages.rows import (
     speed_at,
     value_at,
 )
-from emulator.sensor.passages.settled import Bracket, root_of
+from emulator.sensor.pixels.passages.settled import Bracket, root_of
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -224,7 +224,8 @@ def near_at(rows: _Float32s, i: int, x: Real) -> Nearness:
     on, off = take(rows, Column.ON + i) + reference - w, take(rows, Column.OFF + i) - reference + w
     signal = Signal(on, off, speed_at(curve, x), -take(rows, Column.D_SIGMA + i) / noise.sigma)
     start = Start(take(rows, Column.N + i), take(rows, Column.V + i))
-    return nearness(max(x - take(rows, Column.RESET + i), _NO_AGE), signal, start, noise)
+    near: Nearness = nearness(max(x - take(rows, Column.RESET + i), _NO_AGE), signal, start, noise)
+    return near
 
 
 class Point(NamedTuple):
