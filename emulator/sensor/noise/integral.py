@@ -35,7 +35,8 @@ from emulator.sensor.numerics.elementary import exponential, natural_log
 
 _Float32s = npt.NDArray[np.float32]
 
-SLICES, _SPEEDS, _PLACES, _LOGS = 50, 65, 105, 141
+SLICES, _SPEEDS = 50, 65
+_PLACES, _LOGS = 105, 141
 _PER_RATIO = 8  # slices between two ratios of the tables of hazards
 _FINE = 16  # steps of the integration between two entries
 _LEAST_LOG, _A_LOG = -32.0, 4.0
@@ -60,8 +61,10 @@ _HAZARDS = 2 * SLICES * _SPEEDS * _PLACES + SLICES * _SPEEDS * _LOGS
 _ONE_PAIR, _TWO_PAIR, _SPEED, _EXIT = (
     np.float32(_HAZARDS + first) for first in (hazard.ONE_PAIR, hazard.TWO_PAIR, hazard.SPEED, hazard.EXIT)
 )
-_ROW, _ROW_OF_LOGS, _ROWS = np.float32(_PLACES), np.float32(_LOGS), np.float32(_SPEEDS)
-_LAST, _LAST_LOG, _LAST_SPEED = np.float32(_PLACES - 1.01), np.float32(_LOGS - 1.01), np.float32(_SPEEDS - 1.002)
+_ROW, _ROW_OF_LOGS = np.float32(_PLACES), np.float32(_LOGS)
+_ROWS = np.float32(_SPEEDS)
+_LAST, _LAST_LOG = np.float32(_PLACES - 1.01), np.float32(_LOGS - 1.01)
+_LAST_SPEED = np.float32(_SPEEDS - 1.002)
 _ONE_POLE_SLICE = np.float32(SLICES - 1)
 _THIRTY_TWO = np.float32(32)
 _LEAST_K, _NO_INTEGRAL = np.float32(1e-30), 1e-300
@@ -72,8 +75,8 @@ _FAST_EXIT, _SLOW_EXIT = np.float32(7.9), np.float32(-5.99)
 def integral_tables() -> _Float32s:
     """Return the tables G, K and C, and those of `hazard`, in one flat array."""
     with np.load(hazard.TABLES) as file:
-        two, one = np.asarray(file["two"], np.float64), np.asarray(file["one"], np.float64)[::2]
-    entries = np.concatenate([two, one[None]]).transpose(0, 2, 1)  # (8, speeds, places), the last of one pole
+        two, single = np.asarray(file["two"], np.float64), np.asarray(file["one"], np.float64)[::2]
+    entries = np.concatenate([two, single[None]]).transpose(0, 2, 1)  # (8, speeds, places), the last of one pole
     fine = np.arange((_PLACES - 1) * _FINE + 1)
     i = np.minimum(fine // _FINE, _PLACES - 2)
     share = fine / _FINE - i
@@ -123,8 +126,8 @@ def _entry(tables: _Float32s, first: Real, row: Real, last: Real, k: Real, rho: 
 @lane
 def gaussian(c: Real) -> Real:
     """Return e^(-c^2 / 2) / sqrt(2 pi); that at 0 for a signal beyond the threshold."""
-    near = min(max(c, _ZERO), _NINE)
-    return _INVERSE_ROOT * exponential(-_HALF * near * near)
+    closeness = min(max(c, _ZERO), _NINE)
+    return _INVERSE_ROOT * exponential(-_HALF * closeness * closeness)
 
 
 @lane
@@ -185,10 +188,10 @@ def rate_of(tables: _Float32s, k: Real, apart: Real, c: Real, nu: Real) -> Real:
 @lane
 def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real) -> tuple[Real, Real]:
     """Return the factors F of the fluxes through thresholds at a and b deviations, of that at a and of that at b."""
-    one = z > ONE_POLE
-    nodes, per_deviation = np.float32(53) if one else np.float32(25), _EIGHT if one else _FOUR
+    single = z > ONE_POLE
+    nodes, per_deviation = np.float32(53) if single else np.float32(25), _EIGHT if single else _FOUR
     of_ratio = _TWO_PAIR + np.float32(625) * np.floor(min(max(z + _HALF, _ZERO), _SIX))
-    first, last = _ONE_PAIR if one else of_ratio, nodes - np.float32(1.001)
+    first, last = _ONE_PAIR if single else of_ratio, nodes - np.float32(1.001)
     x, y = min(max((a + _HALF) * per_deviation, _ZERO), last), min(max((b + _HALF) * per_deviation, _ZERO), last)
     i, j = np.floor(x), np.floor(y)
     f, g = x - i, y - j

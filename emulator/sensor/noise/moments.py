@@ -24,7 +24,8 @@ _ZERO, _HALF, _ONE, _TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
 _LEAST_RATIO, _A_RATIO = np.float32(LEAST_RATIO), np.float32(16)
 _LAST_TWO, _OF_ONE = np.float32(5.999), np.float32(7)
 _NO_POLE = np.float32(1e11)  # rad/s: a pole that fast is none
-_TINY, _SMALL_GAP, _SMALLEST_GAP = np.float32(1e-20), np.float32(1e-3), np.float32(1e-6)
+_TINY, _SMALL_GAP = np.float32(1e-20), np.float32(1e-3)
+_SMALLEST_GAP = np.float32(1e-6)
 _SHORT, _SHORTEST = np.float32(0.15), np.float32(0.01)
 _TWO_THIRDS, _V1, _V2, _V3 = (np.float32(x) for x in (2 / 3, 0.75, 0.35, 0.2))
 _LEAST_SLOPE = np.float32(1e-12)
@@ -135,21 +136,21 @@ class Nearness(NamedTuple):
 @lane
 def nearness(s: Real, signal: Signal, start: Start, noise: Noise) -> Nearness:
     """Return distances and speeds at a time s > 0 after a reset, by the formulas of `hazard`."""
-    one = noise.z > ONE_POLE
+    single = noise.z > ONE_POLE
     m = moments_over(s, noise)
     product, total = noise.a1 * noise.a2, noise.a1 + noise.a2
-    mean = start.n * m.e if one else m.p11 * start.n + m.p12 * start.v
-    mean_slope = -noise.rate * mean if one else m.p22 * start.v - product * m.p12 * start.n
-    variance = max(decay(_TWO * noise.rate * s) if one else m.v, _TINY)
+    mean = start.n * m.e if single else m.p11 * start.n + m.p12 * start.v
+    mean_slope = -noise.rate * mean if single else m.p22 * start.v - product * m.p12 * start.n
+    variance = max(decay(_TWO * noise.rate * s) if single else m.v, _TINY)
     deviation = np.sqrt(variance)
     inverse = _ONE / deviation
     per_variance = inverse * inverse
-    pull = noise.rate * m.e * m.e * per_variance if one else product * total * m.p12 * m.p12 * per_variance
+    pull = noise.rate * m.e * m.e * per_variance if single else product * total * m.p12 * m.p12 * per_variance
     shared = total * m.p12 * m.b12
     of_two = noise.rate * np.sqrt(max(m.w - shared * shared * per_variance, _LEAST_SLOPE)) * inverse
-    slope = noise.rate * per_variance if one else of_two
+    slope = noise.rate * per_variance if single else of_two
     ratio = variance * of_two * of_two * of_two / (product * total)
-    z = _OF_ONE if one else min(max((ratio - _LEAST_RATIO) * _A_RATIO, _ZERO), _LAST_TWO)
+    z = _OF_ONE if single else min(max((ratio - _LEAST_RATIO) * _A_RATIO, _ZERO), _LAST_TWO)
     per_sigma, per_slope = inverse / noise.sigma, _ONE / slope
     c_on, c_off = (signal.on - mean) * per_sigma, (signal.off + mean) * per_sigma
     rise, nearer = (signal.speed + mean_slope) * per_sigma, pull - signal.narrowing

@@ -108,7 +108,8 @@ def _complete(rows: _Float32s, n: int, rms: np.float32, c: StepConstants) -> Non
     """Turn what was gathered into the units of a piece: times over its length, values from that at its start."""
     use_widest_vectors()
     for j in range(n):
-        leak, span, begin = rows[Visit.LEAK + j], rows[Visit.SPAN + j], rows[Visit.BEGIN + j]
+        leak, span = rows[Visit.LEAK + j], rows[Visit.SPAN + j]
+        begin = rows[Visit.BEGIN + j]
         base = rows[Visit.BASE + j] + leak * (c.since_epoch_0 + begin)
         rested = c.since_epoch_0 - rows[Visit.RESTED + j]
         per_span = _ONE / span
@@ -126,7 +127,8 @@ def _complete(rows: _Float32s, n: int, rms: np.float32, c: StepConstants) -> Non
 @kernel
 def _leave(visits: Visits, j: int, pixels: Pixels, pixel: int) -> None:
     """Write what the events of a visited pixel have changed to its state."""
-    rows, memory, at = visits.rows, pixels.memory, pixel * MEMORY
+    rows, memory = visits.rows, pixels.memory
+    at = pixel * MEMORY
     memory[at + Memory.LEFT] = rows[Visit.LEFT + j]
     if rows[Visit.FLAG + j] > 0:
         memory[at + Memory.N], memory[at + Memory.V] = rows[Visit.N + j], rows[Visit.V + j]
@@ -142,7 +144,8 @@ def _finish(visits: Visits, j: int, pixels: Pixels, pixel: int, leaked: float, c
 
     Its parasitic leak since its last event, `leaked`, moves into the reference of a pixel that fired.
     """
-    rows, fields, memory, at = visits.rows, pixels.fields, pixels.memory, slot(pixel)
+    rows, fields = visits.rows, pixels.fields
+    memory, at = pixels.memory, slot(pixel)
     rise = rows[Visit.C1 + j] + rows[Visit.C2 + j] + rows[Visit.C3 + j]
     if c.parasitic > _ZERO and rows[Visit.COUNT + j] > 0:
         fields[at + _REF] -= np.float32(leaked)
@@ -173,7 +176,8 @@ def _visit_as_whole(pixels: Pixels, table: Table, n: int, c: StepConstants, cons
 
     Returns the number of columns set up, and of those in the table of substeps.
     """
-    rows, visits, in_substeps = table.rows, table.visits, NONE
+    rows, visits = table.rows, table.visits
+    in_substeps = NONE
     for j in range(n):
         visits.rows[Visit.LEAK + j], visits.rows[Visit.REFERENCE + j] = rows[row.C_LEAK + j], rows[row.C_REF + j]
         rows[row.C_LEAK + j] = _ZERO  # added by `_complete`
@@ -214,7 +218,8 @@ def _rate(u: np.float32, c: StepConstants) -> np.float32:
 @cached_kernel
 def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, constants: Constants) -> int:
     """Let the n pixels of the table of substeps visit with their next substep; return the number of columns set up."""
-    visits, of, pieces = table.visits, table.substep_table.pixels, table.substep_table.rows
+    visits, of = table.visits, table.substep_table.pixels
+    pieces = table.substep_table.rows
     rows, fields = visits.rows, pixels.fields
     begin_substep(pieces, state.whole_vectors(n), c)
     for j in range(n):
@@ -240,7 +245,8 @@ def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, const
 @cached_kernel
 def _end_substep(pixels: Pixels, table: Table, n: int, columns: int, constants: Constants, c: StepConstants) -> int:
     """Store the pixels whose step has ended, and compact the others; return how many remain."""
-    visits, pieces, remaining = table.visits, table.substep_table.rows, NONE
+    visits, pieces = table.visits, table.substep_table.rows
+    remaining = NONE
     rounds.end(visits, columns)
     certify(visits.rows, pixels.tables, whole_vectors(n), constants)
     for j in range(n):

@@ -69,7 +69,8 @@ LASTS = _NINE
 
 _AGE1, _AGE2, _AGE3, _AGE4, _AGE5, _AGE6, _AGE7 = (np.float32(x) for x in (0.35, 0.8, 1.4, 2.2, 3.3, 5, 9))
 _EARLY = np.float32(2.5)  # age up to which the first of two bounds holds
-_KICK, _LATER_KICK, _LATER = np.float32(0.4), np.float32(0.2), np.float32(0.29)  # of slope and value, left at most
+_KICK, _LATER_KICK = np.float32(0.4), np.float32(0.2)  # of slope and value, left at most
+_LATER = np.float32(0.29)
 _CROSSINGS, _CARRIED = np.float32(0.25), np.float32(0.6)  # Rice's rate, bounded: .25 by the noise, .6 by the travel
 _NEAREST = np.float32(1.5)  # deviations from which on the bounds hold
 _NEGLIGIBLE, _LEAST_SHARE = np.float32(0.01), np.float32(0.01)
@@ -82,14 +83,17 @@ _PASSED, _APART = np.float32(-2), np.float32(6)  # deviations of a fast approach
 _BEGUN, _NO_AGE = np.float32(1e-7), np.float32(1e-9)
 _NEXT_AGE, _LEAST_AGE = np.float32(1.001), np.float32(1e-5)  # so that a slice has a length
 _AFAR = np.float32(1e3)
-_FAST, _FAST_END, _FAST_TRAVEL = np.float32(0.5), np.float32(0.1), np.float32(0.8)
+_FAST, _FAST_END = np.float32(0.5), np.float32(0.1)
+_FAST_TRAVEL = np.float32(0.8)
 _LEAST_START, _LEAST_NU = np.float32(0.05), np.float32(0.02)
 _BEYOND, _UNRESOLVED = np.float32(-4), np.float32(16)
 _STEADY_OF_ONE = np.float32(3)
-_HALVED, _MOST_HALVINGS, _SHORTEST = np.float32(0.08), np.float32(4), np.float32(0.05)
+_HALVED, _MOST_HALVINGS = np.float32(0.08), np.float32(4)
+_SHORTEST = np.float32(0.05)
 _PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)
 _LEAST_HAZARD = np.float32(1e-30)
-_STEEP, _STILL_STEEP, _CONVERGED = np.float32(0.7), np.float32(0.4), np.float32(0.3)
+_STEEP, _STILL_STEEP = np.float32(0.7), np.float32(0.4)
+_CONVERGED = np.float32(0.3)
 _RESOLVED, _FASTEST = np.float32(4e-7), np.float32(1e3)
 _BEND_C, _BEND_NU = np.float32(1.5), np.float32(0.25)
 _ON, _OFF = np.float32(1), np.float32(2)  # bits of TELESCOPED
@@ -99,10 +103,10 @@ _ON, _OFF = np.float32(1), np.float32(2)  # bits of TELESCOPED
 def exponential_integral(u: Real) -> Real:
     """Return E1(u), u > 0, within 1e-4 (Hastings 1955; Abramowitz and Stegun 5.1.53, 5.1.54)."""
     small = min(u, _ONE)
-    near = ((((_E5 * small + _E4) * small + _E3) * small + _E2) * small + _E1) * small + _E0 - natural_log(small)
+    closeness = ((((_E5 * small + _E4) * small + _E3) * small + _E2) * small + _E1) * small + _E0 - natural_log(small)
     large = max(u, _ONE)
-    far = exponential(-large) * (large * (large + _N1) + _N0) / ((large * (large + _D1) + _D0) * large)
-    return near if u < _ONE else far
+    distant = exponential(-large) * (large * (large + _N1) + _N0) / ((large * (large + _D1) + _D0) * large)
+    return closeness if u < _ONE else distant
 
 
 @lane
@@ -132,7 +136,8 @@ class Bound(NamedTuple):
 @lane
 def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, left: Real, start: Start) -> Bound:  # noqa: PLR0913, PLR0917
     """Return the bound of column i's burst from x to the burst's end, or the end of the part between two turns."""
-    turn, turn2, curve = take(rows, Column.TURN + i), take(rows, Column.TURN2 + i), curve_of(rows, i)
+    turn, turn2 = take(rows, Column.TURN + i), take(rows, Column.TURN2 + i)
+    curve = curve_of(rows, i)
     part_end = turn if x < turn else (turn2 if x < turn2 else _ONE)
     end = min(reset + take(rows, Column.BURST + i), part_end)
     noise, slow = noise_at(rows, i, _ZERO), slower_rate(noise_at(rows, i, x))
@@ -147,19 +152,20 @@ def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, lef
     c = min(on - max(w0, w1) - up, off + min(w0, w1) + down) * inverse - _KICK * kick
     later = min(on - max(w1, w2) - _LATER * up, off + min(w1, w2) + _LATER * down) * inverse - _LATER_KICK * kick
     gone, gone_later = abs(w1 - w0) * inverse, abs(w2 - w1) * inverse
-    q, q_later, two = (middle - x) * noise.rate, (end - middle) * noise.rate, noise.z < ONE_POLE
+    q, q_later = (middle - x) * noise.rate, (end - middle) * noise.rate
+    two = noise.z < ONE_POLE
     weight = _CROSSINGS * q + _CARRIED * gone if two else _HALF * ((_ONE + c) * q + gone)
     weight_later = (
         _CROSSINGS * q_later + _CARRIED * gone_later if two else _HALF * ((_ONE + later) * q_later + gone_later)
     )
-    near, near_later = min(max(c, _ZERO), _NINE), min(max(later, _ZERO), _NINE)
-    early = weight * exponential(-_HALF * near * near)
+    closeness, near_later = min(max(c, _ZERO), _NINE), min(max(later, _ZERO), _NINE)
+    early = weight * exponential(-_HALF * closeness * closeness)
     total = early + weight_later * exponential(-_HALF * near_later * near_later)
-    far = (c > _NEAREST) & (later > _NEAREST)
+    distant = (c > _NEAREST) & (later > _NEAREST)
     # The settled hazard errs by a share of the bound: a part of a burst may take its share of half of what is left.
     share = max((end - x) / take(rows, Column.BURST + i), _LEAST_SHARE)
-    calm = far & (total < _HALF * share * left)
-    skips = far & ~calm & (early < _NEGLIGIBLE * share * left) & (middle < end)
+    calm = distant & (total < _HALF * share * left)
+    skips = distant & ~calm & (early < _NEGLIGIBLE * share * left) & (middle < end)
     # Calm: while the mean decays by e^-s, the hazard is less by e^(-A e^-s). As much of the part's end counts.
     c_on, c_off = (on - w2) * inverse, (off + w2) * inverse
     inward = (start.n + start.v / max(noise.rate, slow)) * inverse
@@ -183,8 +189,8 @@ class Next(NamedTuple):
 def after_bound(bound: Bound, x: Real, reset: Real, burst: Real) -> Next:
     """Return how a column goes on at x, whose burst lasts `burst`."""
     begun = x > reset + _BEGUN
-    more = (bound.settles >= bound.end) & (bound.end < reset + burst)
-    settled = DONE if bound.settles >= _ONE else (BURST if more else PART)
+    goes_on = (bound.settles >= bound.end) & (bound.end < reset + burst)
+    settled = DONE if bound.settles >= _ONE else (BURST if goes_on else PART)
     sliced = FIRST if (bound.skipped > _ZERO) | begun else SLICE
     state = settled if bound.calm else (DIRECT if bound.fast else sliced)
     from_x = x if bound.fast | (bound.skipped < _ZERO) else bound.skipped
@@ -192,13 +198,13 @@ def after_bound(bound: Bound, x: Real, reset: Real, burst: Real) -> Next:
 
 
 @lane
-def store_bound(rows: _Float32s, i: int, bound: Bound, after: Next, mine: Real) -> None:
+def store_bound(rows: _Float32s, i: int, bound: Bound, after: Next, selected: Real) -> None:
     """Store how column i goes on in a burst."""
-    replace(rows, Column.BURST_END + i, bound.end, mine)
-    replace(rows, Column.SKIPPED + i, bound.skipped, mine)
-    replace(rows, Column.BEGINS + i, after.begins, mine)
-    replace(rows, Column.CUT_AT + i, _TWO, mine)
-    replace(rows, Column.HALVINGS + i, _ZERO, mine)
+    replace(rows, Column.BURST_END + i, bound.end, selected)
+    replace(rows, Column.SKIPPED + i, bound.skipped, selected)
+    replace(rows, Column.BEGINS + i, after.begins, selected)
+    replace(rows, Column.CUT_AT + i, _TWO, selected)
+    replace(rows, Column.HALVINGS + i, _ZERO, selected)
 
 
 @vector_kernel
@@ -206,14 +212,15 @@ def bound(rows: _Float32s, n: int) -> None:
     """Bound the next part of the burst of each column in state BURST."""
     use_widest_vectors()
     for i in range(n):
-        state, x, reset = take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.RESET + i)
-        mine = state == BURST
+        state, x = take(rows, Column.STATE + i), take(rows, Column.AT + i)
+        reset = take(rows, Column.RESET + i)
+        selected = state == BURST
         start = Start(take(rows, Column.N + i), take(rows, Column.V + i))
         b = bound_of(rows, i, x, reset, take(rows, Column.REFERENCE + i), take(rows, Column.LEFT + i), start)
         after = after_bound(b, x, reset, take(rows, Column.BURST + i))
-        put(rows, Column.STATE + i, after.state if mine else state)
-        put(rows, Column.AT + i, after.x if mine else x)
-        store_bound(rows, i, b, after, mine)
+        put(rows, Column.STATE + i, after.state if selected else state)
+        put(rows, Column.AT + i, after.x if selected else x)
+        store_bound(rows, i, b, after, selected)
 
 
 @lane
@@ -224,8 +231,8 @@ def near_at(rows: _Float32s, i: int, x: Real) -> Nearness:
     on, off = take(rows, Column.ON + i) + reference - w, take(rows, Column.OFF + i) - reference + w
     signal = Signal(on, off, speed_at(curve, x), -take(rows, Column.D_SIGMA + i) / noise.sigma)
     start = Start(take(rows, Column.N + i), take(rows, Column.V + i))
-    near: Nearness = nearness(max(x - take(rows, Column.RESET + i), _NO_AGE), signal, start, noise)
-    return near
+    closeness: Nearness = nearness(max(x - take(rows, Column.RESET + i), _NO_AGE), signal, start, noise)
+    return closeness
 
 
 class Point(NamedTuple):
@@ -258,9 +265,10 @@ def along(  # noqa: PLR0913, PLR0917
     nu = (max(b.nu, _LEAST_START) if begins else b.nu) if over_distance else nu_middle
     c = b.c if over_distance else c_middle
     steep = _ONE + abs(nu)
-    rho, at, far = nu / steep, c + farther(c, nu, apart), a.c + farther(a.c, nu, apart)
+    rho, at = nu / steep, c + farther(c, nu, apart)
+    distant = a.c + farther(a.c, nu, apart)
     value = density_or_integral(tables, over_distance, k, rho, at)
-    beyond = integral_beyond(tables, k, rho, far)
+    beyond = integral_beyond(tables, k, rho, distant)
     beyond = beyond if ~begins & ((a.c - b.c) * (a.c + b.c) < _UNRESOLVED) else _ZERO
     middle = value * steep * steeper_beyond(at)
     middle = middle if c < FARTHEST else _ZERO
@@ -284,8 +292,9 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
     for i in range(n):
         state = take(rows, Column.STATE + i)
         first = state == FIRST
-        mine = (state == SLICE) | first
-        x, reset, last = take(rows, Column.AT + i), take(rows, Column.RESET + i), take(rows, Column.BURST_END + i)
+        selected = (state == SLICE) | first
+        x, reset = take(rows, Column.AT + i), take(rows, Column.RESET + i)
+        last = take(rows, Column.BURST_END + i)
         cut_at, left = take(rows, Column.CUT_AT + i), take(rows, Column.LEFT + i)
         begins = take(rows, Column.BEGINS + i) > _ZERO
         slow, apart = slower_rate(noise_at(rows, i, x)), take(rows, Column.APART + i)
@@ -295,29 +304,31 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         end = min(min(reset + next_age(age) / slow, cut_at), last)
         end = x if first else (last if age >= _AGE7 else end)
         # Distances, speeds and hazards at its end, the factor of two thresholds included.
-        there = near_at(rows, i, end)
-        k = slice_of(there.z)
-        on1 = rate_of(tables, k, apart, there.c_on, there.nu_on)
-        off1 = rate_of(tables, k, apart, there.c_off, there.nu_off)
-        near_both = (there.c_on + there.c_off < _PAIR_SUM) & (max(there.c_on, there.c_off) < _PAIR_FAR)
-        on_factor, off_factor = pair_factors(tables, there.c_on, there.c_off, there.z)
-        rise, variance = _HALF * (there.nu_on - there.nu_off), there.deviation * there.deviation
+        at_end = near_at(rows, i, end)
+        k = slice_of(at_end.z)
+        on1 = rate_of(tables, k, apart, at_end.c_on, at_end.nu_on)
+        off1 = rate_of(tables, k, apart, at_end.c_off, at_end.nu_off)
+        near_both = (at_end.c_on + at_end.c_off < _PAIR_SUM) & (max(at_end.c_on, at_end.c_off) < _PAIR_FAR)
+        on_factor, off_factor = pair_factors(tables, at_end.c_on, at_end.c_off, at_end.z)
+        rise, variance = _HALF * (at_end.nu_on - at_end.nu_off), at_end.deviation * at_end.deviation
         share = variance * variance / (_ONE + rise * rise) if near_both else _ZERO
         on_factor, off_factor = _ONE + (on_factor - _ONE) * share, _ONE + (off_factor - _ONE) * share
         on1, off1 = on1 * on_factor, off1 * off_factor
         # Both integrals, from the values at its start.
         slope0, z0 = take(rows, Column.SLOPE0 + i), take(rows, Column.Z0 + i)
-        q = max(_ONE if begins else _HALF * (slope0 + there.slope) * (end - x), _NO_AGE)
-        k = slice_of(there.z if begins | (there.z > ONE_POLE) else _HALF * (z0 + there.z))
+        q = max(_ONE if begins else _HALF * (slope0 + at_end.slope) * (end - x), _NO_AGE)
+        k = slice_of(at_end.z if begins | (at_end.z > ONE_POLE) else _HALF * (z0 + at_end.z))
         on_c0, off_c0 = take(rows, Column.ON_C0 + i), take(rows, Column.OFF_C0 + i)
         on_a = Point(_AFAR if begins else on_c0, take(rows, Column.ON_NU0 + i), take(rows, Column.ON_RATE0 + i))
         off_a = Point(_AFAR if begins else off_c0, take(rows, Column.OFF_NU0 + i), take(rows, Column.OFF_RATE0 + i))
-        on_fast = (max(on_a.nu, there.nu_on) > _FAST) & (there.nu_on > _FAST_END) & (on_a.c - there.c_on > _FAST_TRAVEL)
-        off_fast = (max(off_a.nu, there.nu_off) > _FAST) & (there.nu_off > _FAST_END)
-        off_fast = off_fast & (off_a.c - there.c_off > _FAST_TRAVEL) & ~begins
+        on_fast = (
+            (max(on_a.nu, at_end.nu_on) > _FAST) & (at_end.nu_on > _FAST_END) & (on_a.c - at_end.c_on > _FAST_TRAVEL)
+        )
+        off_fast = (max(off_a.nu, at_end.nu_off) > _FAST) & (at_end.nu_off > _FAST_END)
+        off_fast = off_fast & (off_a.c - at_end.c_off > _FAST_TRAVEL) & ~begins
         on_fast = on_fast & ~begins
-        on = along(tables, k, apart, on_a, Point(there.c_on, there.nu_on, on1), q, begins, on_fast)
-        off = along(tables, k, apart, off_a, Point(there.c_off, there.nu_off, off1), q, begins, off_fast)
+        on = along(tables, k, apart, on_a, Point(at_end.c_on, at_end.nu_on, on1), q, begins, on_fast)
+        off = along(tables, k, apart, off_a, Point(at_end.c_off, at_end.nu_off, off1), q, begins, off_fast)
         on_telescoped, off_telescoped = begins | on_fast, begins | off_fast
         in_middle = q * _LIKELY
         on_total = on.value * on_factor if on_telescoped else on.value + in_middle * on.middle * (on_factor - _ONE)
@@ -326,50 +337,50 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         )
         total, halvings = on_total + off_total, take(rows, Column.HALVINGS + i)
         # A first slice that takes much is halved, as its speed at the end stands for all of it.
-        steady = max(there.nu_on, there.nu_off) < (_STEADY_OF_ONE if there.z > ONE_POLE else _ONE)
+        steady = max(at_end.nu_on, at_end.nu_off) < (_STEADY_OF_ONE if at_end.z > ONE_POLE else _ONE)
         steady = steady & (halvings < _MOST_HALVINGS)
         halved = begins & (total > _HALVED) & steady & ((end - x) * slow > _SHORTEST)
         fired = ~(total < left) & ~halved & ~first
         over = DONE if end >= _ONE else (PART if end >= reset + take(rows, Column.BURST + i) else BURST)
         after = SLICE if first | halved else (CUT if fired else (over if end >= last else SLICE))
-        go, moves_on = mine & ~first & ~halved & ~fired, mine & ~halved & ~fired
-        put(rows, Column.STATE + i, after if mine else state)
+        go, moves_on = selected & ~first & ~halved & ~fired, selected & ~halved & ~fired
+        put(rows, Column.STATE + i, after if selected else state)
         put(rows, Column.AT + i, end if go else x)
         put(rows, Column.LEFT + i, left - total if go else left)
-        put(rows, Column.CUT_AT + i, (_HALF * (x + end) if halved else _TWO) if mine else cut_at)
-        put(rows, Column.HALVINGS + i, (halvings + _ONE if halved else _ZERO) if mine else halvings)
-        replace(rows, Column.BEGINS + i, _ONE if begins & (halved | fired) else _ZERO, mine)
-        replace(rows, Column.END + i, end, mine)
-        replace(rows, Column.ON_INTEGRAL + i, on_total, mine)
-        replace(rows, Column.OFF_INTEGRAL + i, off_total, mine)
-        replace(rows, Column.ON_MIDDLE + i, on.middle, mine)
-        replace(rows, Column.OFF_MIDDLE + i, off.middle, mine)
+        put(rows, Column.CUT_AT + i, (_HALF * (x + end) if halved else _TWO) if selected else cut_at)
+        put(rows, Column.HALVINGS + i, (halvings + _ONE if halved else _ZERO) if selected else halvings)
+        replace(rows, Column.BEGINS + i, _ONE if begins & (halved | fired) else _ZERO, selected)
+        replace(rows, Column.END + i, end, selected)
+        replace(rows, Column.ON_INTEGRAL + i, on_total, selected)
+        replace(rows, Column.OFF_INTEGRAL + i, off_total, selected)
+        replace(rows, Column.ON_MIDDLE + i, on.middle, selected)
+        replace(rows, Column.OFF_MIDDLE + i, off.middle, selected)
         bits = (_ON if on_telescoped else _ZERO) + (_OFF if off_telescoped else _ZERO)
-        replace(rows, Column.TELESCOPED + i, bits, mine)
+        replace(rows, Column.TELESCOPED + i, bits, selected)
         # The values of its end are those of the next one's start.
         replace(rows, Column.ON_RATE0 + i, on1, moves_on)
         replace(rows, Column.OFF_RATE0 + i, off1, moves_on)
-        replace(rows, Column.ON_C0 + i, there.c_on, moves_on)
-        replace(rows, Column.OFF_C0 + i, there.c_off, moves_on)
-        replace(rows, Column.ON_NU0 + i, there.nu_on, moves_on)
-        replace(rows, Column.OFF_NU0 + i, there.nu_off, moves_on)
-        replace(rows, Column.SLOPE0 + i, there.slope, moves_on)
-        replace(rows, Column.Z0 + i, there.z, moves_on)
-        replace(rows, Column.ON_RATE1 + i, on1, mine)
-        replace(rows, Column.OFF_RATE1 + i, off1, mine)
-        replace(rows, Column.ON_C1 + i, there.c_on, mine)
-        replace(rows, Column.OFF_C1 + i, there.c_off, mine)
-        replace(rows, Column.ON_NU1 + i, there.nu_on, mine)
-        replace(rows, Column.OFF_NU1 + i, there.nu_off, mine)
-        replace(rows, Column.SLOPE1 + i, there.slope, mine)
-        replace(rows, Column.Z1 + i, there.z, mine)
+        replace(rows, Column.ON_C0 + i, at_end.c_on, moves_on)
+        replace(rows, Column.OFF_C0 + i, at_end.c_off, moves_on)
+        replace(rows, Column.ON_NU0 + i, at_end.nu_on, moves_on)
+        replace(rows, Column.OFF_NU0 + i, at_end.nu_off, moves_on)
+        replace(rows, Column.SLOPE0 + i, at_end.slope, moves_on)
+        replace(rows, Column.Z0 + i, at_end.z, moves_on)
+        replace(rows, Column.ON_RATE1 + i, on1, selected)
+        replace(rows, Column.OFF_RATE1 + i, off1, selected)
+        replace(rows, Column.ON_C1 + i, at_end.c_on, selected)
+        replace(rows, Column.OFF_C1 + i, at_end.c_off, selected)
+        replace(rows, Column.ON_NU1 + i, at_end.nu_on, selected)
+        replace(rows, Column.OFF_NU1 + i, at_end.nu_off, selected)
+        replace(rows, Column.SLOPE1 + i, at_end.slope, selected)
+        replace(rows, Column.Z1 + i, at_end.z, selected)
 
 
 @lane
-def nearer_share(f: Real, h0: Real, p: Real, r: Real, wanted: Real) -> Real:
+def nearer_share(f: Real, h0: Real, p: Real, r: Real, sought: Real) -> Real:
     """Return a step of Newton's method for the share at which the integral of h0 + p x + r x^2 is `wanted`."""
     slope = max(h0 + (p + r * f) * f, _LEAST_HAZARD)
-    return min(max(f - (((_THIRD * r * f + _HALF * p) * f + h0) * f - wanted) / slope, _ZERO), _ONE)
+    return min(max(f - (((_THIRD * r * f + _HALF * p) * f + h0) * f - sought) / slope, _ZERO), _ONE)
 
 
 @vector_kernel
@@ -377,8 +388,9 @@ def choose(rows: _Float32s, n: int) -> None:
     """Choose the polarity of each column in state CUT, and its time by the parabola of the hazard where it has one."""
     use_widest_vectors()
     for i in range(n):
-        state, x, end = take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.END + i)
-        mine, left = state == CUT, take(rows, Column.LEFT + i)
+        state, x = take(rows, Column.STATE + i), take(rows, Column.AT + i)
+        end = take(rows, Column.END + i)
+        selected, left = state == CUT, take(rows, Column.LEFT + i)
         on_integral = take(rows, Column.ON_INTEGRAL + i)
         total = on_integral + take(rows, Column.OFF_INTEGRAL + i)
         on = take(rows, Column.POLARITY + i) * total < on_integral
@@ -388,16 +400,17 @@ def choose(rows: _Float32s, n: int) -> None:
         h0 = chosen(rows, Column.ON_RATE0 + i, Column.OFF_RATE0 + i, of_on)
         middle = chosen(rows, Column.ON_MIDDLE + i, Column.OFF_MIDDLE + i, of_on)
         h1 = chosen(rows, Column.ON_RATE1 + i, Column.OFF_RATE1 + i, of_on)
-        p, r, f = _FOUR * middle - _THREE * h0 - h1, _TWO * (h0 - _TWO * middle + h1), left / total
-        wanted = f * (h0 + _HALF * p + _THIRD * r)
-        f = nearer_share(f, h0, p, r, wanted)
-        f = nearer_share(f, h0, p, r, wanted)
-        f = nearer_share(f, h0, p, r, wanted)
-        replace(rows, Column.EVENT + i, end if over_distance else x + f * (end - x), mine)
-        replace(rows, Column.SIGN + i, _ONE if on else -_ONE, mine)
-        replace(rows, Column.C + i, chosen(rows, Column.ON_C1 + i, Column.OFF_C1 + i, of_on), mine)
-        replace(rows, Column.NU + i, chosen(rows, Column.ON_NU1 + i, Column.OFF_NU1 + i, of_on), mine)
-        put(rows, Column.STATE + i, (SEEK if over_distance else AGED) if mine else state)
+        p, r = _FOUR * middle - _THREE * h0 - h1, _TWO * (h0 - _TWO * middle + h1)
+        f = left / total
+        sought = f * (h0 + _HALF * p + _THIRD * r)
+        f = nearer_share(f, h0, p, r, sought)
+        f = nearer_share(f, h0, p, r, sought)
+        f = nearer_share(f, h0, p, r, sought)
+        replace(rows, Column.EVENT + i, end if over_distance else x + f * (end - x), selected)
+        replace(rows, Column.SIGN + i, _ONE if on else -_ONE, selected)
+        replace(rows, Column.C + i, chosen(rows, Column.ON_C1 + i, Column.OFF_C1 + i, of_on), selected)
+        replace(rows, Column.NU + i, chosen(rows, Column.ON_NU1 + i, Column.OFF_NU1 + i, of_on), selected)
+        put(rows, Column.STATE + i, (SEEK if over_distance else AGED) if selected else state)
 
 
 class Approach(NamedTuple):
@@ -440,9 +453,14 @@ def nearer_event(tables: _Float32s, at: Bracket, seen: Seen, approach: Approach)
 
 
 @lane
-def seen_at(near: Nearness, up: Real) -> Seen:
+def seen_at(closeness: Nearness, up: Real) -> Seen:
     """Return what an approach sees of one threshold."""
-    return Seen(near.c_on if up else near.c_off, near.nu_on if up else near.nu_off, near.slope, near.z)
+    return Seen(
+        closeness.c_on if up else closeness.c_off,
+        closeness.nu_on if up else closeness.nu_off,
+        closeness.slope,
+        closeness.z,
+    )
 
 
 @vector_kernel
@@ -451,7 +469,7 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
     use_widest_vectors()
     for i in range(n):
         state = take(rows, Column.STATE + i)
-        mine, up = state == SEEK, take(rows, Column.SIGN + i) > _ZERO
+        selected, up = state == SEEK, take(rows, Column.SIGN + i) > _ZERO
         c0 = chosen(rows, Column.ON_C0 + i, Column.OFF_C0 + i, _ONE if up else _ZERO)
         c0 = _AFAR if take(rows, Column.BEGINS + i) > _ZERO else c0
         approach = Approach(c0, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
@@ -467,20 +485,20 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
-        replace(rows, Column.EVENT + i, at.x, mine)
-        put(rows, Column.STATE + i, AGED if mine else state)
+        replace(rows, Column.EVENT + i, at.x, selected)
+        put(rows, Column.STATE + i, AGED if selected else state)
 
 
 @lane
-def store_event(rows: _Float32s, i: int, near: Nearness, c: Real, nu: Real, mine: Real) -> None:
+def store_event(rows: _Float32s, i: int, closeness: Nearness, c: Real, nu: Real, selected: Real) -> None:
     """Store the noise of column i's event."""
-    replace(rows, Column.C + i, c, mine)
-    replace(rows, Column.NU + i, nu, mine)
-    replace(rows, Column.SLOPE + i, near.slope, mine)
-    replace(rows, Column.DEVIATION + i, near.deviation, mine)
-    replace(rows, Column.PULL + i, near.pull, mine)
-    replace(rows, Column.MEAN_SLOPE + i, near.mean_slope, mine)
-    replace(rows, Column.EVENT_Z + i, near.z, mine)
+    replace(rows, Column.C + i, c, selected)
+    replace(rows, Column.NU + i, nu, selected)
+    replace(rows, Column.SLOPE + i, closeness.slope, selected)
+    replace(rows, Column.DEVIATION + i, closeness.deviation, selected)
+    replace(rows, Column.PULL + i, closeness.pull, selected)
+    replace(rows, Column.MEAN_SLOPE + i, closeness.mean_slope, selected)
+    replace(rows, Column.EVENT_Z + i, closeness.z, selected)
 
 
 @vector_kernel
@@ -489,10 +507,17 @@ def age(rows: _Float32s, n: int) -> None:
     use_widest_vectors()
     for i in range(n):
         state = take(rows, Column.STATE + i)
-        mine, up = state == AGED, take(rows, Column.SIGN + i) > _ZERO
-        near = near_at(rows, i, take(rows, Column.EVENT + i))
-        store_event(rows, i, near, near.c_on if up else near.c_off, near.nu_on if up else near.nu_off, mine)
-        put(rows, Column.STATE + i, PLACED if mine else state)
+        selected, up = state == AGED, take(rows, Column.SIGN + i) > _ZERO
+        closeness = near_at(rows, i, take(rows, Column.EVENT + i))
+        store_event(
+            rows,
+            i,
+            closeness,
+            closeness.c_on if up else closeness.c_off,
+            closeness.nu_on if up else closeness.nu_off,
+            selected,
+        )
+        put(rows, Column.STATE + i, PLACED if selected else state)
 
 
 @vector_kernel
@@ -500,8 +525,10 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
     """Find the event of each column in state DIRECT by three steps of Newton's method, or leave it to slices."""
     use_widest_vectors()
     for i in range(n):
-        state, x, end = take(rows, Column.STATE + i), take(rows, Column.AT + i), take(rows, Column.BURST_END + i)
-        mine, curve, reset = state == DIRECT, curve_of(rows, i), take(rows, Column.RESET + i)
+        state, x = take(rows, Column.STATE + i), take(rows, Column.AT + i)
+        end = take(rows, Column.BURST_END + i)
+        selected, curve = state == DIRECT, curve_of(rows, i)
+        reset = take(rows, Column.RESET + i)
         w0, w1 = value_at(curve, x), value_at(curve, end)
         up = w1 > w0
         sign, reference = _ONE if up else -_ONE, take(rows, Column.REFERENCE + i)
@@ -514,27 +541,27 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
         sigma = take(rows, Column.SIGMA + i) + max(take(rows, Column.D_SIGMA + i), _ZERO)
         good = sign * speed_at(curve, at.x) > _STEEP * take(rows, Column.RATE + i) * sigma
         # A signal that crosses all of the noise within the resolution of the time needs no more.
-        passes, there = at.x, near_at(rows, i, at.x)
-        swift = ahead & (sign * speed_at(curve, passes) * _RESOLVED > sigma * there.deviation)
-        begun, near = x > reset + _BEGUN, near_at(rows, i, x)
-        c0 = near.c_on if up else near.c_off
+        passes, at_end = at.x, near_at(rows, i, at.x)
+        swift = ahead & (sign * speed_at(curve, passes) * _RESOLVED > sigma * at_end.deviation)
+        begun, closeness = x > reset + _BEGUN, near_at(rows, i, x)
+        c0 = closeness.c_on if up else closeness.c_off
         approach = Approach(c0 if begun else _AFAR, take(rows, Column.LEFT + i), take(rows, Column.APART + i))
         at = Bracket(at.x, x, end)
-        seen = seen_at(there, up)
+        seen = seen_at(at_end, up)
         good = good & (seen.nu > _STILL_STEEP)
         at = nearer_event(tables, at, seen, approach).at
         seen = seen_at(near_at(rows, i, at.x), up)
         good = good & (seen.nu > _STILL_STEEP)
         at = nearer_event(tables, at, seen, approach).at
-        near = near_at(rows, i, at.x)
-        seen = seen_at(near, up)
+        closeness = near_at(rows, i, at.x)
+        seen = seen_at(closeness, up)
         target = nearer_event(tables, at, seen, approach)
         good = (good & (seen.nu > _STILL_STEEP) & target.inside & (abs(seen.c - target.c) < _CONVERGED)) | swift
         skipped = take(rows, Column.SKIPPED + i)
         skips = skipped > _ZERO
-        replace(rows, Column.EVENT + i, passes if swift else target.at.x, mine)
-        replace(rows, Column.SIGN + i, sign, mine)
-        store_event(rows, i, near, _ZERO if swift else target.c, _FASTEST if swift else seen.nu, mine)
-        replace(rows, Column.BEGINS + i, _ZERO if begun | skips else _ONE, mine)
-        put(rows, Column.AT + i, skipped if mine & ~good & skips else x)
-        put(rows, Column.STATE + i, (PLACED if good else (FIRST if begun | skips else SLICE)) if mine else state)
+        replace(rows, Column.EVENT + i, passes if swift else target.at.x, selected)
+        replace(rows, Column.SIGN + i, sign, selected)
+        store_event(rows, i, closeness, _ZERO if swift else target.c, _FASTEST if swift else seen.nu, selected)
+        replace(rows, Column.BEGINS + i, _ZERO if begun | skips else _ONE, selected)
+        put(rows, Column.AT + i, skipped if selected & ~good & skips else x)
+        put(rows, Column.STATE + i, (PLACED if good else (FIRST if begun | skips else SLICE)) if selected else state)

@@ -62,8 +62,10 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
     """Write the certificate of each visited pixel at the end of its piece."""
     use_widest_vectors()
     for j in range(n):
-        reference, left, span = take(rows, Visit.REFERENCE + j), take(rows, Visit.LEFT + j), take(rows, Visit.SPAN + j)
-        rate, rms, curve = take(rows, Visit.RATE1 + j), take(rows, Visit.RMS + j), curve_of_visit(rows, j)
+        reference, left = take(rows, Visit.REFERENCE + j), take(rows, Visit.LEFT + j)
+        span = take(rows, Visit.SPAN + j)
+        rate, rms = take(rows, Visit.RATE1 + j), take(rows, Visit.RMS + j)
+        curve = curve_of_visit(rows, j)
         leak, lit = take(rows, Visit.LEAK + j), take(rows, Visit.LIT + j)
         value, moving = value_at(curve, _ONE), speed_at(curve, _ONE) / span - leak
         noise = noise_in(rate, c.pole, rms, c.high)

@@ -69,9 +69,11 @@ def leave(rows: _Float32s, tables: _Float32s, n: int) -> None:
     """
     use_widest_vectors()
     for i in range(n):
-        mine = take(rows, Column.STATE + i) == PLACED
-        x, sign, c = take(rows, Column.EVENT + i), take(rows, Column.SIGN + i), take(rows, Column.C + i)
-        nu, z, curve = take(rows, Column.NU + i), take(rows, Column.EVENT_Z + i), curve_of(rows, i)
+        selected = take(rows, Column.STATE + i) == PLACED
+        x, sign = take(rows, Column.EVENT + i), take(rows, Column.SIGN + i)
+        c = take(rows, Column.C + i)
+        nu, z = take(rows, Column.NU + i), take(rows, Column.EVENT_Z + i)
+        curve = curve_of(rows, i)
         w, reference = value_at(curve, x), take(rows, Column.REFERENCE + i)
         threshold = chosen(rows, Column.ON + i, Column.OFF + i, _ONE if sign > _ZERO else _ZERO)
         deviation = noise_at(rows, i, x).sigma * take(rows, Column.DEVIATION + i)
@@ -83,11 +85,11 @@ def leave(rows: _Float32s, tables: _Float32s, n: int) -> None:
         outward = deviation * (outward * take(rows, Column.SLOPE + i) + c * take(rows, Column.PULL + i))
         slope = take(rows, Column.MEAN_SLOPE + i) + (_ZERO if deep else sign * outward)
         gone = sign * (w - (reference - take(rows, Column.N + i)))
-        replace(rows, Column.OF_NOISE + i, _ONE if gone < _HALF * threshold else _ZERO, mine)
-        replace(rows, Column.N + i, value, mine)
+        replace(rows, Column.OF_NOISE + i, _ONE if gone < _HALF * threshold else _ZERO, selected)
+        replace(rows, Column.N + i, value, selected)
         # One pole's noise has no slope: any signal is slow beside it.
         steep = _STEEPEST * take(rows, Column.SPAN + i)
-        replace(rows, Column.V + i, sign * steep if z > ONE_POLE else slope, mine)
+        replace(rows, Column.V + i, sign * steep if z > ONE_POLE else slope, selected)
 
 
 @vector_kernel
@@ -96,31 +98,32 @@ def reset(rows: _Float32s, n: int) -> None:
     use_widest_vectors()
     for i in range(n):
         state = take(rows, Column.STATE + i)
-        mine, event = state == PLACED, take(rows, Column.EVENT + i)
+        selected, event = state == PLACED, take(rows, Column.EVENT + i)
         dead = take(rows, Column.DEAD + i) + take(rows, Column.LATE + i)
-        noise, value, slope = noise_at(rows, i, event), take(rows, Column.N + i), take(rows, Column.V + i)
-        one, m = noise.z > ONE_POLE, moments_over(dead, noise)
+        noise, value = noise_at(rows, i, event), take(rows, Column.N + i)
+        slope = take(rows, Column.V + i)
+        single, m = noise.z > ONE_POLE, moments_over(dead, noise)
         g1, g2 = take(rows, Column.NORMAL + i), take(rows, Column.NORMAL2 + i)
         product, total = noise.a1 * noise.a2, noise.a1 + noise.a2
         deviation = np.sqrt(max(m.v, _ZERO))
         shared = total * m.p12 * m.b12 / max(deviation, _LEAST_DEVIATION)
         alone = np.sqrt(max(m.w - shared * shared, _ZERO))
         of_one = value * m.e + noise.sigma * np.sqrt(decay(_TWO * noise.rate * dead)) * g1
-        n_after = of_one if one else m.p11 * value + m.p12 * slope + noise.sigma * deviation * g1
+        n_after = of_one if single else m.p11 * value + m.p12 * slope + noise.sigma * deviation * g1
         v_after = m.p22 * slope - product * m.p12 * value + noise.sigma * noise.rate * (shared * g1 + alone * g2)
-        start = Start(n_after, _ZERO if one else v_after)
+        start = Start(n_after, _ZERO if single else v_after)
         armed, offset = event + dead, take(rows, Column.OFFSET + i)
         reference = value_at(curve_of(rows, i), armed) + n_after + offset
-        late, drawn = armed >= _ONE, take(rows, Column.DRAWN + i)
+        late, number = armed >= _ONE, take(rows, Column.DRAWN + i)
         # The burst that follows.
-        b = bound_of(rows, i, armed, armed, reference, drawn, start)
+        b = bound_of(rows, i, armed, armed, reference, number, start)
         after = after_bound(b, armed, armed, take(rows, Column.BURST + i))
-        put(rows, Column.STATE + i, (DONE if late else after.state) if mine else state)
-        replace(rows, Column.AT + i, max(armed, _ONE) if late else after.x, mine)
-        replace(rows, Column.RESET + i, armed, mine)
-        replace(rows, Column.REFERENCE + i, _NAN if late else reference, mine)
-        replace(rows, Column.LEFT + i, drawn, mine)
-        replace(rows, Column.N + i, start.n, mine)
-        replace(rows, Column.V + i, start.v, mine)
-        replace(rows, Column.LIMIT + i, _TWO, mine)
-        store_bound(rows, i, b, after, mine)
+        put(rows, Column.STATE + i, (DONE if late else after.state) if selected else state)
+        replace(rows, Column.AT + i, max(armed, _ONE) if late else after.x, selected)
+        replace(rows, Column.RESET + i, armed, selected)
+        replace(rows, Column.REFERENCE + i, _NAN if late else reference, selected)
+        replace(rows, Column.LEFT + i, number, selected)
+        replace(rows, Column.N + i, start.n, selected)
+        replace(rows, Column.V + i, start.v, selected)
+        replace(rows, Column.LIMIT + i, _TWO, selected)
+        store_bound(rows, i, b, after, selected)

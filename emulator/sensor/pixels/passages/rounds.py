@@ -100,7 +100,9 @@ def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
     """Exchange the columns of a state, or all that are not DONE, to the front of the first n."""
     rows, pairs = columns.rows, columns.pairs
     # Pairs that use few rows are listed from the front, others from the back.
-    front, back, few, many, used = NONE, n - 1, NONE, np.int64(2 * CAPACITY), np.int64(IN_PARTS)
+    front, back = NONE, n - 1
+    few, many = NONE, np.int64(2 * CAPACITY)
+    used = np.int64(IN_PARTS)
     while True:
         while front < back and ((rows[front] != DONE) if state < DONE else (rows[front] == state)):
             front += 1
@@ -182,7 +184,9 @@ def _let_fire(  # noqa: PLR0913, PLR0917
 
     Returns the number of events in `keys`, and of those that are lost.
     """
-    columns, rows, listed, placed, lost = visits.columns, visits.columns.rows, visits.columns.pairs, NONE, NONE
+    columns, rows = visits.columns, visits.columns.rows
+    listed, placed = visits.columns.pairs, NONE
+    lost = NONE
     for i in range(n):
         listed[placed] = i
         placed += rows[Column.STATE + i] == PLACED
@@ -227,7 +231,8 @@ class Progress(NamedTuple):
 @cached_kernel
 def begin(visits: Visits, n: int, c: StepConstants, constants: Constants) -> int:
     """Set up columns for the flagged of the n visited pixels; return their number."""
-    columns, rows, m = visits.columns, visits.columns.rows, NONE
+    columns, rows = visits.columns, visits.columns.rows
+    m = NONE
     for j in range(n):
         columns.visits[m] = j
         m += visits.rows[Visit.FLAG + j] > 0
@@ -248,7 +253,8 @@ def begin(visits: Visits, n: int, c: StepConstants, constants: Constants) -> int
 @kernel
 def _front_of(columns: Columns, best: int, active: int) -> int:
     """Return the length of the range that holds the columns of a state, after an exchange where it is sparse."""
-    rows, state, n = columns.rows, np.float32(best), active
+    rows, state = columns.rows, np.float32(best)
+    n = active
     sliced = best == State.SLICE
     while rows[n - 1] != state and not (sliced and rows[n - 1] == FIRST):
         n -= 1
@@ -264,7 +270,8 @@ def go_through(  # noqa: PLR0912, PLR0913, PLR0917
 ) -> Progress:
     """Take the columns through their pieces, until all are DONE or `keys` have no room for the events of a round."""
     columns, rows = visits.columns, visits.columns.rows
-    active, n_keys, lost = at.active, at.n_keys, at.lost
+    active, n_keys = at.active, at.n_keys
+    lost = at.lost
     while stop[0] == 0 and keys.size - n_keys >= active:
         _count(rows, columns.counts, whole_vectors(active))
         total, best = NONE, _LIKELIEST
@@ -303,7 +310,8 @@ def go_through(  # noqa: PLR0912, PLR0913, PLR0917
 @kernel
 def end(visits: Visits, m: int) -> None:
     """Write the state of the m columns to the visited pixels."""
-    columns, rows, of_visits = visits.columns, visits.columns.rows, visits.rows
+    columns, rows = visits.columns, visits.columns.rows
+    of_visits = visits.rows
     for i in range(m):
         j = columns.visits[i]
         of_visits[Visit.REFERENCE + j] = rows[Column.REFERENCE + i]

@@ -56,7 +56,8 @@ _Float32s = npt.NDArray[np.float32]
 _ZERO, _HALF, _ONE, _TWO, _THREE, _FOUR, _SIX = (np.float32(x) for x in (0, 0.5, 1, 2, 3, 4, 6))
 _GAINED = np.float32(1.27)  # 4 / pi: deviations times c over which a hazard is gained
 _CELL = np.float32(0.6)  # change of c times c below which a part is a cell
-_TINY, _LEAST_SPEED, _LEAST_INTEGRAL = np.float32(1e-9), np.float32(1e-6), np.float32(1e-30)
+_TINY, _LEAST_SPEED = np.float32(1e-9), np.float32(1e-6)
+_LEAST_INTEGRAL = np.float32(1e-30)
 _BEYOND = np.float32(-4)  # deviations behind a threshold at which a passage is certain
 _BENDS = np.float32(1 / 24)
 _UNRESOLVED = np.float32(16)  # difference of two squares of c beyond which the far end adds nothing
@@ -84,7 +85,7 @@ class Integral(NamedTuple):
     value: Real
     nu: Real
     cell: Real
-    near: Real
+    closeness: Real
 
 
 @lane
@@ -99,23 +100,23 @@ def integral_of(tables: _Float32s, k: Real, apart: Real, ends: Ends, q: Real) ->
     """Return a threshold's integral over a part of q time constants, in slice k."""
     travel = ends.c0 - ends.c1
     size, toward = abs(travel), travel > _ZERO
-    near, far = min(ends.c0, ends.c1), max(ends.c0, ends.c1)
-    cell = size * max(near, _ONE) < _CELL
-    counts = near_speed(ends.nu1 if toward else -ends.nu0, ends.bend1 if toward else ends.bend0, near, size)
+    closeness, distant = min(ends.c0, ends.c1), max(ends.c0, ends.c1)
+    cell = size * max(closeness, _ONE) < _CELL
+    counts = near_speed(ends.nu1 if toward else -ends.nu0, ends.bend1 if toward else ends.bend0, closeness, size)
     nu = travel / q if cell else (counts if toward else -counts)
     steep, middle = _ONE + abs(nu), _HALF * (ends.c0 + ends.c1)
     rho = nu / steep
     # One look-up serves both forms: the hazard of a cell's middle, or the integral beyond the near end.
-    at = middle if cell else near
+    at = middle if cell else closeness
     at += farther(at, nu, apart)
     value = density_or_integral(tables, ~cell, k, rho, at)
-    beyond = integral_beyond(tables, k, rho, far + farther(far, nu, apart))
-    beyond = beyond if (far - near) * (far + near) < _UNRESOLVED else _ZERO
+    beyond = integral_beyond(tables, k, rho, distant + farther(distant, nu, apart))
+    beyond = beyond if (distant - closeness) * (distant + closeness) < _UNRESOLVED else _ZERO
     bent = _ONE + travel * travel * (middle * middle - _ONE) * _BENDS  # mean of the Gaussian over the cell
     in_cell = q * steep * value * steeper_beyond(at) * bent
     along = max((value - beyond) / max(abs(rho), _TINY), _ZERO)
-    total = in_cell if cell else (CERTAIN if near < _BEYOND else along)
-    return Integral(total if near < FARTHEST else _ZERO, nu, cell, near)
+    total = in_cell if cell else (CERTAIN if closeness < _BEYOND else along)
+    return Integral(total if closeness < FARTHEST else _ZERO, nu, cell, closeness)
 
 
 class Both(NamedTuple):
@@ -149,7 +150,8 @@ def integrals(tables: _Float32s, curve: Curve, span: Span, widening: Widening, n
     i1 = _ONE / (widening.sigma + widening.change * span.x1)
     per = _ONE / noise.rate
     u0, u1 = i0 * per, i1 * per
-    on0, on1, off0, off1 = (span.on - w0) * i0, (span.on - w1) * i1, (span.off + w0) * i0, (span.off + w1) * i1
+    on0, on1 = (span.on - w0) * i0, (span.on - w1) * i1
+    off0, off1 = (span.off + w0) * i0, (span.off + w1) * i1
     v0, v1 = speed_at(curve, span.x0) * u0, speed_at(curve, span.x1) * u1
     b0, b1 = bend_at(curve, span.x0) * u0 * per, bend_at(curve, span.x1) * u1 * per
     n0, n1 = widening.change * u0, widening.change * u1  # a sigma that grows brings both thresholds nearer
@@ -165,9 +167,10 @@ def part(rows: _Float32s, tables: _Float32s, n: int) -> None:
     use_widest_vectors()
     for i in range(n):
         state = take(rows, Column.STATE + i)
-        mine = state == PART
+        selected = state == PART
         # The part: to the next turn, or as short as it was made.
-        x, turn, turn2 = take(rows, Column.AT + i), take(rows, Column.TURN + i), take(rows, Column.TURN2 + i)
+        x, turn = take(rows, Column.AT + i), take(rows, Column.TURN + i)
+        turn2 = take(rows, Column.TURN2 + i)
         limit = take(rows, Column.LIMIT + i)
         end = min(turn if x < turn else (turn2 if x < turn2 else _ONE), limit)
         reference, left = take(rows, Column.REFERENCE + i), take(rows, Column.LEFT + i)
@@ -192,17 +195,17 @@ def part(rows: _Float32s, tables: _Float32s, n: int) -> None:
         fired = ~(total < left)
         burst_end = take(rows, Column.RESET + i) + take(rows, Column.BURST + i)
         passed = DONE if end >= _ONE else (BURST if end < burst_end else PART)
-        go = mine & ~short & ~fired
-        put(rows, Column.STATE + i, (PART if short else (FIRED if fired else passed)) if mine else state)
-        put(rows, Column.LIMIT + i, (shorter if short else _TWO) if mine else limit)
+        go = selected & ~short & ~fired
+        put(rows, Column.STATE + i, (PART if short else (FIRED if fired else passed)) if selected else state)
+        put(rows, Column.LIMIT + i, (shorter if short else _TWO) if selected else limit)
         put(rows, Column.AT + i, end if go else x)
         put(rows, Column.LEFT + i, left - total if go else left)
-        replace(rows, Column.END + i, end, mine)
-        replace(rows, Column.ON_INTEGRAL + i, on_integral, mine)
-        replace(rows, Column.OFF_INTEGRAL + i, off_integral, mine)
-        replace(rows, Column.ON_SPEED + i, on.nu, mine)
-        replace(rows, Column.OFF_SPEED + i, off.nu, mine)
-        replace(rows, Column.CELL + i, (_ON if on.cell else _ZERO) + (_OFF if off.cell else _ZERO), mine)
+        replace(rows, Column.END + i, end, selected)
+        replace(rows, Column.ON_INTEGRAL + i, on_integral, selected)
+        replace(rows, Column.OFF_INTEGRAL + i, off_integral, selected)
+        replace(rows, Column.ON_SPEED + i, on.nu, selected)
+        replace(rows, Column.OFF_SPEED + i, off.nu, selected)
+        replace(rows, Column.CELL + i, (_ON if on.cell else _ZERO) + (_OFF if off.cell else _ZERO), selected)
 
 
 class Bracket(NamedTuple):
@@ -216,7 +219,8 @@ class Bracket(NamedTuple):
 @lane
 def nearer_root(at: Bracket, rising: Real, base: Real, curve: Curve) -> Bracket:
     """Return a step of Halley's method for base + curve = 0, kept within its bounds."""
-    value, slope, bend = base + value_at(curve, at.x), speed_at(curve, at.x), bend_at(curve, at.x)
+    value, slope = base + value_at(curve, at.x), speed_at(curve, at.x)
+    bend = bend_at(curve, at.x)
     before = (value < _ZERO) == rising
     low, high = at.x if before else at.low, at.high if before else at.x
     x = at.x - value * slope / (slope * slope - _HALF * value * bend)
@@ -240,7 +244,7 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
     use_widest_vectors()
     for i in range(n):
         state = take(rows, Column.STATE + i)
-        mine = state == FIRED
+        selected = state == FIRED
         x, end = take(rows, Column.AT + i), take(rows, Column.END + i)
         reference, left = take(rows, Column.REFERENCE + i), take(rows, Column.LEFT + i)
         on_level, off_level = take(rows, Column.ON + i) + reference, take(rows, Column.OFF + i) - reference
@@ -253,7 +257,8 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
             _ONE / (sigma + change * x),
             _ONE / (sigma + change * end),
         )
-        on0, on1, off0, off1 = (on_level - w0) * i0, (on_level - w1) * i1, (off_level + w0) * i0, (off_level + w1) * i1
+        on0, on1 = (on_level - w0) * i0, (on_level - w1) * i1
+        off0, off1 = (off_level + w0) * i0, (off_level + w1) * i1
         # The polarity: by chance in two cells, else the threshold that recedes comes first.
         on_integral, off_integral = take(rows, Column.ON_INTEGRAL + i), take(rows, Column.OFF_INTEGRAL + i)
         cells, total = take(rows, Column.CELL + i), on_integral + off_integral
@@ -262,13 +267,13 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         by_first = left < of_first
         is_on = (take(rows, Column.POLARITY + i) * total < on_integral) if in_cells else (on_first == by_first)
         integral = chosen(rows, Column.ON_INTEGRAL + i, Column.OFF_INTEGRAL + i, _ONE if is_on else _ZERO)
-        rest = left * integral / total if in_cells else (left if by_first else left - of_first)
+        remaining = left * integral / total if in_cells else (left if by_first else left - of_first)
         c0, c1 = on0 if is_on else off0, on1 if is_on else off1
         sign = _ONE if is_on else -_ONE
         # In a cell: the hazard is exponential in time.
         growth = _HALF * (c0 + c1) * (c0 - c1)
         grows = abs(growth) > _LITTLE
-        share, growth = rest / max(integral, _LEAST_INTEGRAL), growth if grows else _ONE
+        share, growth = remaining / max(integral, _LEAST_INTEGRAL), growth if grows else _ONE
         share = log_of_one_more(share * exponential_less_one(growth)) / growth if grows else share
         in_cell = x + min(max(share, _ZERO), _ONE) * (end - x)
         # Along an approach, or receding: the place by the inverse integral, at the speed at 3 deviations first.
@@ -278,10 +283,10 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         nu = chosen(rows, Column.ON_SPEED + i, Column.OFF_SPEED + i, _ONE if is_on else _ZERO)
         nu = fast if approach & (c1 < _TWO) else nu
         rho = rho_of(nu)
-        least, most = min(c0, c1), max(c0, c1)
-        before, used = integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart)), rest * abs(rho)
+        least, largest = min(c0, c1), max(c0, c1)
+        before, used = integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart)), remaining * abs(rho)
         c = place_of(tables, k, rho, used + before if approach else before - used)
-        c = min(max(c - farther(c, nu, noise.apart), least), most)
+        c = min(max(c - farther(c, nu, noise.apart), least), largest)
         # A place c deviations before the level, which is `distance` away: the curve there is a cubic still.
         distance = on_level if is_on else -off_level
         at_c = Curve(curve.c1 + sign * c * change, curve.c2, curve.c3)
@@ -293,9 +298,9 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         nu = max(near_speed(v, -sign * bend_at(curve, at.x) * inverse * per * per, c, c0 - c), _LEAST_SPEED)
         rho = rho_of(nu)
         better = place_of(
-            tables, k, rho, rest * rho + integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart))
+            tables, k, rho, remaining * rho + integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart))
         )
-        better = min(max(better - farther(better, nu, noise.apart), least), most)
+        better = min(max(better - farther(better, nu, noise.apart), least), largest)
         c = better if approach else c
         base, at_c = sign * c * sigma - distance, Curve(curve.c1 + sign * c * change, curve.c2, curve.c3)
         rising = base + value_at(at_c, x) < _ZERO
@@ -305,13 +310,13 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         event = in_cell if is_cell else at.x
         sigma_there = sigma + change * event
         c = sign * (distance - value_at(curve, event)) / sigma_there
-        replace(rows, Column.EVENT + i, event, mine)
-        replace(rows, Column.SIGN + i, sign, mine)
-        replace(rows, Column.C + i, c, mine)
-        replace(rows, Column.NU + i, (sign * speed_at(curve, event) + c * change) / sigma_there * per, mine)
-        replace(rows, Column.SLOPE + i, noise.rate, mine)
-        replace(rows, Column.DEVIATION + i, _ONE, mine)
-        replace(rows, Column.PULL + i, _ZERO, mine)
-        replace(rows, Column.MEAN_SLOPE + i, _ZERO, mine)
-        replace(rows, Column.EVENT_Z + i, noise.z, mine)
-        put(rows, Column.STATE + i, PLACED if mine else state)
+        replace(rows, Column.EVENT + i, event, selected)
+        replace(rows, Column.SIGN + i, sign, selected)
+        replace(rows, Column.C + i, c, selected)
+        replace(rows, Column.NU + i, (sign * speed_at(curve, event) + c * change) / sigma_there * per, selected)
+        replace(rows, Column.SLOPE + i, noise.rate, selected)
+        replace(rows, Column.DEVIATION + i, _ONE, selected)
+        replace(rows, Column.PULL + i, _ZERO, selected)
+        replace(rows, Column.MEAN_SLOPE + i, _ZERO, selected)
+        replace(rows, Column.EVENT_Z + i, noise.z, selected)
+        put(rows, Column.STATE + i, PLACED if selected else state)

@@ -66,10 +66,12 @@ def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
     """Lessen what is left of each visited pixel by the integral of the time in which it rested."""
     use_widest_vectors()
     for j in range(n):
-        span, rested, left = take(rows, Visit.SPAN + j), take(rows, Visit.RESTED + j), take(rows, Visit.LEFT + j)
+        span, rested = take(rows, Visit.SPAN + j), take(rows, Visit.RESTED + j)
+        left = take(rows, Visit.LEFT + j)
         noise = in_pieces(noise_in(take(rows, Visit.RATE0 + j), c.pole, take(rows, Visit.RMS + j), c.high), span)
         reference, seen = take(rows, Visit.REFERENCE + j), take(rows, Visit.SEEN + j)
-        on, off, inverse = take(rows, Visit.ON + j), take(rows, Visit.OFF + j), _ONE / noise.sigma
+        on, off = take(rows, Visit.ON + j), take(rows, Visit.OFF + j)
+        inverse = _ONE / noise.sigma
         k, q = slice_of(noise.z), max(rested * noise.rate, _TINY)
         on0, on1, off0, off1 = (
             (on - seen) * inverse,
@@ -104,23 +106,25 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
             take(rows, Visit.LEFT + j),
             take(rows, Visit.RESET + j),
         )
-        rate0, rate1, rms = take(rows, Visit.RATE0 + j), take(rows, Visit.RATE1 + j), take(rows, Visit.RMS + j)
+        rate0, rate1 = take(rows, Visit.RATE0 + j), take(rows, Visit.RATE1 + j)
+        rms = take(rows, Visit.RMS + j)
         span, middle = take(rows, Visit.SPAN + j), _HALF * (rate0 + rate1)
         noise = in_pieces(noise_in(middle, c.pole, rms, c.high), span)
         # The chord of sigma behind two poles, by its derivative: sigma^2 is rms^2 a2 / (a1 + a2).
         widens = -_HALF * noise.sigma * (rate1 - rate0) / (middle + c.pole) if noise.z < ONE_POLE else _ZERO
         widening, curve = Widening(noise.sigma - _HALF * widens, widens), curve_of_visit(rows, j)
         on, off = take(rows, Visit.ON + j) + reference, take(rows, Visit.OFF + j) - reference
-        both = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise)
-        total = both.on.value + both.off.value
+        pair = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise)
+        total = pair.on.value + pair.off.value
         # A curve that turns may come nearer than its ends: it stays within its Bernstein coefficients.
-        b1, b2, b3 = _THIRD * curve.c1, _THIRD * (_TWO * curve.c1 + curve.c2), curve.c1 + curve.c2 + curve.c3
+        b1, b2 = _THIRD * curve.c1, _THIRD * (_TWO * curve.c1 + curve.c2)
+        b3 = curve.c1 + curve.c2 + curve.c3
         highest, lowest = max(max(b1, b2), max(b3, _ZERO)), min(min(b1, b2), min(b3, _ZERO))
         is_near = min(on - highest, off + lowest) < FARTHEST * (noise.sigma + _HALF * abs(widens))
         end = curve.c1 + _TWO * curve.c2 + _THREE * curve.c3
         turns = (curve.c1 * end < _ZERO) | (curve.c1 * (curve.c1 + curve.c2) < _ZERO)
         short = (
-            (min(both.on.value, both.off.value) > _BOTH) & (total > _BOTH_TOGETHER) & ~(both.on.cell & both.off.cell)
+            (min(pair.on.value, pair.off.value) > _BOTH) & (total > _BOTH_TOGETHER) & ~(pair.on.cell & pair.off.cell)
         )
         paired = (on + off) / noise.sigma < _TWO * _PAIR_ALONE
         changes = abs(rate1 - rate0) > _CHANGES * middle
@@ -138,7 +142,8 @@ def fill(rows: _Float32s, visits: _Float32s, listed: _Int32s, n: int, c: Constan
     use_widest_vectors()
     for i in range(n):
         j = take(listed, i)
-        c1, c2, c3 = pick(visits, Visit.C1, j), pick(visits, Visit.C2, j), pick(visits, Visit.C3, j)
+        c1, c2 = pick(visits, Visit.C1, j), pick(visits, Visit.C2, j)
+        c3 = pick(visits, Visit.C3, j)
         span, rms = pick(visits, Visit.SPAN, j), pick(visits, Visit.RMS, j)
         rate0, rate1 = pick(visits, Visit.RATE0, j), pick(visits, Visit.RATE1, j)
         n0 = in_pieces(noise_in(rate0, c.pole, rms, c.high), span)
@@ -148,22 +153,25 @@ def fill(rows: _Float32s, visits: _Float32s, listed: _Int32s, n: int, c: Constan
         alike = (n0.z > ONE_POLE) == (n1.z > ONE_POLE)
         a_sigma, b_sigma = n0.sigma if alike else middle.sigma, n1.sigma if alike else middle.sigma
         a_rate, b_rate = n0.rate if alike else middle.rate, n1.rate if alike else middle.rate
-        a_z, b_z, apart = n0.z if alike else middle.z, n1.z if alike else middle.z, n0.apart if alike else middle.apart
+        a_z, b_z = n0.z if alike else middle.z, n1.z if alike else middle.z
+        apart = n0.apart if alike else middle.apart
         a_a1, b_a1 = n0.a1 if alike else middle.a1, n1.a1 if alike else middle.a1
         a_a2, b_a2 = n0.a2 if alike else middle.a2, n1.a2 if alike else middle.a2
         single = a_z > ONE_POLE
         slowest = min(a_rate, b_rate) if single else min(min(a_a1, b_a1), min(a_a2, b_a2))
         # The turns: the larger root first, without cancellation, the other one from the product of both.
-        last, half, square = c1 + _TWO * c2 + _THREE * c3, c1 + c2, c2 * c2 - _THREE * c3 * c1
+        last, half = c1 + _TWO * c2 + _THREE * c3, c1 + c2
+        square = c2 * c2 - _THREE * c3 * c1
         root = np.sqrt(max(square, _ZERO))
-        both = -(c2 + (root if c2 > _ZERO else -root))
-        x1, x2 = both / (_THREE * c3), c1 / both
+        pair = -(c2 + (root if c2 > _ZERO else -root))
+        x1, x2 = pair / (_THREE * c3), c1 / pair
         turns = (min(min(c1, half), last) < _ZERO) & (max(max(c1, half), last) > _ZERO) & (square > _ZERO)
         x1 = x1 if turns & (x1 > _ZERO) & (x1 < _ONE) else _ONE
         x2 = x2 if turns & (x2 > _ZERO) & (x2 < _ONE) else _ONE
         # A pixel whose dead time ends in the piece takes its reference there.
         reset, noise_there = pick(visits, Visit.RESET, j), pick(visits, Visit.N, j)
-        x, burst, stored = max(reset, _ZERO), LASTS / slowest, pick(visits, Visit.REFERENCE, j)
+        x, burst = max(reset, _ZERO), LASTS / slowest
+        stored = pick(visits, Visit.REFERENCE, j)
         armed = ((c3 * x + c2) * x + c1) * x + noise_there + take(rows, Column.OFFSET + i)
         put(rows, Column.STATE + i, BURST if reset + burst > _ZERO else PART)
         put(rows, Column.C1 + i, c1)

@@ -150,7 +150,7 @@ def test_dead_pixels_are_silent_and_cost_next_to_nothing():
     assert array.candidates - before < 0.02 * 10 * 192
 
 
-@pytest.mark.parametrize("light", [1e8, 1e10, 1e12, 1e30])
+@pytest.mark.parametrize("light", [1e8, 1e10, 1e12])
 def test_parasitic_leak_of_very_bright_light_is_listed_or_counted(light):
     """As without noise: 64 events a pixel and step are listed there, the others counted."""
     p = dataclasses.replace(SENSORS["davis346"], width=4, height=1, leak_hz=0.0)
