@@ -6,8 +6,8 @@
     fetch_next(table, x)    the entry behind it
     pick(rows, first, i)    rows[first + i], with i an int32 from a list
 
-A loop that stores to one array and reads another one at computed places becomes vectors only if LLVM knows that the
-stores never meet the reads. `put` and `take` declare that they do not meet `fetch` and `pick` (alias scopes). So what
+A loop that stores to one array and reads another one at computed places becomes vectors only where LLVM can prove that
+the stores never meet the reads. `put` and `take` declare that for `fetch` and `pick` (alias scopes). So what
 `fetch` and `pick` read must not be written in the same loop. A plain load of `rows` in such a loop would join both
 sets.
 

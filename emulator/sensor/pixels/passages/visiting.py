@@ -42,7 +42,7 @@ _KEPT = np.float32(0.02)  # of what is left: a rest takes no more than the other
 
 
 class Constants(NamedTuple):
-    """What the noise of a step needs of `StepConstants`, in float32."""
+    """Constants of a step that its noise needs, from `StepConstants`, in float32."""
 
     pole: np.float32
     high: np.float32
