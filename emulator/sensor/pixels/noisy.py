@@ -315,6 +315,8 @@ def settle(  # noqa: PLR0913, PLR0917
     """
     fields = pixels.fields
     for pixel in range(first, last):
+        bits = mix_word(noise_stream(pixels, pixel, c) ^ np.uint64(pixels.refractory_until_ns[pixel]))
+        pixels.memory[pixel * MEMORY + Memory.LEFT] = np.float32(-math.log1p(-unit(high(bits))))
         field = slot(pixel)
         if not abs(fields[field + _V]) < np.inf:
             continue
@@ -339,5 +341,3 @@ def settle(  # noqa: PLR0913, PLR0917
             )
         pixels.memory[pixel * MEMORY + Memory.SEEN_S] = c.since_epoch_1
         pixels.memory[pixel * MEMORY + Memory.SEEN] = np.float32(value) - fields[field + _REF]
-        bits = mix_word(noise_stream(pixels, pixel, c) ^ np.uint64(pixels.refractory_until_ns[pixel]))
-        pixels.memory[pixel * MEMORY + Memory.LEFT] = np.float32(-math.log1p(-unit(high(bits))))

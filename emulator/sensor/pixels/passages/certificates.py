@@ -43,7 +43,7 @@ _ANY_SPEED, _AMPLE = np.float32(9.5), np.float32(12.5)  # limits of a pixel so f
 _LONGEST_S, _LONGEST_STEPS = np.float32(2.0**33 * 1e-9), np.float32(256)
 _LEAVES = np.float32(1.5)  # over the time in which a pixel leaves its limits at its present speed
 _STILL = np.float32(0.05)  # deviations that the value of a pixel at rest may move in the longest time
-_DRIFTS = np.float32(0.3)  # deviations that leak may move it
+_DRIFTS = np.float32(0.1)  # deviations that leak may move it
 _ROUNDED = np.float32(1e-6)  # share of a number, more than float32 rounds
 _SLOWEST = np.float32(0.1)  # 1/s: forgets in more than the longest time
 _LEAK = np.float32(1.5)  # of it, that the quiet test allows
@@ -131,13 +131,15 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         quiet = (take(rows, Visit.STILL + j) > _ZERO) & (c.high == _ZERO)
         quiet = quiet & (abs(moving - lit) * _LONGEST_S <= _STILL * noise.sigma)
         inverse, k = _ONE / noise.sigma, slice_of(noise.z)
-        still_on, still_off = on * inverse, off * inverse
+        drift = _LEAK * (leak + lit)
+        # The ON threshold is taken where leak will have brought it: a rest never takes more than is left.
+        still_on = on * inverse - min(_DRIFTS, drift * _LONGEST_S * inverse)
+        still_off = off * inverse
         near_both = (still_on + still_off < _PAIR_SUM) & (max(still_on, still_off) < _PAIR_FAR)
         on_factor, off_factor = pair_factors(tables, still_on, still_off, noise.z)
         speed_now = moving * inverse / noise.rate
         hz = rate_of(tables, k, noise.apart, still_on, speed_now) * (on_factor if near_both else _ONE)
         hz += rate_of(tables, k, noise.apart, still_off, -speed_now) * (off_factor if near_both else _ONE)
-        drift = _LEAK * (leak + lit)
         # What a rest after a recent reset takes is known less well: all of a burst must take little.
         calm = hz * noise.rate * (_FORGOTTEN - age) / slow < _LITTLE * left
         still_s = min(_ALMOST * left / max(hz * noise.rate, _LEAST_HZ), horizon)
