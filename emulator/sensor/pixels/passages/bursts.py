@@ -169,7 +169,8 @@ def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, lef
     # Calm: while the mean decays by e^-s, the hazard is less by e^(-A e^-s). As much of the part's end counts.
     c_on, c_off = (on - w2) * inverse, (off + w2) * inverse
     inward = (start.n + start.v / max(noise.rate, slow)) * inverse
-    inward, age0, age1 = -inward if c_on < c_off else inward, (x - reset) * slow, (end - reset) * slow
+    inward, age0 = -inward if c_on < c_off else inward, (x - reset) * slow
+    age1 = (end - reset) * slow
     counts = mean_factor(min(c_on, c_off), inward, age0, age1) * (end - x)
     settles = min(max(end - counts, x), end)
     rises = w2 > w0
