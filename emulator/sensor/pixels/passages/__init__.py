@@ -1,1 +1,0 @@
-"""Events of pixels with noise: first passages, found for all pixels of a table at once."""
