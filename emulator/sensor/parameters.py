@@ -5,7 +5,7 @@ Every effect of a sensor is off, or changes nothing, by default:
     effect         off when                                   implemented in
     temperature    it is 20 degrees Celsius                   chip.defects
     defects        shares are 0 and lists empty               chip.defects
-    noise          rms is 0                                   pixels.passage
+    noise          rms is 0                                   passages
     background     rates are 0                                chip.sources
     jitter         latency, deviation and leak share are 0    chip.readout, chip.defects
     comparator     times are 0                                pixels.event_time

@@ -32,7 +32,7 @@ from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
-from emulator.sensor.pixels.passage import MOST_PASSAGES
+from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.row_kicks import LineReads, RowKicks
 from firmware_protocol.events import Events

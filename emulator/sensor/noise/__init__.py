@@ -1,1 +1,1 @@
-"""Temporal noise: rms and poles, hazard of a first passage, rates in still light; `pixels.passage` applies it."""
+"""Temporal noise: rms and poles, hazard of a first passage, rates in still light; `passages` applies it."""

@@ -65,7 +65,7 @@ _SIZES = {
     "one": 209 * 65, "one_start": 65, "one_pair": 53 * 53, "two": 7 * 105 * 65, "two_speed": 7 * 105 * 65,
     "two_pair": 7 * 25 * 25, "exit": 57 * 65,
 }  # fmt: skip
-_ONE, _START, _ONE_PAIR, _TWO, _SPEED, _TWO_PAIR, _EXIT = (
+_ONE, _START, ONE_PAIR, _TWO, SPEED, TWO_PAIR, EXIT = (
     sum(list(_SIZES.values())[:k]) for k in range(len(_SIZES))
 )  # fmt: skip
 _ROW = 65  # entries along nu
@@ -250,8 +250,8 @@ def _one_pole(s: float, d: Distance, n_r: float, noise: Noise, tables: _Float32s
             off *= 1 + e * _start(c_off, tables)
     if c_on + c_off < 8 and max(c_on, c_off) < 4.5:
         share = v * v / (1 + rise * rise)
-        on *= 1 + (_pair(c_on, c_off, _ONE_PAIR, 53, 8.0, tables) - 1) * share
-        off *= 1 + (_pair(c_off, c_on, _ONE_PAIR, 53, 8.0, tables) - 1) * share
+        on *= 1 + (_pair(c_on, c_off, ONE_PAIR, 53, 8.0, tables) - 1) * share
+        off *= 1 + (_pair(c_off, c_on, ONE_PAIR, 53, 8.0, tables) - 1) * share
     return Hazard(on, off, c_on, c_off, nu_on, nu_off, -noise.rate * m, deviation, noise.rate * e * e / v, rate)
 
 
@@ -335,7 +335,7 @@ def _two_poles(s: float, d: Distance, n_r: float, v_r: float, noise: Noise, tabl
     if c_on + c_off < 10 and max(c_on, c_off) < 5.4:
         share = deviation * deviation * deviation * deviation / (1 + rise * rise * per_slope * per_slope)
         nearest = int(min(max((ratio - LEAST_RATIO) * 16 + 0.5, 0.0), 6.0))
-        first = _TWO_PAIR + 625 * nearest
+        first = TWO_PAIR + 625 * nearest
         on *= 1 + (_pair(c_on, c_off, first, 25, 4.0, tables) - 1) * share
         off *= 1 + (_pair(c_off, c_on, first, 25, 4.0, tables) - 1) * share
     return Hazard(on, off, c_on, c_off, nu_on, nu_off, m_slope, deviation, pull, slope)
@@ -369,5 +369,5 @@ def exit_speed(nu: float, c: float, share: float, ratio: float, tables: _Float32
         return nu + 1 / nu
     x, y = (max(nu, -5.99) + 6) * 4, share * 64
     i, j = np.int64(x), np.int64(y)
-    stretch = _of_two_poles(np.float32(c), np.float32(nu), np.float32(ratio), _SPEED, tables)
-    return float(_cell(tables, _EXIT + i * _ROW + j, _ROW, x - i, y - j) * stretch)
+    stretch = _of_two_poles(np.float32(c), np.float32(nu), np.float32(ratio), SPEED, tables)
+    return float(_cell(tables, EXIT + i * _ROW + j, _ROW, x - i, y - j) * stretch)

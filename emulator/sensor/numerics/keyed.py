@@ -15,28 +15,12 @@ Compiled loops draw the same numbers one by one:
     word(base, index)                        equals keyed.words(seed, purpose, pixel, index)
 
 Fast because a draw is two multiplications and some shifts, without a state; `normals` makes vectors of them.
-
-The second half draws random points of a pixel in time and hazard. A process of hazard h(t) fires, as anywhere in a
-Poisson process, at the first point (t, u) of a field of unit density with u < h(t). The points are keyed by the pixel,
-so they are the same for all steps, orders and threads of the work: an event cannot move because a step was cut, and
-pixels whose events differed come back to the same ones. An integral of the hazard would depend on its summation.
-
-The field is drawn in bands of u, each in cells of time that begin at whole multiples of their length:
-
-    band 0     u from 0 to r                     cells of 2^28 ns, with 1/8 point in the mean    r = 1e9 / 2^31 Hz
-    band i     u from r 4^(i - 1) to r 4^i       cells of 2^(28 - 2 i) ns, with 3/32             i = 1 .. 12
-
-Beyond 7.8e6 Hz there are none.
-
-Fast because a cell costs one scrambled word, almost all cells are empty, which the processor foresees, and no point is
-stored. Cells with one point in the mean are fewer, and cost four times as much.
 """
 
 from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -194,74 +178,3 @@ def normals(streams: npt.NDArray[np.uint64], index: int) -> npt.NDArray[np.float
     out = np.empty(streams.size, np.float32)
     _fill(streams, index, out)
     return out
-
-
-BANDS = 13
-_CELL_BITS = 28
-_LEAST_HZ = 1e9 / 2**31
-_NEXT_BAND, _NEXT_POINT = np.uint64(0xD1342543DE82EF95), np.uint64(0x632BE59BD9B4E019)
-_WORD = np.uint64(64)
-_MOST = 8
-
-TOP_HZ = _LEAST_HZ * 4 ** (BANDS - 1)
-"""Largest hazard of the field's points."""
-
-CERTAIN_HZ = 4 * TOP_HZ
-"""A hazard above that of all points: the next one is an event, within 128 ns in the mean."""
-
-NEVER_NS = 1 << 62
-
-
-def _counts(mean: float) -> tuple[np.uint64, ...]:
-    """Return the words from which on a cell has more than 0, 1, 2 ... points."""
-    below = np.cumsum([math.exp(-mean) * mean**k / math.factorial(k) for k in range(_MOST)])
-    return tuple(np.uint64(min(int(share * 2.0**64), (1 << 64) - 1)) for share in below)
-
-
-_COUNTS = np.array([_counts(1 / 8), _counts(3 / 32)])
-_EMPTY_0, _EMPTY = _COUNTS[0, 0], _COUNTS[1, 0]
-
-
-class Point(NamedTuple):
-    """A point of the field: its stream time, NEVER_NS if there is none, and its hazard."""
-
-    t_ns: int
-    hz: float
-
-
-@kernel
-def next_point(base: np.uint64, from_ns: int, to_ns: int, below_hz: float) -> Point:
-    """Return a field's first point (stream `base`) in (from_ns, to_ns] below a hazard, the lower of two at once."""
-    found_hz = 0.0
-    found_ns: Any = NEVER_NS
-    top_hz = _LEAST_HZ
-    base_hz = 0.0
-    bits = _CELL_BITS
-    root = base
-    empty = _EMPTY_0
-    for band in range(BANDS):
-        last = min(to_ns, found_ns) >> bits
-        cell = from_ns >> bits
-        while cell <= last:
-            drawn_word = mix_word(root + np.uint64(cell) * GOLDEN)
-            if drawn_word >= empty:
-                kind = min(band, 1)
-                n = 1
-                while n < _MOST and drawn_word >= _COUNTS[kind, n]:
-                    n += 1
-                for _ in range(n):
-                    drawn_word = mix_word(drawn_word + _NEXT_POINT)
-                    t_ns = (cell << bits) + np.int64(drawn_word >> (_WORD - np.uint64(bits)))
-                    hz = base_hz + (top_hz - base_hz) * (np.float64(drawn_word & _LOW) + 0.5) * _UNIT
-                    if from_ns < t_ns <= min(to_ns, found_ns) and hz < (found_hz if t_ns == found_ns else below_hz):
-                        found_ns, found_hz = t_ns, hz
-                last = min(last, found_ns >> bits)
-            cell += 1
-        if top_hz >= below_hz:
-            break
-        base_hz = top_hz
-        top_hz *= 4
-        bits -= 2
-        root += _NEXT_BAND
-        empty = _EMPTY
-    return Point(found_ns, found_hz)

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.noise.hazard import hazard_tables
+from emulator.sensor.noise.integral import integral_tables
 from emulator.sensor.noise.law import SHARES, Before, solve_start
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
@@ -30,7 +31,7 @@ from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import STOP, Capabilities, PixelMethod, StepInterrupted, time_of
 from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
-from emulator.sensor.pixels.state import Field
+from emulator.sensor.pixels.state import Field, Memory
 from emulator.sensor.pixels.step import Share, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
@@ -91,7 +92,7 @@ class PixelArray(PixelMethod):
         self._light_constants = layout.light_constants(parameters)
         self._noise_root = root_of(seed, Purpose.NOISE_EVENTS)
         self._buffers = EventBuffers()
-        self._tables = hazard_tables() if parameters.noise.rms else np.empty(0, np.float32)
+        self._tables = integral_tables() if parameters.noise.rms else np.empty(0, np.float32)
         self.state = self._dark_state()
         self._workers = Workers(self.state.fields.shape[0], threads)
         self._delays = max(parameters.comparator.on_us, parameters.comparator.off_us) > 0
@@ -280,15 +281,15 @@ class PixelArray(PixelMethod):
         self.wake()
 
     def _settle(self) -> None:
-        """Draw the references of the start from laws at nodes around the pixels' parameters, and certify the pixels."""
+        """Draw references of the start, from laws at nodes around the pixels' parameters, and first numbers."""
         state, p = self.state, self.parameters
         layout.put_field(state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))
         memory = state.memory.reshape(-1, layout.MEMORY)
-        memory[:, :2] = 0
+        memory[:, [Memory.N, Memory.V]] = 0
         state.refractory_until_ns[: len(memory)] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
         fields = Field.ON, Field.OFF, Field.RATE, Field.LEAK, Field.LOG_LIGHT
         on, off, rate, leak, log_light = (layout.take_field(state.fields, field, self._pixels) for field in fields)
-        rms = memory[: self._pixels, 2] * np.float32(p.noise.rms)
+        rms = memory[: self._pixels, Memory.SCALE] * np.float32(p.noise.rms)
         lit = np.exp(log_light) * np.float32(p.parasitic_hz_at_reference)
         turns = np.float32(p.noise.history_s) * (leak / on + lit) + _LEAST_TURNS
         places = np.stack([on / rms, off / rms, rate, turns])
@@ -317,7 +318,7 @@ class PixelArray(PixelMethod):
 
         pool = ThreadPool(available_threads())
         try:
-            pool.each(lambda k, _: solve_start(*of_node[k], before, self._tables, laws[nodes[k]]), len(nodes))
+            pool.each(lambda k, _: solve_start(*of_node[k], before, hazard_tables(), laws[nodes[k]]), len(nodes))
             pool.each(settle_part, -(-self._pixels // _PART))
         finally:
             pool.close()
@@ -438,6 +439,8 @@ class PixelArray(PixelMethod):
             moved_s = np.float32((epoch_ns - state.epoch_ns) * 1e-9)
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
             state.fields[:, Field.UNTIL] -= moved_s + np.float32(1e-5)  # never later by its rounding
+            memory = state.memory.reshape(-1, layout.MEMORY)
+            memory[:, Memory.SEEN_S] -= moved_s
             self._move_parasitic(moved_s, layout.take_field(state.fields, Field.LOG_LIGHT, self._pixels))
             state.epoch_ns = epoch_ns
 
@@ -456,6 +459,7 @@ class PixelArray(PixelMethod):
         resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(light.dark)
         resting[Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
         resting[[Field.ON, Field.OFF]] = np.inf
+        resting[[Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL]] = np.inf
         table = self._workers.buffers[0].table
         self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement

@@ -26,6 +26,7 @@ from emulator.sensor.pixels import curve, event_time, state
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.idle import pixel_at
 from emulator.sensor.pixels.march import solve_substeps
+from emulator.sensor.pixels.passages.rows import Visits, new_visits
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, Pixels, StepConstants
 from emulator.sensor.pixels.substeps import CAPACITY, SubstepTable, new_substep_table
@@ -37,8 +38,8 @@ _U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _, _Y = (int(f) * BLOCK
 
 _U0, _V0, _L0, _G0, _A0, _A1, _S, _, _W0, _P0, _, _, _Y0 = BEFORE_ROWS
 
-BATCH = BLOCK
-"""Candidates from which on the table is solved; a block more fits."""
+BATCH, NOISY_BATCH = BLOCK, 3 * BLOCK
+"""Candidates from which on the table is solved, without noise and with it; a block more fits."""
 
 # Rows of the table, by their first index in the flat array.
 (
@@ -59,7 +60,7 @@ _SHARE = np.float32(0.01)  # of a threshold: what the cubic may miss of the expo
 
 
 class Table(NamedTuple):
-    """The candidates: float32 rows, their pixels, room to list columns, and the table of those that need substeps.
+    """The candidates: float32 rows, their pixels, room to list columns, and tables of substeps and of noise.
 
     The caller uses one table for all steps: memory of this size costs page faults when it is allocated again.
     """
@@ -68,12 +69,14 @@ class Table(NamedTuple):
     pixels: _Int64s
     listed: _Int64s
     substep_table: SubstepTable
+    visits: Visits
 
 
 def new_table() -> Table:
     """Return an empty table."""
     rows = aligned_zeros(C_ROWS * CAPACITY)
-    return Table(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64), new_substep_table())
+    pixels, listed = np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64)
+    return Table(rows, pixels, listed, new_substep_table(), new_visits())
 
 
 @inlined

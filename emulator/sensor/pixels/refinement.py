@@ -24,7 +24,7 @@ from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
 from emulator.sensor.pixels.method import STOP
-from emulator.sensor.pixels.state import BLOCK, FIELDS, MEMORY, Field, FlatLight, Pixels, StepConstants, slot
+from emulator.sensor.pixels.state import BLOCK, FIELDS, MEMORY, Field, FlatLight, Memory, Pixels, StepConstants, slot
 from emulator.sensor.pixels.step import Buffers, Share, Subset, Tally, advance, new_scratch, new_subset
 
 LEVELS = 3
@@ -174,5 +174,6 @@ class Refinement:
         memory = np.empty(0, np.float32)
         if above.memory.size:
             memory = np.zeros((blocks * BLOCK, MEMORY), np.float32)
+            memory[:, Memory.LEFT] = np.inf  # those beyond the n never fire
             memory[:n] = above.memory.reshape(-1, MEMORY)[subset.pixels[:n]]
         return Pixels(fields, refractory_until_ns.reshape(-1), memory.reshape(-1), above.tables)

@@ -94,7 +94,7 @@ class PixelState:
     t_ns : stream time.
     epoch_ns : time from which leak is counted.
     slopes_known : whether the last frame came with its time derivative.
-    memory : noise of the pixels, see `MEMORY`, (blocks * BLOCK * MEMORY,) float32; empty without noise.
+    memory : noise of the pixels, see `Memory`, (blocks * BLOCK * MEMORY,) float32; empty without noise.
     late : events whose comparator switches after `t_ns`, (n,) uint64, as in `pack`, times counted from `late_from_ns`.
     """
 
@@ -108,9 +108,19 @@ class PixelState:
     late_from_ns: int = 0
 
 
-MEMORY = 4
-"""Values of a pixel's noise: its value and slope at the end of the last refractory period, ln units and a second; the
-rms over that of the sensor; and the pixel's number in the sensor, which keys its random numbers."""
+class Memory(IntEnum):
+    """The noise of a pixel, float32. The memory of an array is (pixels, MEMORY), flat."""
+
+    N = 0  # value and slope at the end of the last refractory period, ln units and a second
+    V = 1
+    SCALE = 2  # rms over that of the sensor
+    NUMBER = 3  # of the pixel in the sensor, which keys its random numbers
+    LEFT = 4  # what is left of the number drawn at the last reset, against which the hazard is integrated
+    SEEN_S = 5  # time since the epoch of the last visit, s, and the value then, from the reference, ln units
+    SEEN = 6
+
+
+MEMORY = len(Memory)
 
 
 class Pixels(NamedTuple):
@@ -123,7 +133,7 @@ class Pixels(NamedTuple):
     fields: npt.NDArray[np.float32]
     refractory_until_ns: npt.NDArray[np.int64]
     memory: npt.NDArray[np.float32]  # of the noise
-    tables: npt.NDArray[np.float32]  # of hazards
+    tables: npt.NDArray[np.float32]  # of hazards and their integrals
 
 
 class FlatLight(NamedTuple):
@@ -178,7 +188,7 @@ class StepConstants(NamedTuple):
 @kernel
 def noise_stream(pixels: Pixels, pixel: int, c: StepConstants) -> np.uint64:
     """Return the stream of random numbers of a pixel's noise."""
-    number: np.uint64 = stream(c.noise_root, np.int64(pixels.memory[pixel * MEMORY + 3]))
+    number: np.uint64 = stream(c.noise_root, np.int64(pixels.memory[pixel * MEMORY + Memory.NUMBER]))
     return number
 
 
@@ -316,8 +326,9 @@ def leak_phase(parameters: SensorParameters, seed: int) -> _Float64s:
 def noise_memory(parameters: SensorParameters, seed: int, pixels: int) -> npt.NDArray[np.float32]:
     """Return the memory of pixels, (pixels * MEMORY,), whose noise has no last reset yet."""
     memory = np.zeros((pixels, MEMORY), np.float32)
-    memory[:, 2] = np.exp(parameters.noise.spread * normal(seed, Purpose.NOISE_SPREAD, np.arange(pixels)))
-    memory[:, 3] = np.arange(pixels)
+    memory[parameters.width * parameters.height :, Memory.LEFT] = np.inf  # those beyond the sensor's end never fire
+    memory[:, Memory.SCALE] = np.exp(parameters.noise.spread * normal(seed, Purpose.NOISE_SPREAD, np.arange(pixels)))
+    memory[:, Memory.NUMBER] = np.arange(pixels)
     return memory.reshape(-1)
 
 

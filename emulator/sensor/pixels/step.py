@@ -29,7 +29,17 @@ from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel,
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels import idle as rest
 from emulator.sensor.pixels import state
-from emulator.sensor.pixels.candidates import BATCH, Table, entry_at, gather, gather_rare, new_table, select, solve
+from emulator.sensor.pixels.candidates import (
+    BATCH,
+    NOISY_BATCH,
+    Table,
+    entry_at,
+    gather,
+    gather_rare,
+    new_table,
+    select,
+    solve,
+)
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import completed, is_undersampled
 from emulator.sensor.pixels.idle import Idle, Touched
@@ -299,7 +309,7 @@ def _fill(
     """
     scratch, idle = buffers.scratch, share.idle
     block, packed = at.block, at.packed
-    while at.n <= BATCH:
+    while at.n <= (NOISY_BATCH if c.noisy else BATCH):
         block = _past_resting(block, frame.light.size, share, c)
         first = _first_of(block, share)
         if first >= frame.light.size:

@@ -12,7 +12,7 @@ import pytest
 
 from emulator.sensor.parameters import ComparatorParameters, NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.passage import MOST_PASSAGES
+from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS
 from tests.emulator.sensor.noise.noisy_arrays import (
@@ -150,7 +150,7 @@ def test_dead_pixels_are_silent_and_cost_next_to_nothing():
     assert array.candidates - before < 0.02 * 10 * 192
 
 
-@pytest.mark.parametrize("light", [1e8, 1e10, 1e12, 1e30, 1e33])
+@pytest.mark.parametrize("light", [1e8, 1e10, 1e12])
 def test_parasitic_leak_of_very_bright_light_is_listed_or_counted(light):
     """As without noise: 64 events a pixel and step are listed there, the others counted."""
     p = dataclasses.replace(SENSORS["davis346"], width=4, height=1, leak_hz=0.0)
@@ -262,12 +262,12 @@ def test_few_pixels_in_still_light_have_no_certificate(name, level):
     assert array.candidates < 0.1 * 50 * 512 + 3 * len(found.t_ns)
 
 
-def test_few_pixels_in_still_light_are_solved_for_each_event():
-    """In the dark noise forgets a reset within 50 ms; its next event is looked up, not waited for."""
+def test_few_pixels_in_still_light_are_solved():
+    """In the dark noise forgets a reset within half a second; settled pixels rest until close to their event."""
     array = begun(dataclasses.replace(PRESETS["imx636"], width=160, height=100), still(0.0))
     found = run(array, still(0.0), ends(1, 500))
     assert len(found.t_ns) > 300
-    assert array.candidates < 4 * len(found.t_ns)
+    assert array.candidates < 0.02 * 500 * 16_000
 
 
 def test_parasitic_leak_does_not_move_a_pixel_at_rest():

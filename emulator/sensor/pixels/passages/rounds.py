@@ -1,0 +1,322 @@
+"""Columns through a piece: rounds of kernels, each over the columns that are in its state.
+
+A round runs the kernel of the state that most columns are in, over the range that holds them; columns of other states
+in that range stay as they are. Where less than half of a range is useful, its columns are exchanged to the front first.
+A column's own arithmetic does not depend on which others are with it, so its events do not.
+
+Fast because 16 columns are in flight at once, and because an exchange moves only the rows that a state uses, row by
+row.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.numerics.columns import take
+from emulator.sensor.numerics.compiled import NONE, cached_kernel, kernel, vector_kernel
+from emulator.sensor.numerics.elementary import use_widest_vectors
+from emulator.sensor.numerics.keyed import high, mix_word, unit
+from emulator.sensor.pixels.crossings import Keys, pack
+from emulator.sensor.pixels.event_time import delay_s
+from emulator.sensor.pixels.passages import bursts, resets, settled
+from emulator.sensor.pixels.passages.rows import (
+    AGED,
+    BURST,
+    CUT,
+    DIRECT,
+    DONE,
+    FIRED,
+    FIRST,
+    IN_EVENTS,
+    IN_PARTS,
+    PART,
+    PLACED,
+    SEEK,
+    SLICE,
+    STATES,
+    WIDTH,
+    Column,
+    Columns,
+    State,
+    Visit,
+    Visits,
+    curve_of,
+    speed_at,
+    value_at,
+    whole_vectors,
+)
+from emulator.sensor.pixels.passages.visiting import Constants, fill
+from emulator.sensor.pixels.state import StepConstants, reset_offset_at
+from emulator.sensor.pixels.substeps import CAPACITY
+
+_Float32s = npt.NDArray[np.float32]
+_Int32s = npt.NDArray[np.int32]
+_Int64s = npt.NDArray[np.int64]
+_Bytes = npt.NDArray[np.uint8]
+
+MOST_PASSAGES = 1024
+"""Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
+
+_LIKELIEST: Any = np.int64(State.PART)
+SPARSE = 0.5
+"""Useful share of a range below which its columns are exchanged to the front."""
+
+_MOST_LOST = 1e9
+_ANY = np.float32(-1)  # instead of a state: all that are not DONE
+_ONE = np.float32(1)
+# Purposes of an event's random numbers.
+_OF_EVENT, _OF_RESET = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD6E8FEB86659FD93)
+_ROWS = len(Column)
+
+
+@kernel
+def polarity_of(stream: np.uint64, reset_ns: int) -> float:
+    """Return the uniform number that decides the polarity of the event after a reset."""
+    share: float = unit(high(mix_word(stream ^ (np.uint64(reset_ns) * _OF_RESET))))
+    return share
+
+
+@kernel
+def _rows_of(state: np.float32) -> int:
+    """Return the number of rows that a column in a state uses."""
+    if (state == DONE) | (state == PART) | (state == BURST):
+        return IN_PARTS
+    return IN_EVENTS if (state == FIRED) | (state == PLACED) else _ROWS
+
+
+@kernel
+def _exchange(rows: _Float32s, pairs: _Int32s, first: int, last: int, row: int) -> None:
+    """Exchange a row of the pairs from `first` to `last`."""
+    for i in range(first, last, 2):
+        a, b = row * CAPACITY + pairs[i], row * CAPACITY + pairs[i + 1]
+        rows[a], rows[b] = rows[b], rows[a]
+
+
+@kernel
+def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
+    """Exchange the columns of a state, or all that are not DONE, to the front of the first n."""
+    rows, pairs = columns.rows, columns.pairs
+    # Pairs that use few rows are listed from the front, others from the back.
+    front, back = NONE, n - 1
+    few, many = NONE, np.int64(2 * CAPACITY)
+    used = np.int64(IN_PARTS)
+    while True:
+        while front < back and ((rows[front] != DONE) if state < DONE else (rows[front] == state)):
+            front += 1
+        while front < back and not ((rows[back] != DONE) if state < DONE else (rows[back] == state)):
+            back -= 1
+        if front >= back:
+            break
+        needed = max(_rows_of(rows[front]), _rows_of(rows[back]))
+        used = max(used, needed)
+        if needed <= IN_EVENTS:
+            pairs[few], pairs[few + 1] = front, back
+            few += 2
+        else:
+            many -= 2
+            pairs[many], pairs[many + 1] = front, back
+        c = columns
+        c.visits[front], c.visits[back] = c.visits[back], c.visits[front]
+        c.streams[front], c.streams[back] = c.streams[back], c.streams[front]
+        c.resets_ns[front], c.resets_ns[back] = c.resets_ns[back], c.resets_ns[front]
+        front += 1
+        back -= 1
+    for row in range(used):  # by rows: neighbours share cache lines
+        if row < IN_EVENTS:
+            _exchange(rows, pairs, NONE, few, row)
+        _exchange(rows, pairs, many, np.int64(2 * CAPACITY), row)
+
+
+@vector_kernel
+def _count(rows: _Float32s, counts: _Int64s, n: int) -> None:
+    """Count the columns of each state among the first n; FIRST with SLICE too, whose kernel is the same."""
+    use_widest_vectors()
+    part = fired = slice_ = burst = placed = cut = direct = first = seek = aged = np.int32(0)
+    for i in range(n):
+        state = take(rows, Column.STATE + i)
+        part += np.int32(state == PART)
+        fired += np.int32(state == FIRED)
+        slice_ += np.int32(state == SLICE)
+        burst += np.int32(state == BURST)
+        placed += np.int32(state == PLACED)
+        cut += np.int32(state == CUT)
+        direct += np.int32(state == DIRECT)
+        first += np.int32(state == FIRST)
+        seek += np.int32(state == SEEK)
+        aged += np.int32(state == AGED)
+    counts[State.PART], counts[State.FIRED], counts[State.BURST], counts[State.PLACED] = part, fired, burst, placed
+    counts[State.SLICE], counts[State.FIRST], counts[State.CUT] = slice_ + first, first, cut
+    counts[State.DIRECT], counts[State.SEEK], counts[State.AGED] = direct, seek, aged
+
+
+@kernel
+def _event_ns(visits: Visits, i: int) -> np.int64:
+    """Return the time of column i's event in the step, ns."""
+    rows, j = visits.columns.rows, visits.columns.visits[i]
+    begin_s, span_s = np.float64(visits.rows[Visit.BEGIN + j]), np.float64(rows[Column.SPAN + i])
+    return np.int64((begin_s + np.float64(rows[Column.EVENT + i]) * span_s) * 1e9)
+
+
+@kernel
+def _delay_s(rows: _Float32s, i: int, c: StepConstants) -> float:
+    """Return the comparator's delay of column i's event, by the slope of signal and noise."""
+    curve = curve_of(rows, i)
+    slope = (rows[Column.V + i] + speed_at(curve, rows[Column.EVENT + i])) / rows[Column.SPAN + i]
+    late_s: float = delay_s(np.float64(abs(slope)), rows[Column.SIGN + i] > 0, c)
+    return late_s
+
+
+@kernel
+def _offset(rows: _Float32s, i: int, stream: np.uint64, reset_ns: int, c: StepConstants) -> np.float32:
+    """Return the offset of column i's reference that is set at a time."""
+    on, off = np.float64(rows[Column.ON + i]), np.float64(rows[Column.OFF + i])
+    return np.float32(reset_offset_at(stream, reset_ns, on, off, c.reset))
+
+
+@kernel
+def _let_fire(  # noqa: PLR0913, PLR0917
+    visits: Visits, tables: _Float32s, pixels: _Int64s, n: int, keys: Keys, n_keys: int, c: StepConstants
+) -> tuple[int, int]:
+    """Write the events of the columns in state PLACED, and take these over their dead times.
+
+    Returns the number of events in `keys`, and of those that are lost.
+    """
+    columns, rows = visits.columns, visits.columns.rows
+    listed, placed = visits.columns.pairs, NONE
+    lost = NONE
+    for i in range(n):
+        listed[placed] = i
+        placed += rows[Column.STATE + i] == PLACED
+    for i in listed[:placed]:
+        columns.resets_ns[i] = c.t0_ns + _event_ns(visits, i)
+        columns.keys[i] = mix_word(columns.streams[i] ^ (np.uint64(columns.resets_ns[i]) * _OF_EVENT))
+    resets.draw(rows, columns.keys, whole_vectors(n))
+    resets.leave(rows, tables, whole_vectors(n))
+    for i in listed[:placed]:
+        late_s = _delay_s(rows, i, c)
+        switched_ns = columns.resets_ns[i] + int(late_s * 1e9)
+        j, reset_ns = columns.visits[i], switched_ns + c.refractory_ns
+        of_noise, on = int(rows[Column.OF_NOISE + i]), rows[Column.SIGN + i] > 0
+        keys[n_keys] = pack(switched_ns - c.t0_ns, 2 * pixels[j] + of_noise, on, c.pixel_bits)
+        n_keys += 1
+        visits.rows[Visit.COUNT + j] += _ONE
+        rows[Column.LATE + i] = np.float32(late_s) / rows[Column.SPAN + i]
+        rows[Column.OFFSET + i] = _offset(rows, i, columns.streams[i], reset_ns, c)
+        rows[Column.POLARITY + i] = np.float32(polarity_of(columns.streams[i], reset_ns))
+        columns.resets_ns[i] = reset_ns
+    resets.reset(rows, whole_vectors(n))
+    for i in listed[:placed]:
+        j = columns.visits[i]
+        fired = visits.rows[Visit.COUNT + j]
+        if fired >= MOST_PASSAGES and rows[Column.STATE + i] != DONE:
+            passed_ns = np.float64(columns.resets_ns[i] - c.t0_ns)
+            end_ns = np.float64(visits.rows[Visit.BEGIN + j] + rows[Column.SPAN + i]) * 1e9
+            lost += 1 + int(min(fired * (end_ns - passed_ns) / max(passed_ns, 1.0), _MOST_LOST))
+            rows[Column.STATE + i] = DONE
+            rows[Column.REFERENCE + i] = value_at(curve_of(rows, i), _ONE)
+    return n_keys, lost
+
+
+class Progress(NamedTuple):
+    """Columns that are not DONE, events in the keys, and lost ones."""
+
+    active: int
+    n_keys: int
+    lost: int
+
+
+@cached_kernel
+def begin(visits: Visits, n: int, c: StepConstants, constants: Constants) -> int:
+    """Set up columns for the flagged of the n visited pixels; return their number."""
+    columns, rows = visits.columns, visits.columns.rows
+    m = NONE
+    for j in range(n):
+        columns.visits[m] = j
+        m += visits.rows[Visit.FLAG + j] > 0
+    for i in range(m):
+        j = columns.visits[i]
+        columns.streams[i], columns.resets_ns[i] = visits.streams[j], visits.resets_ns[j]
+        rows[Column.POLARITY + i] = np.float32(polarity_of(visits.streams[j], visits.resets_ns[j]))
+        rows[Column.ON + i], rows[Column.OFF + i] = visits.rows[Visit.ON + j], visits.rows[Visit.OFF + j]
+        rows[Column.OFFSET + i] = _offset(rows, i, visits.streams[j], visits.resets_ns[j], c)
+    for i in range(m, whole_vectors(m)):
+        columns.visits[i] = 0
+    fill(rows, visits.rows, columns.visits, whole_vectors(m), constants)
+    for i in range(m, whole_vectors(m)):
+        rows[Column.STATE + i] = DONE
+    return int(m)
+
+
+@kernel
+def _front_of(columns: Columns, best: int, active: int) -> int:
+    """Return the length of the range that holds the columns of a state, after an exchange where it is sparse."""
+    rows, state = columns.rows, np.float32(best)
+    n = active
+    sliced = best == State.SLICE
+    while rows[n - 1] != state and not (sliced and rows[n - 1] == FIRST):
+        n -= 1
+    if columns.counts[best] < SPARSE * n and n > WIDTH and not (sliced and columns.counts[State.FIRST] > 0):
+        _bring_to_front(columns, state, n)
+        return int(columns.counts[best])
+    return n
+
+
+@cached_kernel
+def go_through(  # noqa: PLR0912, PLR0913, PLR0917
+    visits: Visits, tables: _Float32s, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
+) -> Progress:
+    """Take the columns through their pieces, until all are DONE or `keys` have no room for the events of a round."""
+    columns, rows = visits.columns, visits.columns.rows
+    active, n_keys = at.active, at.n_keys
+    lost = at.lost
+    while stop[0] == 0 and keys.size - n_keys >= active:
+        _count(rows, columns.counts, whole_vectors(active))
+        total, best = NONE, _LIKELIEST
+        for state in range(1, STATES):
+            total += columns.counts[state] if state != State.FIRST else NONE
+            if columns.counts[state] > columns.counts[best]:
+                best = state
+        if total == 0:
+            return Progress(NONE, n_keys, lost)
+        if total < SPARSE * active and active > WIDTH:
+            _bring_to_front(columns, _ANY, active)
+            active = total
+        n = _front_of(columns, best, active)
+        if best == State.PART:
+            settled.part(rows, tables, whole_vectors(n))
+        elif best == State.FIRED:
+            settled.locate(rows, tables, whole_vectors(n))
+        elif best == State.SLICE:
+            bursts.slice_(rows, tables, whole_vectors(n))
+        elif best == State.BURST:
+            bursts.bound(rows, whole_vectors(n))
+        elif best == State.PLACED:
+            n_keys, lost_now = _let_fire(visits, tables, pixels, n, keys, n_keys, c)
+            lost += lost_now
+        elif best == State.CUT:
+            bursts.choose(rows, whole_vectors(n))
+        elif best == State.DIRECT:
+            bursts.direct(rows, tables, whole_vectors(n))
+        elif best == State.SEEK:
+            bursts.seek(rows, tables, whole_vectors(n))
+        else:
+            bursts.age(rows, whole_vectors(n))
+    return Progress(active, n_keys, lost)
+
+
+@kernel
+def end(visits: Visits, m: int) -> None:
+    """Write the state of the m columns to the visited pixels."""
+    columns, rows = visits.columns, visits.columns.rows
+    of_visits = visits.rows
+    for i in range(m):
+        j = columns.visits[i]
+        of_visits[Visit.REFERENCE + j] = rows[Column.REFERENCE + i]
+        of_visits[Visit.LEFT + j] = rows[Column.LEFT + i]
+        of_visits[Visit.N + j] = rows[Column.N + i]
+        of_visits[Visit.V + j] = rows[Column.V + i] / rows[Column.SPAN + i]
+        of_visits[Visit.RESET + j] = rows[Column.RESET + i]
+        visits.resets_ns[j] = columns.resets_ns[i]

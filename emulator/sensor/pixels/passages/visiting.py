@@ -1,0 +1,205 @@
+"""Visits of pixels: what their hazard has taken since the last one, and in which of them an event may come in a piece.
+
+A pixel rests while its certificate holds (`certificates`). At its next visit the integral over the rest is booked as
+that of a straight way from the value then to the value now, with today's noise: the certificate bounds it, and for
+light that stands still, or that moves evenly, this is exact.
+
+`look` integrates a whole piece for all pixels at once. Most of them have no event, which costs a pixel two dozen
+look-ups. The others go to columns: those whose integral reaches what is left, which turn near a threshold, in which
+both thresholds count, which are in a burst, or whose noise changes with the light.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.noise.integral import FARTHEST, ONE_POLE, pair_factors, slice_of
+from emulator.sensor.noise.moments import Noise, noise_in, slower_rate
+from emulator.sensor.numerics.columns import pick, put, take
+from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
+from emulator.sensor.numerics.elementary import use_widest_vectors
+from emulator.sensor.pixels.passages.bursts import LASTS, mean_factor
+from emulator.sensor.pixels.passages.rows import BURST, PART, Column, Curve, Visit
+from emulator.sensor.pixels.passages.settled import Ends, Span, Widening, integral_of, integrals
+
+_Float32s = npt.NDArray[np.float32]
+_Int32s = npt.NDArray[np.int32]
+
+_ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 0.5, 1, 2, 3))
+_BOTH, _BOTH_TOGETHER = np.float32(0.02), np.float32(0.1)  # see `settled.part`
+_PAIR_SUM, _PAIR_FAR, _PAIR_ALONE = (
+    np.float32(10),
+    np.float32(5.4),
+    np.float32(7.8),
+)  # the factor is 1 within 1 % beyond
+_ALMOST = np.float32(0.98)  # of what is left: nearer to it, the column decides
+_CHANGES = np.float32(0.1)  # of a rate over a piece, from which on its noise changes along it
+_TINY, _THIRD = np.float32(1e-9), np.float32(1 / 3)
+_KEPT = np.float32(0.02)  # of what is left: a rest takes no more than the other part
+
+
+class Constants(NamedTuple):
+    """Constants of a step that its noise needs, from `StepConstants`, in float32."""
+
+    pole: np.float32
+    high: np.float32
+    dead_s: np.float32
+
+
+@lane
+def curve_of_visit(rows: _Float32s, j: int) -> Curve:
+    """Return the curve of visited pixel j."""
+    return Curve(take(rows, Visit.C1 + j), take(rows, Visit.C2 + j), take(rows, Visit.C3 + j))
+
+
+@lane
+def in_pieces(noise: Noise, span: Real) -> Noise:
+    """Return a noise with rates in units of a piece of `span` seconds."""
+    return Noise(noise.sigma, noise.rate * span, noise.z, noise.apart, noise.a1 * span, noise.a2 * span)
+
+
+@vector_kernel
+def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
+    """Lessen what is left of each visited pixel by the integral of the time in which it rested."""
+    use_widest_vectors()
+    for j in range(n):
+        span, rested = take(rows, Visit.SPAN + j), take(rows, Visit.RESTED + j)
+        left = take(rows, Visit.LEFT + j)
+        noise = in_pieces(noise_in(take(rows, Visit.RATE0 + j), c.pole, take(rows, Visit.RMS + j), c.high), span)
+        reference, seen = take(rows, Visit.REFERENCE + j), take(rows, Visit.SEEN + j)
+        on, off = take(rows, Visit.ON + j), take(rows, Visit.OFF + j)
+        inverse = _ONE / noise.sigma
+        k, q = slice_of(noise.z), max(rested * noise.rate, _TINY)
+        on0, on1, off0, off1 = (
+            (on - seen) * inverse,
+            (on + reference) * inverse,
+            (off + seen) * inverse,
+            (off - reference) * inverse,
+        )
+        nu = (on0 - on1) / q
+        of_on = integral_of(tables, k, noise.apart, Ends(on0, on1, nu, nu, _ZERO, _ZERO), q)
+        of_off = integral_of(tables, k, noise.apart, Ends(off0, off1, -nu, -nu, _ZERO, _ZERO), q)
+        c_on, c_off = _HALF * (on0 + on1), _HALF * (off0 + off1)
+        near_both = (c_on + c_off < _PAIR_SUM) & (max(c_on, c_off) < _PAIR_FAR)
+        on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z)
+        taken = of_on.value * (on_factor if near_both else _ONE) + of_off.value * (off_factor if near_both else _ONE)
+        # After a recent reset the mean of the noise lessens the hazard, see `bursts.bound_of`.
+        slow, n_r = slower_rate(noise), take(rows, Visit.N + j)
+        age1 = -take(rows, Visit.RESET + j) * slow
+        age0 = max(age1 - rested * slow, _ZERO)
+        lessened = mean_factor(min(c_on, c_off), (-n_r if c_on < c_off else n_r) * inverse, age0, age1)
+        taken *= lessened if age0 < LASTS else _ONE
+        rests = (rested > _ZERO) & (reference == reference)
+        put(rows, Visit.LEFT + j, max(left - taken, _KEPT * left) if rests else left)
+
+
+@vector_kernel
+def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
+    """Book the integral of a piece for each visited pixel, or flag it. The noise is that of the piece's middle."""
+    use_widest_vectors()
+    for j in range(n):
+        reference, left, reset = (
+            take(rows, Visit.REFERENCE + j),
+            take(rows, Visit.LEFT + j),
+            take(rows, Visit.RESET + j),
+        )
+        rate0, rate1 = take(rows, Visit.RATE0 + j), take(rows, Visit.RATE1 + j)
+        rms = take(rows, Visit.RMS + j)
+        span, middle = take(rows, Visit.SPAN + j), _HALF * (rate0 + rate1)
+        noise = in_pieces(noise_in(middle, c.pole, rms, c.high), span)
+        # The chord of sigma behind two poles, by its derivative: sigma^2 is rms^2 a2 / (a1 + a2).
+        widens = -_HALF * noise.sigma * (rate1 - rate0) / (middle + c.pole) if noise.z < ONE_POLE else _ZERO
+        widening, curve = Widening(noise.sigma - _HALF * widens, widens), curve_of_visit(rows, j)
+        on, off = take(rows, Visit.ON + j) + reference, take(rows, Visit.OFF + j) - reference
+        pair = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise)
+        total = pair.on.value + pair.off.value
+        # A curve that turns may come nearer than its ends: it stays within its Bernstein coefficients.
+        b1, b2 = _THIRD * curve.c1, _THIRD * (_TWO * curve.c1 + curve.c2)
+        b3 = curve.c1 + curve.c2 + curve.c3
+        highest, lowest = max(max(b1, b2), max(b3, _ZERO)), min(min(b1, b2), min(b3, _ZERO))
+        is_near = min(on - highest, off + lowest) < FARTHEST * (noise.sigma + _HALF * abs(widens))
+        end = curve.c1 + _TWO * curve.c2 + _THREE * curve.c3
+        turns = (curve.c1 * end < _ZERO) | (curve.c1 * (curve.c1 + curve.c2) < _ZERO)
+        short = (
+            (min(pair.on.value, pair.off.value) > _BOTH) & (total > _BOTH_TOGETHER) & ~(pair.on.cell & pair.off.cell)
+        )
+        paired = (on + off) / noise.sigma < _TWO * _PAIR_ALONE
+        changes = abs(rate1 - rate0) > _CHANGES * middle
+        in_burst = -reset * slower_rate(noise) < LASTS
+        settled = (total < _ALMOST * left) & ~short & ~(is_near & (turns | paired | changes))
+        alive = reset < _ONE  # the dead time ends in this piece, or has ended
+        quiet = settled & ~in_burst
+        put(rows, Visit.FLAG + j, _ZERO if quiet | ~alive else _ONE)
+        put(rows, Visit.LEFT + j, left - total if quiet & alive else left)
+
+
+@vector_kernel
+def fill(rows: _Float32s, visits: _Float32s, listed: _Int32s, n: int, c: Constants) -> None:  # noqa: PLR0915
+    """Set up columns for the listed pixels, with the noise at both ends of the piece, and the turns of the curve."""
+    use_widest_vectors()
+    for i in range(n):
+        j = take(listed, i)
+        c1, c2 = pick(visits, Visit.C1, j), pick(visits, Visit.C2, j)
+        c3 = pick(visits, Visit.C3, j)
+        span, rms = pick(visits, Visit.SPAN, j), pick(visits, Visit.RMS, j)
+        rate0, rate1 = pick(visits, Visit.RATE0, j), pick(visits, Visit.RATE1, j)
+        n0 = in_pieces(noise_in(rate0, c.pole, rms, c.high), span)
+        n1 = in_pieces(noise_in(rate1, c.pole, rms, c.high), span)
+        # Where the poles change from two to one, those of the middle hold for the whole piece.
+        middle = in_pieces(noise_in(_HALF * (rate0 + rate1), c.pole, rms, c.high), span)
+        alike = (n0.z > ONE_POLE) == (n1.z > ONE_POLE)
+        a_sigma, b_sigma = n0.sigma if alike else middle.sigma, n1.sigma if alike else middle.sigma
+        a_rate, b_rate = n0.rate if alike else middle.rate, n1.rate if alike else middle.rate
+        a_z, b_z = n0.z if alike else middle.z, n1.z if alike else middle.z
+        apart = n0.apart if alike else middle.apart
+        a_a1, b_a1 = n0.a1 if alike else middle.a1, n1.a1 if alike else middle.a1
+        a_a2, b_a2 = n0.a2 if alike else middle.a2, n1.a2 if alike else middle.a2
+        single = a_z > ONE_POLE
+        slowest = min(a_rate, b_rate) if single else min(min(a_a1, b_a1), min(a_a2, b_a2))
+        # The turns: the larger root first, without cancellation, the other one from the product of both.
+        last, half = c1 + _TWO * c2 + _THREE * c3, c1 + c2
+        square = c2 * c2 - _THREE * c3 * c1
+        root = np.sqrt(max(square, _ZERO))
+        pair = -(c2 + (root if c2 > _ZERO else -root))
+        x1, x2 = pair / (_THREE * c3), c1 / pair
+        turns = (min(min(c1, half), last) < _ZERO) & (max(max(c1, half), last) > _ZERO) & (square > _ZERO)
+        x1 = x1 if turns & (x1 > _ZERO) & (x1 < _ONE) else _ONE
+        x2 = x2 if turns & (x2 > _ZERO) & (x2 < _ONE) else _ONE
+        # A pixel whose dead time ends in the piece takes its reference there.
+        reset, noise_there = pick(visits, Visit.RESET, j), pick(visits, Visit.N, j)
+        x, burst = max(reset, _ZERO), LASTS / slowest
+        stored = pick(visits, Visit.REFERENCE, j)
+        armed = ((c3 * x + c2) * x + c1) * x + noise_there + take(rows, Column.OFFSET + i)
+        put(rows, Column.STATE + i, BURST if reset + burst > _ZERO else PART)
+        put(rows, Column.C1 + i, c1)
+        put(rows, Column.C2 + i, c2)
+        put(rows, Column.C3 + i, c3)
+        put(rows, Column.TURN + i, min(x1, x2))
+        put(rows, Column.TURN2 + i, max(x1, x2))
+        put(rows, Column.ON + i, pick(visits, Visit.ON, j))
+        put(rows, Column.OFF + i, pick(visits, Visit.OFF, j))
+        put(rows, Column.SIGMA + i, a_sigma)
+        put(rows, Column.D_SIGMA + i, b_sigma - a_sigma)
+        put(rows, Column.RATE + i, a_rate)
+        put(rows, Column.D_RATE + i, b_rate - a_rate)
+        put(rows, Column.A1 + i, a_a1)
+        put(rows, Column.D_A1 + i, b_a1 - a_a1)
+        put(rows, Column.A2 + i, a_a2)
+        put(rows, Column.D_A2 + i, b_a2 - a_a2)
+        put(rows, Column.Z + i, a_z)
+        put(rows, Column.D_Z + i, b_z - a_z)
+        put(rows, Column.APART + i, apart)
+        put(rows, Column.BURST + i, burst)
+        put(rows, Column.DEAD + i, c.dead_s / span)
+        put(rows, Column.LATE + i, _ZERO)
+        put(rows, Column.SPAN + i, span)
+        put(rows, Column.REFERENCE + i, stored if stored == stored else armed)
+        put(rows, Column.LEFT + i, pick(visits, Visit.LEFT, j))
+        put(rows, Column.N + i, noise_there)
+        put(rows, Column.V + i, pick(visits, Visit.V, j) * span)
+        put(rows, Column.RESET + i, reset)
+        put(rows, Column.AT + i, x)
+        put(rows, Column.LIMIT + i, _TWO)
