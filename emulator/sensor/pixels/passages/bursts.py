@@ -299,11 +299,11 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         cut_at, left = take(rows, Column.CUT_AT + i), take(rows, Column.LEFT + i)
         begins = take(rows, Column.BEGINS + i) > _ZERO
         slow, apart = slower_rate(noise_at(rows, i, x)), take(rows, Column.APART + i)
-        # The slice: to the next of the ages. A slower pole that speeds up may bring the last one before the burst's
-        # end.
+        # The slice: to the next of the ages. A slower pole that changes may bring the last one before the burst's end,
+        # or the next one before x.
         age = (x - reset) * slow * _NEXT_AGE + _LEAST_AGE
         end = min(min(reset + next_age(age) / slow, cut_at), last)
-        end = x if first else (last if age >= _AGE7 else end)
+        end = x if first else (end if (age < _AGE7) & (end > x) else last)
         # Distances, speeds and hazards at its end, the factor of two thresholds included.
         at_end = near_at(rows, i, end)
         k = slice_of(at_end.z)
