@@ -105,10 +105,7 @@ class PixelArray(PixelMethod):
         """Return the state before the first light, with thresholds and leak of each pixel."""
         blocks = -(-self._pixels // layout.BLOCK)
         fields, p = aligned_zeros((blocks, layout.FIELDS, layout.BLOCK)), self.parameters
-        # Those beyond the sensor's end rest in the dark: no leak, in units of ON, comes near their reference.
-        fields[:, [Field.LOG_LIGHT, Field.FILTERED, Field.SECOND]] = np.log(self._light_constants.dark)
-        fields[:, [Field.REFERENCE, Field.ON, Field.OFF]] = np.array([[1e30], [1.0], [np.inf]])
-        fields[:, [Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL]] = np.inf
+        fields[:] = self._resting()[:, None]
         pixels = layout.draw(p, self.seed)
         layout.put_field(fields, Field.ON, pixels.on)
         layout.put_field(fields, Field.OFF, pixels.off)
@@ -452,16 +449,21 @@ class PixelArray(PixelMethod):
             leaked, on = (layout.take_field(fields, of, self._pixels) for of in (Field.LEAKED, Field.ON))
             layout.put_field(fields, Field.LEAKED, leaked + hz * on * lit * by_s)
 
-    def _make_refinement(self) -> Refinement:
-        """Make the refinement of undersampled steps, which few arrays need."""
+    def _resting(self) -> npt.NDArray[np.float32]:
+        """Return the state of a pixel that rests in the dark, (FIELDS,): of those beyond the end of the last block."""
         light = self._light_constants
         resting = np.zeros(layout.FIELDS, np.float32)
-        resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(light.dark)
+        resting[[Field.LOG_LIGHT, Field.FILTERED, Field.SECOND]] = np.log(light.dark)
         resting[Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
-        resting[[Field.ON, Field.OFF]] = np.inf
+        # No leak, in units of ON, comes near the reference.
+        resting[[Field.REFERENCE, Field.ON, Field.OFF]] = 1e30, 1.0, np.inf
         resting[[Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL]] = np.inf
+        return resting
+
+    def _make_refinement(self) -> Refinement:
+        """Make the refinement of undersampled steps, which few arrays need."""
         table = self._workers.buffers[0].table
-        self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
+        self._refinement = Refinement(self.state.fields.shape[0], self._resting(), table, self._constants)
         return self._refinement
 
     def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> layout.StepConstants:

@@ -220,7 +220,7 @@ def test_noise_follows_a_changed_threshold(off):
     assert found == pytest.approx(wanted[:2], rel=0.05 + 4 * math.sqrt(2 * 10 / wanted[:2].min()))
 
 
-def test_noise_after_a_change_does_not_depend_on_the_steps():
+def test_rates_after_a_change_do_not_depend_on_the_steps():
     found = []
     for step_ms in (1, 5):
         sensor = Sensor(_NOISY, 7)
@@ -229,5 +229,7 @@ def test_noise_after_a_change_does_not_depend_on_the_steps():
         sensor.adjust("threshold_on", 0.22)
         parts += [_noise_events(sensor, tuple(range(100 + step_ms, 301, step_ms))), sensor.finish()]
         found.append(np.concatenate(parts))
-    assert len(found[0]) > 500
-    assert np.array_equal(*found)
+    few, many = sorted(map(len, found))
+    assert few > 500
+    # within 2 %, and 3.9 standard errors (1e-4): single events follow the steps
+    assert many - few < 0.02 * many + 3.9 * math.sqrt(few + many)

@@ -153,11 +153,11 @@ def _count(rows: _Float32s, counts: _Int64s, n: int) -> None:
 
 
 @kernel
-def _event_ns(visits: Visits, i: int) -> np.int64:
-    """Return the time of column i's event in the step, ns."""
+def _event_ns(visits: Visits, i: int, c: StepConstants) -> np.int64:
+    """Return the time of column i's event in the step, ns; float32 lengths of pieces may add up to more than it."""
     rows, j = visits.columns.rows, visits.columns.visits[i]
     begin_s, span_s = np.float64(visits.rows[Visit.BEGIN + j]), np.float64(rows[Column.SPAN + i])
-    return np.int64((begin_s + np.float64(rows[Column.EVENT + i]) * span_s) * 1e9)
+    return min(np.int64((begin_s + np.float64(rows[Column.EVENT + i]) * span_s) * 1e9), np.int64(c.h_ns))
 
 
 @kernel
@@ -191,7 +191,7 @@ def _let_fire(  # noqa: PLR0913, PLR0917
         listed[placed] = i
         placed += rows[Column.STATE + i] == PLACED
     for i in listed[:placed]:
-        columns.resets_ns[i] = c.t0_ns + _event_ns(visits, i)
+        columns.resets_ns[i] = c.t0_ns + _event_ns(visits, i, c)
         columns.keys[i] = mix_word(columns.streams[i] ^ (np.uint64(columns.resets_ns[i]) * _OF_EVENT))
     resets.draw(rows, columns.keys, whole_vectors(n))
     resets.leave(rows, tables, whole_vectors(n))

@@ -9,6 +9,7 @@ import pytest
 from emulator.light import LightFrame
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels import array as pixels
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
@@ -102,9 +103,11 @@ def test_a_pixel_that_is_halved_has_the_events_and_the_state_of_half_the_step(ef
 
 
 def test_undersampled_pixels_all_over_are_solved_like_frames_at_an_eighth_of_the_step():
-    halved, found = run([k * 4 * MS for k in range(1, 6)], pixel_light)
-    truth = joined(run([k * MS // 8 for k in range(1, 161)])[1])
-    coarse = joined(run([k * 4 * MS for k in range(1, 6)])[1])
+    """Without noise, whose times follow the steps."""
+    plain, steps = dataclasses.replace(SMALL, noise=NoiseParameters()), [k * 4 * MS for k in range(1, 6)]
+    halved, found = run(steps, pixel_light, plain)
+    truth = joined(run([k * MS // 8 for k in range(1, 161)], None, plain)[1])
+    coarse = joined(run(steps, None, plain)[1])
 
     near, far = (compare(stream(events), stream(truth)) for events in (joined(found), coarse))
     assert near.right > 0.998
