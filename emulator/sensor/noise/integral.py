@@ -45,6 +45,7 @@ _FIRST_PLACE, _A_DEVIATION = -4.0, 8.0
 _ZERO, _HALF, _ONE, _TWO, _FOUR, _SIX, _EIGHT, _NINE = (np.float32(x) for x in (0, 0.5, 1, 2, 4, 6, 8, 9))
 _INVERSE_ROOT = np.float32(1 / math.sqrt(2 * math.pi))
 _FADES = np.float32(0.375)  # see `hazard`
+_PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)  # deviations up to which the factor of two thresholds counts
 _QUARTER = np.float32(0.25)
 FARTHEST = np.float32(7.5)
 """Deviations of a threshold beyond which a part adds nothing: 1e-12 of a passage in a time constant."""
@@ -115,12 +116,14 @@ def _between(tables: _Float32s, at: Real, row: Real, f: Real, g: Real) -> Real:
 
 
 @lane
-def _entry(tables: _Float32s, first: Real, row: Real, last: Real, k: Real, rho: Real, x: Real) -> Real:  # noqa: PLR0913, PLR0917
-    """Return a table in slice k at the speed nu / (1 + |nu|) and the place x of its rows."""
+def _entry(tables: _Float32s, first: Real, row: Real, last: Real, k: Real, rho: Real, x: Real, needed: Real) -> Real:  # noqa: PLR0913, PLR0917
+    """Return a table in slice k at the speed nu / (1 + |nu|) and the place x of its rows; any if not `needed`."""
     x = min(max(x, _ZERO), last)
     y = min(max(rho * _THIRTY_TWO + _THIRTY_TWO, _ZERO), _LAST_SPEED)
     i, j = np.floor(x), np.floor(y)
-    return _between(tables, first + (k * _ROWS + j) * row + i, row, x - i, y - j)
+    # What is not needed is read in one place: the tables are larger than the caches.
+    at = first + (k * _ROWS + j) * row + i if needed else _ZERO
+    return _between(tables, at, row, x - i, y - j)
 
 
 @lane
@@ -151,23 +154,24 @@ def farther(c: Real, nu: Real, apart: Real) -> Real:
 
 
 @lane
-def integral_beyond(tables: _Float32s, k: Real, rho: Real, c: Real) -> Real:
-    """Return K(c) in slice k."""
-    return _entry(tables, _K, _ROW, _LAST, k, rho, (c + _FOUR) * _EIGHT) * gaussian(c)
+def integral_beyond(tables: _Float32s, k: Real, rho: Real, c: Real, needed: Real) -> Real:
+    """Return K(c) in slice k; 0 if not `needed`."""
+    value = _entry(tables, _K, _ROW, _LAST, k, rho, (c + _FOUR) * _EIGHT, needed) * gaussian(c)
+    return value if needed else _ZERO
 
 
 @lane
-def density_or_integral(tables: _Float32s, is_integral: Real, k: Real, rho: Real, c: Real) -> Real:
-    """Return K(c) or G(c) in slice k, by one look-up."""
+def density_or_integral(tables: _Float32s, is_integral: Real, k: Real, rho: Real, c: Real, needed: Real) -> Real:
+    """Return K(c) or G(c) in slice k, by one look-up; any number if not `needed`."""
     first = _K if is_integral else _G
-    return _entry(tables, first, _ROW, _LAST, k, rho, (c + _FOUR) * _EIGHT) * gaussian(c)
+    return _entry(tables, first, _ROW, _LAST, k, rho, (c + _FOUR) * _EIGHT, needed) * gaussian(c)
 
 
 @lane
-def place_of(tables: _Float32s, k: Real, rho: Real, integral: Real) -> Real:
-    """Return the c at which K has a value."""
+def place_of(tables: _Float32s, k: Real, rho: Real, integral: Real, needed: Real) -> Real:
+    """Return the c at which K has a value; any number if not `needed`."""
     log = natural_log(max(integral, _LEAST_K))
-    return _entry(tables, _C, _ROW_OF_LOGS, _LAST_LOG, k, rho, (log + _THIRTY_TWO) * _FOUR)
+    return _entry(tables, _C, _ROW_OF_LOGS, _LAST_LOG, k, rho, (log + _THIRTY_TWO) * _FOUR, needed)
 
 
 @lane
@@ -177,17 +181,21 @@ def steeper_beyond(c: Real) -> Real:
 
 
 @lane
-def rate_of(tables: _Float32s, k: Real, apart: Real, c: Real, nu: Real) -> Real:
-    """Return the hazard of a threshold over s, 0 beyond FARTHEST."""
-    at = c + farther(c, nu, apart)
-    value = _entry(tables, _G, _ROW, _LAST, k, rho_of(nu), (at + _FOUR) * _EIGHT) * gaussian(at)
+def rate_of(tables: _Float32s, k: Real, apart: Real, c: Real, nu: Real, needed: Real) -> Real:
+    """Return the hazard of a threshold over s; 0 beyond FARTHEST, and if not `needed`."""
+    at, near = c + farther(c, nu, apart), needed & (c < FARTHEST)
+    value = _entry(tables, _G, _ROW, _LAST, k, rho_of(nu), (at + _FOUR) * _EIGHT, near) * gaussian(at)
     value *= (_ONE + abs(nu)) * steeper_beyond(at)
-    return value if c < FARTHEST else _ZERO
+    return value if near else _ZERO
 
 
 @lane
-def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real) -> tuple[Real, Real]:
-    """Return the factors F of the fluxes through thresholds at a and b deviations, of that at a and of that at b."""
+def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real, share: Real, needed: Real) -> tuple[Real, Real]:
+    """Return the factors F of the fluxes through thresholds at a and b deviations, of that at a and of that at b.
+
+    A `share` of them counts. They are 1 where one of the thresholds is far, and if not `needed`.
+    """
+    near = needed & (a + b < _PAIR_SUM) & (max(a, b) < _PAIR_FAR)
     single = z > ONE_POLE
     nodes, per_deviation = np.float32(53) if single else np.float32(25), _EIGHT if single else _FOUR
     of_ratio = _TWO_PAIR + np.float32(625) * np.floor(min(max(z + _HALF, _ZERO), _SIX))
@@ -195,7 +203,9 @@ def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real) -> tuple[Real, Re
     x, y = min(max((a + _HALF) * per_deviation, _ZERO), last), min(max((b + _HALF) * per_deviation, _ZERO), last)
     i, j = np.floor(x), np.floor(y)
     f, g = x - i, y - j
-    return _between(tables, first + i * nodes + j, nodes, g, f), _between(tables, first + j * nodes + i, nodes, f, g)
+    of_a, of_b = (first + i * nodes + j if near else _ZERO), (first + j * nodes + i if near else _ZERO)
+    f_a, f_b = _between(tables, of_a, nodes, g, f), _between(tables, of_b, nodes, f, g)
+    return (_ONE + (f_a - _ONE) * share if near else _ONE), (_ONE + (f_b - _ONE) * share if near else _ONE)
 
 
 @lane

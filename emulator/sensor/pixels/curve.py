@@ -55,6 +55,8 @@ from emulator.sensor.pixels.state import StepConstants
 
 _ZERO, _ONE, _TWO, _THREE, _FOUR, _SIX = (np.float32(x) for x in (0, 1, 2, 3, 4, 6))
 _HALF, _QUARTER, _EIGHTH, _THIRD = (np.float32(x) for x in (0.5, 0.25, 0.125, 1 / 3))
+_BEHIND, _ENDLESS = np.float32(4), np.float32(np.inf)  # log light
+_OVERSHOOT = np.float32(4 / 27)  # of a cubic beyond its ends, over its slopes there
 LARGEST_CHANGE = np.float32(0.5)
 """Largest change of log light in one piece: the fourth-order rules of the low-pass allow no more."""
 
@@ -221,6 +223,35 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
 
 
 _AT_REST = np.float32(1e-6)  # ln units
+
+
+class Swing(NamedTuple):
+    """A step: change and slopes of the log light, and how far the filter is behind at its start."""
+
+    d: Real
+    a0: Real
+    a1: Real
+    behind: Real
+
+
+@lane
+def fastest(swing: Swing, r0: Real, r1: Real) -> Real:
+    """Return a bound of a filter's slope per step, at rates of r0 and r1 a step at its ends.
+
+    A low-pass has no steeper output than its input, or than at its start: a slope of e^behind - 1 over its rate by the
+    large-signal law. Nor has it a steeper one than where it is farthest behind: a slow filter hardly moves, whatever
+    its light does. Rates that change in between may add a factor of 1.65.
+    """
+    d, a0, a1 = swing.d, swing.a0, swing.a1
+    light = max(max(abs(a0), abs(a1)), abs(_THREE * d - a0 - a1))
+    farthest = swing.behind + abs(d) + _OVERSHOOT * (abs(a0) + abs(a1))
+    return min(max(light, r0 * _excess(swing.behind)), max(r0, r1) * _excess(farthest))
+
+
+@lane
+def _excess(behind: Real) -> Real:
+    """Return a bound of e^behind - 1; none beyond _BEHIND."""
+    return behind * (_ONE + behind * (_ONE + behind)) if behind < _BEHIND else _ENDLESS
 
 
 @lane

@@ -28,7 +28,7 @@ from emulator.sensor.numerics.keyed import high, mix_word, stream, unit, word
 from emulator.sensor.pixels import state
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
-from emulator.sensor.pixels.curve import photocurrent
+from emulator.sensor.pixels.curve import Swing, fastest, photocurrent
 from emulator.sensor.pixels.passages import rounds
 from emulator.sensor.pixels.passages.certificates import certify
 from emulator.sensor.pixels.passages.rows import Visit, Visits, whole_vectors
@@ -74,6 +74,11 @@ def _visit_whole(visits: _Float32s, rows: _Float32s, n: int, c: StepConstants) -
         still = (
             (rows[row.C_U0 + j] == rows[row.C_U1 + j]) & (rows[row.C_A0 + j] == _ZERO) & (rows[row.C_A1 + j] == _ZERO)
         )
+        u1, v0, v1 = rows[row.C_U1 + j], rows[row.C_V0 + j], rows[row.C_V1 + j]
+        d, a0, a1 = u1 - rows[row.C_U0 + j], rows[row.C_A0 + j], rows[row.C_A1 + j]
+        l1 = c.h * rows[row.C_L1 + j]
+        swift = max(fastest(Swing(d, a0, a1, abs(u1 - v1)), l1, l1), abs(v1 - v0))
+        put(visits, Visit.FASTEST + j, max(swift, c.second * abs(v1 - rows[row.C_W1 + j])) / c.h)
         put(visits, Visit.C1 + j, rows[row.C_C1 + j])
         put(visits, Visit.C2 + j, rows[row.C_C2 + j])
         put(visits, Visit.C3 + j, rows[row.C_C3 + j])
@@ -233,6 +238,7 @@ def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, const
         rows[Visit.LEAK + j], rows[Visit.REFERENCE + j] = fields[at + _LEAK], fields[at + _REF]
         rows[Visit.LIT + j] = c.parasitic * pieces[sub.ON + j] * photocurrent(pieces[sub.U1 + j])
         rows[Visit.STILL + j], rows[Visit.COUNT + j] = _ZERO, pieces[sub.COUNT + j]
+        rows[Visit.FASTEST + j] = _ZERO
     _gather(visits, pixels, of, n, c)
     _complete(rows, whole_vectors(n), np.float32(c.noise_rms), c)
     for j in range(n):

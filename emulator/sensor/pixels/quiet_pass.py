@@ -63,7 +63,6 @@ _MORE = np.float32(1.5)  # the same for the integral of light
 _SHORT_LIVED = np.float32(3)  # length of a step, in time constants, from which the exponential counts as a part of it
 _LEFT_OUT = np.float32(0.004)  # of a threshold: exponential that a high-pass may see without being solved with it
 _FASTER = np.float32(1.65)  # slopes behind a filter whose rate changes, over those of its light
-_BEHIND = np.float32(4)  # log light
 _BULGE = np.float32(1.2)  # ... and for light that is higher inside the step than at its ends: e^x < 1 + 1.2 x
 
 
@@ -288,8 +287,7 @@ def _test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -
 def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
     """Write 1 to `may_fire` where a pixel with noise leaves its certificate or its step is not smooth, else 0.
 
-    The value moves no faster than the light, or than at the start of the step: a low-pass has no steeper output, but
-    for the change of its rate, which is a factor of 1.65 on smooth light.
+    The value moves no faster than `curve.fastest` has it, times 1.65 where the rate of the low-pass changes.
     """
     use_widest_vectors()
     for i in range(BLOCK):
@@ -299,10 +297,8 @@ def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: Ste
         inside = (high < s[_ON_LIMIT + i] - _MARGIN) & (low > _MARGIN - s[_OFF_LIMIT + i])
         a0, a1 = before[_A0 + i], before[_A1 + i]
         d = s[_U + i] - before[_U0 + i]
-        behind = abs(before[_U0 + i] - before[_V0 + i])
-        # Above e^behind - 1, the speed of the large-signal law over its rate; farther behind it may be any steeper.
-        lag = behind * (_ONE + behind * (_ONE + behind)) if behind < _BEHIND else _ENDLESS
-        steepest = max(max(max(abs(a0), abs(a1)), abs(_THREE * d - a0 - a1)), c.h * before[_L0 + i] * lag)
+        swing = curve.Swing(d, a0, a1, abs(before[_U0 + i] - before[_V0 + i]))
+        steepest = curve.fastest(swing, c.h * before[_L0 + i], c.h * s[_L + i])
         if_second = c.second * abs(before[_V0 + i] - before[_W0 + i]) if c.second > _ZERO else _ZERO
         if_high = c.high * max(abs(before[_HIGH + i]), abs(before[_LOW + i])) if c.high > _ZERO else _ZERO
         # A speed below 0 holds in still light alone; so does 0, behind a high-pass.

@@ -90,7 +90,6 @@ _BEYOND, _UNRESOLVED = np.float32(-4), np.float32(16)
 _STEADY_OF_ONE = np.float32(3)
 _HALVED, _MOST_HALVINGS = np.float32(0.08), np.float32(4)
 _SHORTEST = np.float32(0.05)
-_PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)
 _LEAST_HAZARD = np.float32(1e-30)
 _STEEP, _STILL_STEEP = np.float32(0.7), np.float32(0.4)
 _CONVERGED = np.float32(0.3)
@@ -253,12 +252,12 @@ class Along(NamedTuple):
 
 @lane
 def along(  # noqa: PLR0913, PLR0917
-    tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real
+    tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real, needed: Real
 ) -> Along:
-    """Return a threshold's integral over a slice of q time constants from a to b, one look-up either way.
+    """Return a threshold's integral over a slice of q time constants from a to b; 0 if not `needed`.
 
-    Over the distance with the speed at b where the slice begins at the reset or is fast, else by Simpson's rule. Place
-    and speed of the middle are those of the cubic through both ends.
+    By one look-up either way: over the distance with the speed at b where the slice begins at the reset or is fast,
+    else by Simpson's rule. Place and speed of the middle are those of the cubic through both ends.
     """
     over_distance = begins | fast
     c_middle = _HALF * (a.c + b.c) + _EIGHTH * q * (b.nu - a.nu)
@@ -268,14 +267,15 @@ def along(  # noqa: PLR0913, PLR0917
     steep = _ONE + abs(nu)
     rho, at = nu / steep, c + farther(c, nu, apart)
     distant = a.c + farther(a.c, nu, apart)
-    value = density_or_integral(tables, over_distance, k, rho, at)
-    beyond = integral_beyond(tables, k, rho, distant)
-    beyond = beyond if ~begins & ((a.c - b.c) * (a.c + b.c) < _UNRESOLVED) else _ZERO
+    near = needed & (min(a.c, b.c) < FARTHEST)
+    value = density_or_integral(tables, over_distance, k, rho, at, near)
+    resolved = near & over_distance & ~begins & ((a.c - b.c) * (a.c + b.c) < _UNRESOLVED)
+    beyond = integral_beyond(tables, k, rho, distant, resolved)
     middle = value * steep * steeper_beyond(at)
     middle = middle if c < FARTHEST else _ZERO
     telescoped = CERTAIN if b.c < _BEYOND else (value - beyond) / rho
     total = telescoped if over_distance else q * _SIXTH * (a.hazard + _FOUR * middle + b.hazard)
-    return Along(total if min(a.c, b.c) < FARTHEST else _ZERO, middle)
+    return Along(total if near else _ZERO, middle)
 
 
 @lane
@@ -307,13 +307,11 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         # Distances, speeds and hazards at its end, the factor of two thresholds included.
         at_end = near_at(rows, i, end)
         k = slice_of(at_end.z)
-        on1 = rate_of(tables, k, apart, at_end.c_on, at_end.nu_on)
-        off1 = rate_of(tables, k, apart, at_end.c_off, at_end.nu_off)
-        near_both = (at_end.c_on + at_end.c_off < _PAIR_SUM) & (max(at_end.c_on, at_end.c_off) < _PAIR_FAR)
-        on_factor, off_factor = pair_factors(tables, at_end.c_on, at_end.c_off, at_end.z)
+        on1 = rate_of(tables, k, apart, at_end.c_on, at_end.nu_on, selected)
+        off1 = rate_of(tables, k, apart, at_end.c_off, at_end.nu_off, selected)
         rise, variance = _HALF * (at_end.nu_on - at_end.nu_off), at_end.deviation * at_end.deviation
-        share = variance * variance / (_ONE + rise * rise) if near_both else _ZERO
-        on_factor, off_factor = _ONE + (on_factor - _ONE) * share, _ONE + (off_factor - _ONE) * share
+        share = variance * variance / (_ONE + rise * rise)
+        on_factor, off_factor = pair_factors(tables, at_end.c_on, at_end.c_off, at_end.z, share, selected)
         on1, off1 = on1 * on_factor, off1 * off_factor
         # Both integrals, from the values at its start.
         slope0, z0 = take(rows, Column.SLOPE0 + i), take(rows, Column.Z0 + i)
@@ -328,8 +326,8 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         off_fast = (max(off_a.nu, at_end.nu_off) > _FAST) & (at_end.nu_off > _FAST_END)
         off_fast = off_fast & (off_a.c - at_end.c_off > _FAST_TRAVEL) & ~begins
         on_fast = on_fast & ~begins
-        on = along(tables, k, apart, on_a, Point(at_end.c_on, at_end.nu_on, on1), q, begins, on_fast)
-        off = along(tables, k, apart, off_a, Point(at_end.c_off, at_end.nu_off, off1), q, begins, off_fast)
+        on = along(tables, k, apart, on_a, Point(at_end.c_on, at_end.nu_on, on1), q, begins, on_fast, selected)
+        off = along(tables, k, apart, off_a, Point(at_end.c_off, at_end.nu_off, off1), q, begins, off_fast, selected)
         on_telescoped, off_telescoped = begins | on_fast, begins | off_fast
         in_middle = q * _LIKELY
         on_total = on.value * on_factor if on_telescoped else on.value + in_middle * on.middle * (on_factor - _ONE)
@@ -440,12 +438,13 @@ class Target(NamedTuple):
 
 
 @lane
-def nearer_event(tables: _Float32s, at: Bracket, seen: Seen, approach: Approach) -> Target:
-    """Return a step of Newton's method for c(x) = c*."""
+def nearer_event(tables: _Float32s, at: Bracket, seen: Seen, approach: Approach, needed: Real) -> Target:
+    """Return a step of Newton's method for c(x) = c*; any if not `needed`."""
     nu, k = max(seen.nu, _LEAST_NU), slice_of(seen.z)
     rho = rho_of(nu)
-    before = integral_beyond(tables, k, rho, approach.c0 + farther(approach.c0, nu, approach.apart))
-    c = place_of(tables, k, rho, approach.left * rho + (before if approach.c0 < FARTHEST else _ZERO))
+    first = approach.c0 + farther(approach.c0, nu, approach.apart)
+    before = integral_beyond(tables, k, rho, first, needed & (approach.c0 < FARTHEST))
+    c = place_of(tables, k, rho, approach.left * rho + before, needed)
     c -= farther(c, nu, approach.apart)
     low, high = at.low if seen.c < c else at.x, at.x if seen.c < c else at.high
     x = at.x + (seen.c - c) / (nu * seen.slope)
@@ -482,10 +481,10 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
         )
         low, high = take(rows, Column.AT + i), take(rows, Column.END + i)
         at = Bracket(min(max(take(rows, Column.EVENT + i), low), high), low, high)
-        at = nearer_event(tables, at, seen, approach).at
-        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
-        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
-        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach).at
+        at = nearer_event(tables, at, seen, approach, selected).at
+        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach, selected).at
+        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach, selected).at
+        at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach, selected).at
         replace(rows, Column.EVENT + i, at.x, selected)
         put(rows, Column.STATE + i, AGED if selected else state)
 
@@ -550,13 +549,13 @@ def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
         at = Bracket(at.x, x, end)
         seen = seen_at(at_end, up)
         good = good & (seen.nu > _STILL_STEEP)
-        at = nearer_event(tables, at, seen, approach).at
+        at = nearer_event(tables, at, seen, approach, selected).at
         seen = seen_at(near_at(rows, i, at.x), up)
         good = good & (seen.nu > _STILL_STEEP)
-        at = nearer_event(tables, at, seen, approach).at
+        at = nearer_event(tables, at, seen, approach, selected).at
         closeness = near_at(rows, i, at.x)
         seen = seen_at(closeness, up)
-        target = nearer_event(tables, at, seen, approach)
+        target = nearer_event(tables, at, seen, approach, selected)
         good = (good & (seen.nu > _STILL_STEEP) & target.inside & (abs(seen.c - target.c) < _CONVERGED)) | swift
         skipped = take(rows, Column.SKIPPED + i)
         skips = skipped > _ZERO

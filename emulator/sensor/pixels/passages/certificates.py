@@ -36,6 +36,8 @@ _FORGOTTEN = np.float32(10)  # times of the slower pole after which a reset is f
 _FEW_STEPS = np.float32(4)  # of a certificate before that, at least
 _KICK = np.float32(0.4)  # of the mean of the noise by its slope at the reset, at most, over slope / rate
 _SLOW, _FASTER = np.float32(0.1), np.float32(2)  # least speed of a certificate; its speed over the present one
+_COMES = np.float32(0.25)  # deviations that a pixel may come nearer
+_SWIFTER = np.float32(2.5)  # over the bound of the present one
 _NEAREST, _NEAREST_SETTLED = np.float32(1.5), np.float32(0.75)  # deviations from which on the bound holds
 _CROSSINGS, _CARRIED = np.float32(0.25), np.float32(0.6)
 _FARTHEST = np.float32(30)  # deviations at which a hazard is still a number
@@ -48,7 +50,6 @@ _ROUNDED = np.float32(1e-6)  # share of a number, more than float32 rounds
 _SLOWEST = np.float32(0.1)  # 1/s: forgets in more than the longest time
 _LEAK = np.float32(1.5)  # of it, that the quiet test allows
 _TINY, _LEAST_HZ = np.float32(1e-30), np.float32(1e-12)
-_PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)
 
 
 @lane
@@ -94,7 +95,7 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         # Moving light.
         moves = abs(moving) * _LONGEST_S > _STILL * noise.sigma
         unit = sigma * noise.rate
-        nu = max(_SLOW, _FASTER * abs(moving) / unit)
+        nu = max(_SLOW, max(_FASTER * abs(moving), _SWIFTER * take(rows, Visit.FASTEST + j)) / unit)
         c_on, c_off = min(on_room / sigma, _FARTHEST), min(off_room / sigma, _FARTHEST)
         nearest = _NEAREST if recent else _NEAREST_SETTLED
         of_one = _HALF * (_ONE + max(c_on, c_off) + nu)
@@ -103,7 +104,14 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         least = _ANY_SPEED if ample else nearest
         longest_moving = min(_ONE / max(c.high, _SLOWEST), _LONGEST_STEPS * span)
         longest = min(longest_moving, horizon) if moves else horizon
-        ahead = c_on if moving > _ZERO else c_off
+        rises = moving > _ZERO
+        ahead, behind = c_on if rises else c_off, c_off if rises else c_on
+        # No longer than a pixel may stay that comes nearer by a margin.
+        near, near_behind = max(ahead - _COMES, nearest), max(behind - _COMES, nearest)
+        bounded = min(
+            _TAKEN * exponential(_HALF * near * near), _OTHER * exponential(_HALF * near_behind * near_behind)
+        )
+        longest = longest if ample else min(longest, max(bounded * left / steep, span))
         # The longer a rest, the nearer must its limits be, and the sooner the pixel comes to them: two steps to a
         # balance.
         lasts = longest
@@ -121,7 +129,6 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         )
         limit = _limit(steep, _TAKEN * left / lasts, least)
         farther = _limit(steep, _OTHER * left / lasts, least)
-        rises = moving > _ZERO
         on_least, off_least = limit if rises else farther, farther if rises else limit
         holds = (c_on > on_least) & (c_off > off_least)
         on_limit, off_limit = on_room + offset - sigma * on_least, off_room - offset - sigma * off_least
@@ -135,11 +142,11 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         # The ON threshold is taken where leak will have brought it: a rest never takes more than is left.
         still_on = on * inverse - min(_DRIFTS, drift * _LONGEST_S * inverse)
         still_off = off * inverse
-        near_both = (still_on + still_off < _PAIR_SUM) & (max(still_on, still_off) < _PAIR_FAR)
-        on_factor, off_factor = pair_factors(tables, still_on, still_off, noise.z)
+        used = quiet | recent
+        on_factor, off_factor = pair_factors(tables, still_on, still_off, noise.z, _ONE, used)
         speed_now = moving * inverse / noise.rate
-        hz = rate_of(tables, k, noise.apart, still_on, speed_now) * (on_factor if near_both else _ONE)
-        hz += rate_of(tables, k, noise.apart, still_off, -speed_now) * (off_factor if near_both else _ONE)
+        hz = rate_of(tables, k, noise.apart, still_on, speed_now, used) * on_factor
+        hz += rate_of(tables, k, noise.apart, still_off, -speed_now, used) * off_factor
         # What a rest after a recent reset takes is known less well: all of a burst must take little.
         calm = hz * noise.rate * (_FORGOTTEN - age) / slow < _LITTLE * left
         still_s = min(_ALMOST * left / max(hz * noise.rate, _LEAST_HZ), horizon)

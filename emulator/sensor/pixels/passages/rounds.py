@@ -30,8 +30,11 @@ from emulator.sensor.pixels.passages.rows import (
     DONE,
     FIRED,
     FIRST,
+    GROUPS,
+    IN_BURSTS,
     IN_EVENTS,
     IN_PARTS,
+    IN_SLICES,
     PART,
     PLACED,
     SEEK,
@@ -69,7 +72,7 @@ _ANY = np.float32(-1)  # instead of a state: all that are not DONE
 _ONE = np.float32(1)
 # Purposes of an event's random numbers.
 _OF_EVENT, _OF_RESET = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD6E8FEB86659FD93)
-_ROWS = len(Column)
+ALL_GROUPS = IN_PARTS | IN_BURSTS | IN_EVENTS | IN_SLICES
 
 
 @kernel
@@ -80,29 +83,30 @@ def polarity_of(stream: np.uint64, reset_ns: int) -> float:
 
 
 @kernel
-def _rows_of(state: np.float32) -> int:
-    """Return the number of rows that a column in a state uses."""
+def _groups_of(state: np.float32) -> int:
+    """Return the groups of rows that a column in a state uses."""
     if (state == DONE) | (state == PART) | (state == BURST):
         return IN_PARTS
-    return IN_EVENTS if (state == FIRED) | (state == PLACED) else _ROWS
+    if (state == SLICE) | (state == FIRST) | (state == DIRECT):
+        return IN_PARTS | IN_BURSTS
+    return IN_PARTS | IN_EVENTS if (state == FIRED) | (state == PLACED) else ALL_GROUPS
 
 
 @kernel
-def _exchange(rows: _Float32s, pairs: _Int32s, first: int, last: int, row: int) -> None:
-    """Exchange a row of the pairs from `first` to `last`."""
-    for i in range(first, last, 2):
-        a, b = row * CAPACITY + pairs[i], row * CAPACITY + pairs[i + 1]
-        rows[a], rows[b] = rows[b], rows[a]
+def _exchange(rows: _Float32s, pairs: _Int32s, n: int, first_row: int, end_row: int) -> None:
+    """Exchange rows of the pairs in the first n places."""
+    for row in range(first_row, end_row):  # by rows: neighbours share cache lines
+        for i in range(0, n, 2):
+            a, b = row * CAPACITY + pairs[i], row * CAPACITY + pairs[i + 1]
+            rows[a], rows[b] = rows[b], rows[a]
 
 
 @kernel
 def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
     """Exchange the columns of a state, or all that are not DONE, to the front of the first n."""
-    rows, pairs = columns.rows, columns.pairs
-    # Pairs that use few rows are listed from the front, others from the back.
+    rows, pairs, groups = columns.rows, columns.pairs, columns.groups
     front, back = NONE, n - 1
-    few, many = NONE, np.int64(2 * CAPACITY)
-    used = np.int64(IN_PARTS)
+    listed = NONE
     while True:
         while front < back and ((rows[front] != DONE) if state < DONE else (rows[front] == state)):
             front += 1
@@ -110,24 +114,24 @@ def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
             back -= 1
         if front >= back:
             break
-        needed = max(_rows_of(rows[front]), _rows_of(rows[back]))
-        used = max(used, needed)
-        if needed <= IN_EVENTS:
-            pairs[few], pairs[few + 1] = front, back
-            few += 2
-        else:
-            many -= 2
-            pairs[many], pairs[many + 1] = front, back
+        pairs[listed], pairs[listed + 1] = front, back
+        groups[listed] = _groups_of(rows[front]) | _groups_of(rows[back])
+        listed += 2
         c = columns
         c.visits[front], c.visits[back] = c.visits[back], c.visits[front]
         c.streams[front], c.streams[back] = c.streams[back], c.streams[front]
         c.resets_ns[front], c.resets_ns[back] = c.resets_ns[back], c.resets_ns[front]
         front += 1
         back -= 1
-    for row in range(used):  # by rows: neighbours share cache lines
-        if row < IN_EVENTS:
-            _exchange(rows, pairs, NONE, few, row)
-        _exchange(rows, pairs, many, np.int64(2 * CAPACITY), row)
+    # Each group in turn: the list keeps the pairs that use it.
+    _exchange(rows, pairs, listed, GROUPS[0], GROUPS[1])
+    for group in range(1, 4):
+        kept = NONE
+        for i in range(0, listed, 2):
+            if groups[i] & (1 << group):
+                columns.chosen[kept], columns.chosen[kept + 1] = pairs[i], pairs[i + 1]
+                kept += 2
+        _exchange(rows, columns.chosen, kept, GROUPS[group], GROUPS[group + 1])
 
 
 @vector_kernel

@@ -66,6 +66,7 @@ class Visit(IntEnum):
     LEAK = auto()  # ln units a second
     LIT = auto()  # of it, that by the light
     STILL = auto()  # 1: the light does not change
+    FASTEST = auto()  # bound of the value's speed, ln units a second, as the quiet pass has it
     # State.
     REFERENCE = auto()  # from the value at the start; NaN in a dead time
     LEFT = auto()  # what is left of the drawn number
@@ -84,7 +85,7 @@ class Visit(IntEnum):
 
 
 class Column(IntEnum):
-    """Rows of the columns, by their first index; the first are used in all states, the last in bursts only."""
+    """Rows of the columns, by their first index, in the order in which states use them: see `GROUPS`."""
 
     @staticmethod
     def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
@@ -122,6 +123,20 @@ class Column(IntEnum):
     OFFSET = auto()  # of a reference from the signal, by the circuit of the reset
     AT = auto()  # time up to which the column is solved
     LIMIT = auto()  # end of a shortened part; 2: none
+    # Of a burst.
+    BURST_END = auto()  # of its present part
+    SKIPPED = auto()  # time up to which little can happen; -1: none
+    CUT_AT = auto()  # end of a halved slice; 2: none
+    HALVINGS = auto()
+    BEGINS = auto()  # 1: the slice begins at the reset
+    ON_RATE0 = auto()  # at the start of a slice: hazards, distances, speeds
+    OFF_RATE0 = auto()
+    ON_C0 = auto()
+    OFF_C0 = auto()
+    ON_NU0 = auto()
+    OFF_NU0 = auto()
+    SLOPE0 = auto()
+    Z0 = auto()
     # Of the part or slice that was integrated.
     END = auto()
     ON_INTEGRAL = auto()
@@ -139,20 +154,7 @@ class Column(IntEnum):
     PULL = auto()
     MEAN_SLOPE = auto()
     EVENT_Z = auto()
-    # Of a burst.
-    BURST_END = auto()  # of its present part
-    SKIPPED = auto()  # time up to which little can happen; -1: none
-    CUT_AT = auto()  # end of a halved slice; 2: none
-    HALVINGS = auto()
-    BEGINS = auto()  # 1: the slice begins at the reset
-    ON_RATE0 = auto()  # at the start of a slice: hazards, distances, speeds
-    OFF_RATE0 = auto()
-    ON_C0 = auto()
-    OFF_C0 = auto()
-    ON_NU0 = auto()
-    OFF_NU0 = auto()
-    SLOPE0 = auto()
-    Z0 = auto()
+    # Of the slice that an event is in.
     ON_MIDDLE = auto()  # hazards in its middle
     OFF_MIDDLE = auto()
     ON_RATE1 = auto()  # at its end
@@ -194,11 +196,14 @@ STATES = len(State)
     DONE, PART, FIRED, SLICE, BURST, PLACED, CUT, DIRECT, FIRST, SEEK, AGED,
 ) = (np.float32(state) for state in State)  # fmt: skip
 
-IN_PARTS = (Column.END - Column.STATE) // CAPACITY
-"""Rows that a column in a part uses."""
+GROUPS = tuple(
+    (column - Column.STATE) // CAPACITY
+    for column in (Column.STATE, Column.BURST_END, Column.END, Column.ON_MIDDLE, Column.NORMAL)
+)
+"""First rows of groups, and their end: of all states, of bursts, of events, of events in slices."""
 
-IN_EVENTS = (Column.BURST_END - Column.STATE) // CAPACITY
-"""Rows that a column outside bursts uses."""
+IN_PARTS, IN_BURSTS, IN_EVENTS, IN_SLICES = 1, 2, 4, 8
+"""Bits of the groups."""
 
 
 class Columns(NamedTuple):
@@ -210,7 +215,9 @@ class Columns(NamedTuple):
     keys: _Words  # of those of its event
     resets_ns: _Int64s  # stream times of the last reset
     counts: _Int64s  # columns of each state
-    pairs: _Int32s  # places to be exchanged
+    pairs: _Int32s  # places to be exchanged, the groups of rows that they use, and those of one group
+    groups: _Int32s
+    chosen: _Int32s
 
 
 class Visits(NamedTuple):
@@ -232,7 +239,7 @@ def new_visits() -> Visits:
         np.zeros(CAPACITY, np.uint64),
         times[0],
         np.zeros(STATES, np.int64),
-        np.zeros(2 * CAPACITY, np.int32),
+        *np.zeros((3, 2 * CAPACITY), np.int32),
     )
     rows = aligned_zeros(len(Visit) * CAPACITY)
     return Visits(rows, words[1], times[1], columns)

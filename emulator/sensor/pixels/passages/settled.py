@@ -63,7 +63,6 @@ _BENDS = np.float32(1 / 24)
 _UNRESOLVED = np.float32(16)  # difference of two squares of c beyond which the far end adds nothing
 _BOTH, _BOTH_TOGETHER = np.float32(0.02), np.float32(0.1)  # integrals of both thresholds with which a part is shortened
 _MUCH, _QUARTER = np.float32(4), np.float32(0.25)
-_PAIR_SUM, _PAIR_FAR = np.float32(10), np.float32(5.4)  # deviations up to which the factor of two thresholds counts
 _LITTLE = np.float32(0.02)
 _ON, _OFF = np.float32(1), np.float32(2)  # bits of CELL
 
@@ -96,8 +95,8 @@ def near_speed(nu: Real, bend: Real, c: Real, gone: Real) -> Real:
 
 
 @lane
-def integral_of(tables: _Float32s, k: Real, apart: Real, ends: Ends, q: Real) -> Integral:
-    """Return a threshold's integral over a part of q time constants, in slice k."""
+def integral_of(tables: _Float32s, k: Real, apart: Real, ends: Ends, q: Real, needed: Real) -> Integral:
+    """Return a threshold's integral over a part of q time constants, in slice k; 0 if not `needed`."""
     travel = ends.c0 - ends.c1
     size, toward = abs(travel), travel > _ZERO
     closeness, distant = min(ends.c0, ends.c1), max(ends.c0, ends.c1)
@@ -109,21 +108,31 @@ def integral_of(tables: _Float32s, k: Real, apart: Real, ends: Ends, q: Real) ->
     # One look-up serves both forms: the hazard of a cell's middle, or the integral beyond the near end.
     at = middle if cell else closeness
     at += farther(at, nu, apart)
-    value = density_or_integral(tables, ~cell, k, rho, at)
-    beyond = integral_beyond(tables, k, rho, distant + farther(distant, nu, apart))
-    beyond = beyond if (distant - closeness) * (distant + closeness) < _UNRESOLVED else _ZERO
+    near = needed & (closeness < FARTHEST)
+    value = density_or_integral(tables, ~cell, k, rho, at, near)
+    resolved = near & ~cell & ((distant - closeness) * (distant + closeness) < _UNRESOLVED)
+    beyond = integral_beyond(tables, k, rho, distant + farther(distant, nu, apart), resolved)
     bent = _ONE + travel * travel * (middle * middle - _ONE) * _BENDS  # mean of the Gaussian over the cell
     in_cell = q * steep * value * steeper_beyond(at) * bent
     along = max((value - beyond) / max(abs(rho), _TINY), _ZERO)
     total = in_cell if cell else (CERTAIN if closeness < _BEYOND else along)
-    return Integral(total if closeness < FARTHEST else _ZERO, nu, cell, closeness)
+    return Integral(total if near else _ZERO, nu, cell, closeness)
 
 
 class Both(NamedTuple):
-    """The integrals of both thresholds."""
+    """The integrals of both thresholds, as if each were alone, and as they are."""
 
     on: Integral
     off: Integral
+    on_value: Real
+    off_value: Real
+
+
+@lane
+def both_count(both: Both) -> Real:
+    """Return whether both thresholds take so much that their order in time counts: the part is to be shortened."""
+    on, off = both.on, both.off
+    return (min(on.value, off.value) > _BOTH) & (on.value + off.value > _BOTH_TOGETHER) & ~(on.cell & off.cell)
 
 
 class Span(NamedTuple):
@@ -143,8 +152,11 @@ class Widening(NamedTuple):
 
 
 @lane
-def integrals(tables: _Float32s, curve: Curve, span: Span, widening: Widening, noise: Noise) -> Both:
-    """Return both integrals over a part, with the poles of `noise`."""
+def integrals(tables: _Float32s, curve: Curve, span: Span, widening: Widening, noise: Noise, needed: Real) -> Both:
+    """Return both integrals over a part, with the poles of `noise`, and the factors of two thresholds in its middle.
+
+    A passage through one threshold is none through the other one.
+    """
     w0, w1 = value_at(curve, span.x0), value_at(curve, span.x1)
     i0 = _ONE / (widening.sigma + widening.change * span.x0)
     i1 = _ONE / (widening.sigma + widening.change * span.x1)
@@ -156,9 +168,14 @@ def integrals(tables: _Float32s, curve: Curve, span: Span, widening: Widening, n
     b0, b1 = bend_at(curve, span.x0) * u0 * per, bend_at(curve, span.x1) * u1 * per
     n0, n1 = widening.change * u0, widening.change * u1  # a sigma that grows brings both thresholds nearer
     k, q = slice_of(noise.z), (span.x1 - span.x0) * noise.rate
-    on = integral_of(tables, k, noise.apart, Ends(on0, on1, v0 + on0 * n0, v1 + on1 * n1, -b0, -b1), q)
-    off = integral_of(tables, k, noise.apart, Ends(off0, off1, -v0 + off0 * n0, -v1 + off1 * n1, b0, b1), q)
-    return Both(on, off)
+    on = integral_of(tables, k, noise.apart, Ends(on0, on1, v0 + on0 * n0, v1 + on1 * n1, -b0, -b1), q, needed)
+    off = integral_of(tables, k, noise.apart, Ends(off0, off1, -v0 + off0 * n0, -v1 + off1 * n1, b0, b1), q, needed)
+    middle = value_at(curve, _HALF * (span.x0 + span.x1))
+    per_sigma, rise = _ONE / noise.sigma, _HALF * (on.nu - off.nu)
+    c_on, c_off = (span.on - middle) * per_sigma, (span.off + middle) * per_sigma
+    share = _ONE / (_ONE + rise * rise)
+    on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z, share, needed)
+    return Both(on, off, on.value * on_factor, off.value * off_factor)
 
 
 @vector_kernel
@@ -177,20 +194,10 @@ def part(rows: _Float32s, tables: _Float32s, n: int) -> None:
         on_level, off_level = take(rows, Column.ON + i) + reference, take(rows, Column.OFF + i) - reference
         noise, curve = noise_at(rows, i, _HALF * (x + end)), curve_of(rows, i)
         widening = Widening(take(rows, Column.SIGMA + i), take(rows, Column.D_SIGMA + i))
-        on, off = integrals(tables, curve, Span(x, end, on_level, off_level), widening, noise)
-        # Where both thresholds take much, their order in time counts: the part is shortened.
-        short = (min(on.value, off.value) > _BOTH) & (on.value + off.value > _BOTH_TOGETHER) & ~(on.cell & off.cell)
+        both = integrals(tables, curve, Span(x, end, on_level, off_level), widening, noise, selected)
+        on, off, on_integral, off_integral = both.on, both.off, both.on_value, both.off_value
+        short = both_count(both)
         shorter = x + (_HALF if on.value + off.value < _MUCH * left else _QUARTER) * (end - x)
-        # A passage through one threshold is none through the other one: the factor of the middle.
-        middle = value_at(curve, _HALF * (x + end))
-        per_sigma = _ONE / noise.sigma
-        c_on, c_off = (on_level - middle) * per_sigma, (off_level + middle) * per_sigma
-        near_both = (c_on + c_off < _PAIR_SUM) & (max(c_on, c_off) < _PAIR_FAR)
-        on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z)
-        rise = _HALF * (on.nu - off.nu)
-        share = _ONE / (_ONE + rise * rise) if near_both else _ZERO
-        on_integral = on.value * (_ONE + (on_factor - _ONE) * share)
-        off_integral = off.value * (_ONE + (off_factor - _ONE) * share)
         total = on_integral + off_integral
         fired = ~(total < left)
         burst_end = take(rows, Column.RESET + i) + take(rows, Column.BURST + i)
@@ -284,8 +291,11 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         nu = fast if approach & (c1 < _TWO) else nu
         rho = rho_of(nu)
         least, largest = min(c0, c1), max(c0, c1)
-        before, used = integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart)), remaining * abs(rho)
-        c = place_of(tables, k, rho, used + before if approach else before - used)
+        before, used = (
+            integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart), selected),
+            remaining * abs(rho),
+        )
+        c = place_of(tables, k, rho, used + before if approach else before - used, selected)
         c = min(max(c - farther(c, nu, noise.apart), least), largest)
         # A place c deviations before the level, which is `distance` away: the curve there is a cubic still.
         distance = on_level if is_on else -off_level
@@ -297,9 +307,8 @@ def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         v = (sign * speed_at(curve, at.x) + c * change) * inverse * per
         nu = max(near_speed(v, -sign * bend_at(curve, at.x) * inverse * per * per, c, c0 - c), _LEAST_SPEED)
         rho = rho_of(nu)
-        better = place_of(
-            tables, k, rho, remaining * rho + integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart))
-        )
+        before = integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart), selected & approach)
+        better = place_of(tables, k, rho, remaining * rho + before, selected & approach)
         better = min(max(better - farther(better, nu, noise.apart), least), largest)
         c = better if approach else c
         base, at_c = sign * c * sigma - distance, Curve(curve.c1 + sign * c * change, curve.c2, curve.c3)

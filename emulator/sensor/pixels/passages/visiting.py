@@ -6,7 +6,7 @@ light that stands still, or that moves evenly, this is exact.
 
 `look` integrates a whole piece for all pixels at once. Most of them have no event, which costs a pixel two dozen
 look-ups. The others go to columns: those whose integral reaches what is left, which turn near a threshold, in which
-both thresholds count, which are in a burst, or whose noise changes with the light.
+both thresholds take much, which are in a burst, or whose noise changes with the light.
 """
 
 from __future__ import annotations
@@ -23,18 +23,12 @@ from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import use_widest_vectors
 from emulator.sensor.pixels.passages.bursts import LASTS, mean_factor
 from emulator.sensor.pixels.passages.rows import BURST, PART, Column, Curve, Visit
-from emulator.sensor.pixels.passages.settled import Ends, Span, Widening, integral_of, integrals
+from emulator.sensor.pixels.passages.settled import Ends, Span, Widening, both_count, integral_of, integrals
 
 _Float32s = npt.NDArray[np.float32]
 _Int32s = npt.NDArray[np.int32]
 
 _ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 0.5, 1, 2, 3))
-_BOTH, _BOTH_TOGETHER = np.float32(0.02), np.float32(0.1)  # see `settled.part`
-_PAIR_SUM, _PAIR_FAR, _PAIR_ALONE = (
-    np.float32(10),
-    np.float32(5.4),
-    np.float32(7.8),
-)  # the factor is 1 within 1 % beyond
 _ALMOST = np.float32(0.98)  # of what is left: nearer to it, the column decides
 _CHANGES = np.float32(0.1)  # of a rate over a piece, from which on its noise changes along it
 _TINY, _THIRD = np.float32(1e-9), np.float32(1 / 3)
@@ -80,19 +74,18 @@ def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
             (off - reference) * inverse,
         )
         nu = (on0 - on1) / q
-        of_on = integral_of(tables, k, noise.apart, Ends(on0, on1, nu, nu, _ZERO, _ZERO), q)
-        of_off = integral_of(tables, k, noise.apart, Ends(off0, off1, -nu, -nu, _ZERO, _ZERO), q)
+        rests = (rested > _ZERO) & (reference == reference)
+        of_on = integral_of(tables, k, noise.apart, Ends(on0, on1, nu, nu, _ZERO, _ZERO), q, rests)
+        of_off = integral_of(tables, k, noise.apart, Ends(off0, off1, -nu, -nu, _ZERO, _ZERO), q, rests)
         c_on, c_off = _HALF * (on0 + on1), _HALF * (off0 + off1)
-        near_both = (c_on + c_off < _PAIR_SUM) & (max(c_on, c_off) < _PAIR_FAR)
-        on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z)
-        taken = of_on.value * (on_factor if near_both else _ONE) + of_off.value * (off_factor if near_both else _ONE)
+        on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z, _ONE, rests)
+        taken = of_on.value * on_factor + of_off.value * off_factor
         # After a recent reset the mean of the noise lessens the hazard, see `bursts.bound_of`.
         slow, n_r = slower_rate(noise), take(rows, Visit.N + j)
         age1 = -take(rows, Visit.RESET + j) * slow
         age0 = max(age1 - rested * slow, _ZERO)
         lessened = mean_factor(min(c_on, c_off), (-n_r if c_on < c_off else n_r) * inverse, age0, age1)
         taken *= lessened if age0 < LASTS else _ONE
-        rests = (rested > _ZERO) & (reference == reference)
         put(rows, Visit.LEFT + j, max(left - taken, _KEPT * left) if rests else left)
 
 
@@ -114,8 +107,9 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         widens = -_HALF * noise.sigma * (rate1 - rate0) / (middle + c.pole) if noise.z < ONE_POLE else _ZERO
         widening, curve = Widening(noise.sigma - _HALF * widens, widens), curve_of_visit(rows, j)
         on, off = take(rows, Visit.ON + j) + reference, take(rows, Visit.OFF + j) - reference
-        pair = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise)
-        total = pair.on.value + pair.off.value
+        alive = reset < _ONE  # the dead time ends in this piece, or has ended
+        both = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise, alive)
+        total = both.on_value + both.off_value
         # A curve that turns may come nearer than its ends: it stays within its Bernstein coefficients.
         b1, b2 = _THIRD * curve.c1, _THIRD * (_TWO * curve.c1 + curve.c2)
         b3 = curve.c1 + curve.c2 + curve.c3
@@ -123,14 +117,9 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         is_near = min(on - highest, off + lowest) < FARTHEST * (noise.sigma + _HALF * abs(widens))
         end = curve.c1 + _TWO * curve.c2 + _THREE * curve.c3
         turns = (curve.c1 * end < _ZERO) | (curve.c1 * (curve.c1 + curve.c2) < _ZERO)
-        short = (
-            (min(pair.on.value, pair.off.value) > _BOTH) & (total > _BOTH_TOGETHER) & ~(pair.on.cell & pair.off.cell)
-        )
-        paired = (on + off) / noise.sigma < _TWO * _PAIR_ALONE
         changes = abs(rate1 - rate0) > _CHANGES * middle
         in_burst = -reset * slower_rate(noise) < LASTS
-        settled = (total < _ALMOST * left) & ~short & ~(is_near & (turns | paired | changes))
-        alive = reset < _ONE  # the dead time ends in this piece, or has ended
+        settled = (total < _ALMOST * left) & ~both_count(both) & ~(is_near & (turns | changes))
         quiet = settled & ~in_burst
         put(rows, Visit.FLAG + j, _ZERO if quiet | ~alive else _ONE)
         put(rows, Visit.LEFT + j, left - total if quiet & alive else left)
