@@ -5,6 +5,7 @@ Each statistical test fails a good model with a probability of 1e-4 or less (the
 
 import copy
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -190,10 +191,12 @@ def test_a_temperature_at_which_nothing_works_is_refused():
 
 @pytest.mark.system
 @pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS])
-def test_noise_does_not_depend_on_the_step(step_ns):
+def test_rates_of_noise_do_not_depend_on_the_step(step_ns):
     p = with_(noise=NoiseParameters(rms=0.06, corner_hz=300.0), radiation=RadiationParameters(hits_per_cm2_s=2e4))
-    assert len(run(p)[0]) > 500
-    assert np.array_equal(run(p, step_ns=step_ns)[0], run(p)[0])
+    few, many = sorted(len(run(p, **step)[0]) for step in ({}, {"step_ns": step_ns}))
+    assert few > 500
+    # within 2 %, and 3.9 standard errors (1e-4): single events follow the steps
+    assert many - few < 0.02 * many + 3.9 * math.sqrt(few + many)
 
 
 def everything():
