@@ -183,10 +183,10 @@ def steeper_beyond(c: Real) -> Real:
 @lane
 def rate_of(tables: _Float32s, k: Real, apart: Real, c: Real, nu: Real, needed: Real) -> Real:
     """Return the hazard of a threshold over s; 0 beyond FARTHEST, and if not `needed`."""
-    at, near = c + farther(c, nu, apart), needed & (c < FARTHEST)
-    value = _entry(tables, _G, _ROW, _LAST, k, rho_of(nu), (at + _FOUR) * _EIGHT, near) * gaussian(at)
+    at, counts = c + farther(c, nu, apart), needed & (c < FARTHEST)
+    value = _entry(tables, _G, _ROW, _LAST, k, rho_of(nu), (at + _FOUR) * _EIGHT, counts) * gaussian(at)
     value *= (_ONE + abs(nu)) * steeper_beyond(at)
-    return value if near else _ZERO
+    return value if counts else _ZERO
 
 
 @lane
@@ -195,7 +195,7 @@ def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real, share: Real, need
 
     A `share` of them counts. They are 1 where one of the thresholds is far, and if not `needed`.
     """
-    near = needed & (a + b < _PAIR_SUM) & (max(a, b) < _PAIR_FAR)
+    count = needed & (a + b < _PAIR_SUM) & (max(a, b) < _PAIR_FAR)
     single = z > ONE_POLE
     nodes, per_deviation = np.float32(53) if single else np.float32(25), _EIGHT if single else _FOUR
     of_ratio = _TWO_PAIR + np.float32(625) * np.floor(min(max(z + _HALF, _ZERO), _SIX))
@@ -203,14 +203,17 @@ def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real, share: Real, need
     x, y = min(max((a + _HALF) * per_deviation, _ZERO), last), min(max((b + _HALF) * per_deviation, _ZERO), last)
     i, j = np.floor(x), np.floor(y)
     f, g = x - i, y - j
-    of_a, of_b = (first + i * nodes + j if near else _ZERO), (first + j * nodes + i if near else _ZERO)
+    of_a, of_b = (first + i * nodes + j if count else _ZERO), (first + j * nodes + i if count else _ZERO)
     f_a, f_b = _between(tables, of_a, nodes, g, f), _between(tables, of_b, nodes, f, g)
-    return (_ONE + (f_a - _ONE) * share if near else _ONE), (_ONE + (f_b - _ONE) * share if near else _ONE)
+    return (_ONE + (f_a - _ONE) * share if count else _ONE), (_ONE + (f_b - _ONE) * share if count else _ONE)
 
 
 @lane
 def exit_speed(tables: _Float32s, nu: Real, c: Real, share: Real, z: Real) -> Real:
-    """Return the speed at which noise leaves through a threshold, see `hazard.exit_speed`; `share` is random."""
+    """Return the speed at which noise leaves through a threshold, less the threshold's own, in units of s.
+
+    Its density is u phi(u - nu), that of crossings, stretched to the mean of first ones. `share` is random, in (0, 1).
+    """
     x, y = (min(max(nu, _SLOW_EXIT), _FAST_EXIT) + _SIX) * _FOUR, min(share * np.float32(64), _LAST_SPEED)
     i, j = np.floor(x), np.floor(y)
     density = _between(tables, _EXIT + i * _ROWS + j, _ROWS, y - j, x - i)

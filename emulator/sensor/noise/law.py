@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.hazard import Distance, Noise, hazard, hazard_tables, noise_of, transition
+from emulator.sensor.noise.integral import ONE_POLE, integral_tables, pair_factors, rate_of, slice_of
+from emulator.sensor.noise.moments import Noise, moments_over, noise_in, slower_rate
 from emulator.sensor.numerics.compiled import cached_entry, kernel_that_allocates
 from emulator.sensor.presets import SensorParameters
 
@@ -35,7 +36,9 @@ SHARES = 1 / (1 + np.exp(-np.arange(-LAST_LOGIT, LAST_LOGIT + 0.1, 1 / SHARES_A_
 """Shares of the quantiles of references at the start, uniform in their logits."""
 
 _NODES = 5, 8  # of the sums and differences of a pixel's two thresholds; with an even number none are equal
-_LONG_S, _FASTEST_HZ = 1e6, 1e12
+_FASTEST_HZ = 1e12
+_F0, _F1 = np.float32(0), np.float32(1)
+_NEEDED = True
 _ENDLESS_HZ = 1e-25
 
 
@@ -92,20 +95,24 @@ def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tabl
     begins = grid + (steps - steps[0]) / 2  # of a stay in a coarse cell, which leak crosses as a whole
     kept, pushed = math.exp(-noise.rate * dead_s), 0.0
     lost = 1 - kept * kept
-    if noise.ratio > 0.0 and dead_s > 0:
-        m = transition(dead_s, noise)
-        slope = m.p12 * noise.rate  # at a passage it is distributed as Rayleigh's
+    if noise.z < ONE_POLE and dead_s > 0:
+        m = moments_over(np.float32(dead_s), noise)
+        slope = m.b12  # at a passage it is distributed as Rayleigh's
         kept, pushed = m.p11, math.sqrt(math.pi / 2) * noise.sigma * slope
         lost = m.v + (2 - math.pi / 2) * slope**2
     width = np.maximum(math.sqrt(lost) * noise.sigma, _BLUR * steps)
     rates, on_hz = np.zeros((_LEVELS, _LEVELS)), np.empty(_LEVELS)
-    off_hz = on_hz.copy()
+    off_hz, slow = on_hz.copy(), slower_rate(noise)
+    k = slice_of(noise.z)
     for i, level in enumerate(grid):
-        h = hazard(_LONG_S, Distance(on + level, off - level, 0.0, 0.0), 0.0, 0.0, noise, tables)
+        c_on, c_off = np.float32((on + level) / noise.sigma), np.float32((off - level) / noise.sigma)
+        on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z, _F1, _NEEDED)
+        h_on = np.float64(noise.rate * rate_of(tables, k, noise.apart, c_on, _F0, _NEEDED) * on_factor)
+        h_off = np.float64(noise.rate * rate_of(tables, k, noise.apart, c_off, _F0, _NEEDED) * off_factor)
         # The noise is at the reference at first, and comes near a threshold when it has decayed.
-        decays = math.log(1 + max(min(h.c_on, h.c_off), 0.0) * abs(level) / noise.sigma)
-        staying = 1 / (1 + (h.on + h.off) * (dead_s + decays / min(noise.a1, noise.a2)))
-        h_on, h_off = h.on * staying, h.off * staying
+        decays = math.log(1 + max(min(c_on, c_off), 0.0) * abs(level) / noise.sigma)
+        staying = 1 / (1 + (h_on + h_off) * (dead_s + decays / slow))
+        h_on, h_off = h_on * staying, h_off * staying
         is_last = grid[max(i - 1, 0)] <= -on < level  # from there leak comes to the threshold
         leaving = leak / (on + level if is_last else steps[i])
         ended = leaving if is_last else 0.0
@@ -151,7 +158,8 @@ def _rates(  # noqa: PLR0913, PLR0917
     tables: _Float32s,
 ) -> tuple[float, float]:  # fmt: skip
     """Return the `Rates` of a pixel with thresholds on and off, from the shares of time that its references have."""
-    chain = _chain(on, off, leak_hz * on, noise_of(rate, pole, rms, high), dead_s, tables)
+    noise = noise_in(np.float32(rate), np.float32(pole), np.float32(rms), np.float32(high))
+    chain = _chain(on, off, leak_hz * on, noise, dead_s, tables)
     shares = np.full(_LEVELS, 1 / _LEVELS)
     _pass(chain.rates, _SINGLE, _ENDLESS_HZ, shares)
     return np.dot(shares, chain.on), np.dot(shares, chain.off)
@@ -177,9 +185,8 @@ def solve_start(  # noqa: PLR0913, PLR0917
     one of _STAGES exponential ones, for which one elimination serves; the mean of 1 / time, which the rates of a chain
     that has not settled follow, is that of `history_s`.
     """
-    chain = _chain(
-        on, off, turns * on / before.history_s, noise_of(rate, before.pole, 1.0, before.high), before.dead_s, tables
-    )
+    noise = noise_in(np.float32(rate), np.float32(before.pole), _F1, np.float32(before.high))
+    chain = _chain(on, off, turns * on / before.history_s, noise, before.dead_s, tables)
     passed = np.minimum(np.maximum(chain.edges, -on * max(before.phases, _AT_ONCE)), 0.0)
     shares = (passed[1:] - passed[:-1]) / -passed[0]
     _pass(chain.rates, _STAGES, (_STAGES - 1) / before.history_s, shares)
@@ -206,5 +213,5 @@ def still_hz(p: SensorParameters, f_hz: float) -> Rates:
     spread, dead_s = p.mismatch * math.sqrt(0.5), p.refractory_us * 1e-6
     on = p.threshold_on * np.maximum(1 + spread * np.add.outer(sums, differences), 0.1).reshape(-1)
     off = p.threshold_off * np.maximum(1 + spread * np.subtract.outer(sums, differences), 0.1).reshape(-1)
-    rates = [_rates(x, y, p.leak_hz, *noise, dead_s, hazard_tables()) for x, y in zip(on, off, strict=True)]
+    rates = [_rates(x, y, p.leak_hz, *noise, dead_s, integral_tables()) for x, y in zip(on, off, strict=True)]
     return Rates(*np.average(rates, axis=0, weights=np.outer(w0, w1).reshape(-1)).tolist())

@@ -1,7 +1,7 @@
 """Noise of a column: its poles along a piece of light, and its mean and variance since a reset, in float32.
 
-The formulas are those of `hazard`, with times in units of a piece and without a branch, so that loops over columns
-become vectors. lo <= hi are the rates of the poles; over a time s, with e = e^(-lo s),
+The formulas are those of `hazard`, without a branch, so that loops over columns become vectors; rates are 1/s, or in
+units of a piece. lo <= hi are the rates of the poles; over a time s, with e = e^(-lo s),
 
     p12 = e s (1 - e^-y) / y, y = (hi - lo) s        p11 = e + lo p12        p22 = e - hi p12        p21 = -lo hi p12
 
@@ -44,13 +44,16 @@ class Noise(NamedTuple):
 
 @lane
 def noise_in(a1: Real, a2: Real, rms: Real, high: Real) -> Noise:
-    """Return the noise of a receptor of rate a1 in front of a fixed pole of rate a2, 0: none; see `hazard.noise_of`."""
+    """Return the noise of a receptor of rate a1, in front of a fixed pole of rate a2; 0: no such pole.
+
+    Behind a high-pass of rate `high` it is that of two poles with the same variance, the same variance of its slope and
+    the same density at high frequencies, which is exact on short times.
+    """
     no_receptor = a1 > _NO_POLE
     a1, a2 = (a2 if no_receptor else a1), (_ZERO if no_receptor else a2)
     alone = a2 == _ZERO
     total, product = a1 + a2, a1 * a2
     sigma = rms * (_ONE if alone else np.sqrt(a2 / total))
-    # Behind a high-pass: two poles with the same variance, variance of the slope, and density at high frequencies.
     passed = np.sqrt(a1 / (a1 + high)) * (_ONE if alone else np.sqrt(a2 / (a2 + high)))
     sigma *= passed
     raised = product + high * total

@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
-from emulator.sensor.noise.hazard import hazard_tables
 from emulator.sensor.noise.integral import integral_tables
 from emulator.sensor.noise.law import SHARES, Before, solve_start
 from emulator.sensor.numerics.compiled import log_compilation
@@ -315,7 +314,7 @@ class PixelArray(PixelMethod):
 
         pool = ThreadPool(available_threads())
         try:
-            pool.each(lambda k, _: solve_start(*of_node[k], before, hazard_tables(), laws[nodes[k]]), len(nodes))
+            pool.each(lambda k, _: solve_start(*of_node[k], before, self._tables, laws[nodes[k]]), len(nodes))
             pool.each(settle_part, -(-self._pixels // _PART))
         finally:
             pool.close()
@@ -379,8 +378,10 @@ class PixelArray(PixelMethod):
         touched = self._touched(changed)
         if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
             share = Share(0, 1, self._workers.idle, touched, STOP)
-            refinement = self._refinement or self._make_refinement()
-            buffers.keys, n_keys, tally = refinement.step(frame, pixels, share, buffers.keys, c, at)
+            if self._refinement is None:
+                table = self._workers.buffers[0].table
+                self._refinement = Refinement(len(state.fields), self._resting(), table, self._constants)
+            buffers.keys, n_keys, tally = self._refinement.step(frame, pixels, share, buffers.keys, c, at)
             keys = buffers.keys[:n_keys]
             keys.sort()
         else:
@@ -459,12 +460,6 @@ class PixelArray(PixelMethod):
         resting[[Field.REFERENCE, Field.ON, Field.OFF]] = 1e30, 1.0, np.inf
         resting[[Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL]] = np.inf
         return resting
-
-    def _make_refinement(self) -> Refinement:
-        """Make the refinement of undersampled steps, which few arrays need."""
-        table = self._workers.buffers[0].table
-        self._refinement = Refinement(self.state.fields.shape[0], self._resting(), table, self._constants)
-        return self._refinement
 
     def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> layout.StepConstants:
         p = self.parameters

@@ -242,16 +242,14 @@ def fastest(swing: Swing, r0: Real, r1: Real) -> Real:
     large-signal law. Nor has it a steeper one than where it is farthest behind: a slow filter hardly moves, whatever
     its light does. Rates that change in between may add a factor of 1.65.
     """
-    d, a0, a1 = swing.d, swing.a0, swing.a1
-    light = max(max(abs(a0), abs(a1)), abs(_THREE * d - a0 - a1))
-    farthest = swing.behind + abs(d) + _OVERSHOOT * (abs(a0) + abs(a1))
-    return min(max(light, r0 * _excess(swing.behind)), max(r0, r1) * _excess(farthest))
-
-
-@lane
-def _excess(behind: Real) -> Real:
-    """Return a bound of e^behind - 1; none beyond _BEHIND."""
-    return behind * (_ONE + behind * (_ONE + behind)) if behind < _BEHIND else _ENDLESS
+    steps = abs(swing.a0) + abs(swing.a1)
+    light = max(max(abs(swing.a0), abs(swing.a1)), abs(_THREE * swing.d - swing.a0 - swing.a1))
+    at_start = swing.behind
+    at_most = at_start + abs(swing.d) + _OVERSHOOT * steps
+    # Above e^behind - 1; none beyond _BEHIND.
+    start = r0 * at_start * (_ONE + at_start * (_ONE + at_start)) if at_start < _BEHIND else _ENDLESS
+    slow = max(r0, r1) * at_most * (_ONE + at_most * (_ONE + at_most)) if at_most < _BEHIND else _ENDLESS
+    return min(max(light, start), slow)
 
 
 @lane

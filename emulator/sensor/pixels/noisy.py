@@ -74,10 +74,10 @@ def _visit_whole(visits: _Float32s, rows: _Float32s, n: int, c: StepConstants) -
         still = (
             (rows[row.C_U0 + j] == rows[row.C_U1 + j]) & (rows[row.C_A0 + j] == _ZERO) & (rows[row.C_A1 + j] == _ZERO)
         )
-        u1, v0, v1 = rows[row.C_U1 + j], rows[row.C_V0 + j], rows[row.C_V1 + j]
-        d, a0, a1 = u1 - rows[row.C_U0 + j], rows[row.C_A0 + j], rows[row.C_A1 + j]
+        u1, v1 = rows[row.C_U1 + j], rows[row.C_V1 + j]
         l1 = c.h * rows[row.C_L1 + j]
-        swift = max(fastest(Swing(d, a0, a1, abs(u1 - v1)), l1, l1), abs(v1 - v0))
+        swing = Swing(u1 - rows[row.C_U0 + j], rows[row.C_A0 + j], rows[row.C_A1 + j], abs(u1 - v1))
+        swift = max(fastest(swing, l1, l1), abs(v1 - rows[row.C_V0 + j]))
         put(visits, Visit.FASTEST + j, max(swift, c.second * abs(v1 - rows[row.C_W1 + j])) / c.h)
         put(visits, Visit.C1 + j, rows[row.C_C1 + j])
         put(visits, Visit.C2 + j, rows[row.C_C2 + j])

@@ -267,15 +267,15 @@ def along(  # noqa: PLR0913, PLR0917
     steep = _ONE + abs(nu)
     rho, at = nu / steep, c + farther(c, nu, apart)
     distant = a.c + farther(a.c, nu, apart)
-    near = needed & (min(a.c, b.c) < FARTHEST)
-    value = density_or_integral(tables, over_distance, k, rho, at, near)
-    resolved = near & over_distance & ~begins & ((a.c - b.c) * (a.c + b.c) < _UNRESOLVED)
+    counted = needed & (min(a.c, b.c) < FARTHEST)
+    value = density_or_integral(tables, over_distance, k, rho, at, counted)
+    resolved = counted & over_distance & ~begins & ((a.c - b.c) * (a.c + b.c) < _UNRESOLVED)
     beyond = integral_beyond(tables, k, rho, distant, resolved)
     middle = value * steep * steeper_beyond(at)
     middle = middle if c < FARTHEST else _ZERO
     telescoped = CERTAIN if b.c < _BEYOND else (value - beyond) / rho
     total = telescoped if over_distance else q * _SIXTH * (a.hazard + _FOUR * middle + b.hazard)
-    return Along(total if near else _ZERO, middle)
+    return Along(total if counted else _ZERO, middle)
 
 
 @lane

@@ -107,9 +107,10 @@ def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  
         rises = moving > _ZERO
         ahead, behind = c_on if rises else c_off, c_off if rises else c_on
         # No longer than a pixel may stay that comes nearer by a margin.
-        near, near_behind = max(ahead - _COMES, nearest), max(behind - _COMES, nearest)
+        comes_ahead, comes_behind = max(ahead - _COMES, nearest), max(behind - _COMES, nearest)
         bounded = min(
-            _TAKEN * exponential(_HALF * near * near), _OTHER * exponential(_HALF * near_behind * near_behind)
+            _TAKEN * exponential(_HALF * comes_ahead * comes_ahead),
+            _OTHER * exponential(_HALF * comes_behind * comes_behind),
         )
         longest = longest if ample else min(longest, max(bounded * left / steep, span))
         # The longer a rest, the nearer must its limits be, and the sooner the pixel comes to them: two steps to a

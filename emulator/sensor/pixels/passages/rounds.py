@@ -104,7 +104,7 @@ def _exchange(rows: _Float32s, pairs: _Int32s, n: int, first_row: int, end_row: 
 @kernel
 def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
     """Exchange the columns of a state, or all that are not DONE, to the front of the first n."""
-    rows, pairs, groups = columns.rows, columns.pairs, columns.groups
+    rows, pairs = columns.rows, columns.pairs
     front, back = NONE, n - 1
     listed = NONE
     while True:
@@ -115,7 +115,7 @@ def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
         if front >= back:
             break
         pairs[listed], pairs[listed + 1] = front, back
-        groups[listed] = _groups_of(rows[front]) | _groups_of(rows[back])
+        columns.groups[listed] = _groups_of(rows[front]) | _groups_of(rows[back])
         listed += 2
         c = columns
         c.visits[front], c.visits[back] = c.visits[back], c.visits[front]
@@ -128,7 +128,7 @@ def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
     for group in range(1, 4):
         kept = NONE
         for i in range(0, listed, 2):
-            if groups[i] & (1 << group):
+            if columns.groups[i] & (1 << group):
                 columns.chosen[kept], columns.chosen[kept + 1] = pairs[i], pairs[i + 1]
                 kept += 2
         _exchange(rows, columns.chosen, kept, GROUPS[group], GROUPS[group + 1])

@@ -108,15 +108,15 @@ def integral_of(tables: _Float32s, k: Real, apart: Real, ends: Ends, q: Real, ne
     # One look-up serves both forms: the hazard of a cell's middle, or the integral beyond the near end.
     at = middle if cell else closeness
     at += farther(at, nu, apart)
-    near = needed & (closeness < FARTHEST)
-    value = density_or_integral(tables, ~cell, k, rho, at, near)
-    resolved = near & ~cell & ((distant - closeness) * (distant + closeness) < _UNRESOLVED)
+    counted = needed & (closeness < FARTHEST)
+    value = density_or_integral(tables, ~cell, k, rho, at, counted)
+    resolved = counted & ~cell & ((distant - closeness) * (distant + closeness) < _UNRESOLVED)
     beyond = integral_beyond(tables, k, rho, distant + farther(distant, nu, apart), resolved)
     bent = _ONE + travel * travel * (middle * middle - _ONE) * _BENDS  # mean of the Gaussian over the cell
     in_cell = q * steep * value * steeper_beyond(at) * bent
     along = max((value - beyond) / max(abs(rho), _TINY), _ZERO)
     total = in_cell if cell else (CERTAIN if closeness < _BEYOND else along)
-    return Integral(total if near else _ZERO, nu, cell, closeness)
+    return Integral(total if counted else _ZERO, nu, cell, closeness)
 
 
 class Both(NamedTuple):
@@ -129,9 +129,9 @@ class Both(NamedTuple):
 
 
 @lane
-def both_count(both: Both) -> Real:
+def both_count(pair: Both) -> Real:
     """Return whether both thresholds take so much that their order in time counts: the part is to be shortened."""
-    on, off = both.on, both.off
+    on, off = pair.on, pair.off
     return (min(on.value, off.value) > _BOTH) & (on.value + off.value > _BOTH_TOGETHER) & ~(on.cell & off.cell)
 
 
@@ -194,9 +194,10 @@ def part(rows: _Float32s, tables: _Float32s, n: int) -> None:
         on_level, off_level = take(rows, Column.ON + i) + reference, take(rows, Column.OFF + i) - reference
         noise, curve = noise_at(rows, i, _HALF * (x + end)), curve_of(rows, i)
         widening = Widening(take(rows, Column.SIGMA + i), take(rows, Column.D_SIGMA + i))
-        both = integrals(tables, curve, Span(x, end, on_level, off_level), widening, noise, selected)
-        on, off, on_integral, off_integral = both.on, both.off, both.on_value, both.off_value
-        short = both_count(both)
+        pair = integrals(tables, curve, Span(x, end, on_level, off_level), widening, noise, selected)
+        on, off = pair.on, pair.off
+        on_integral, off_integral = pair.on_value, pair.off_value
+        short = both_count(pair)
         shorter = x + (_HALF if on.value + off.value < _MUCH * left else _QUARTER) * (end - x)
         total = on_integral + off_integral
         fired = ~(total < left)

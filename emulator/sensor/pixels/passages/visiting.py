@@ -108,8 +108,8 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         widening, curve = Widening(noise.sigma - _HALF * widens, widens), curve_of_visit(rows, j)
         on, off = take(rows, Visit.ON + j) + reference, take(rows, Visit.OFF + j) - reference
         alive = reset < _ONE  # the dead time ends in this piece, or has ended
-        both = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise, alive)
-        total = both.on_value + both.off_value
+        pair = integrals(tables, curve, Span(_ZERO, _ONE, on, off), widening, noise, alive)
+        total = pair.on_value + pair.off_value
         # A curve that turns may come nearer than its ends: it stays within its Bernstein coefficients.
         b1, b2 = _THIRD * curve.c1, _THIRD * (_TWO * curve.c1 + curve.c2)
         b3 = curve.c1 + curve.c2 + curve.c3
@@ -119,7 +119,7 @@ def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
         turns = (curve.c1 * end < _ZERO) | (curve.c1 * (curve.c1 + curve.c2) < _ZERO)
         changes = abs(rate1 - rate0) > _CHANGES * middle
         in_burst = -reset * slower_rate(noise) < LASTS
-        settled = (total < _ALMOST * left) & ~both_count(both) & ~(is_near & (turns | changes))
+        settled = (total < _ALMOST * left) & ~both_count(pair) & ~(is_near & (turns | changes))
         quiet = settled & ~in_burst
         put(rows, Visit.FLAG + j, _ZERO if quiet | ~alive else _ONE)
         put(rows, Visit.LEFT + j, left - total if quiet & alive else left)

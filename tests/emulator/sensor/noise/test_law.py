@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from emulator.sensor.noise.hazard import hazard_tables, noise_of
+from emulator.sensor.noise.integral import integral_tables
 from emulator.sensor.noise.law import SHARES, Before, corner_hz, fixed_corner_hz, rms, solve_start, still_hz
+from emulator.sensor.noise.moments import noise_in
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from tests.emulator.sensor.noise.noisy_arrays import ends, events_of, one_pole, statistics_of, still, two_poles
@@ -24,7 +25,7 @@ def test_noise_gets_weaker_as_the_fixed_pole_takes_over():
     f = corner_hz(P, [0.001, 0.1, 1.0])
     assert f == pytest.approx([6, 303, 3000])
     assert rms(P, f) == pytest.approx(0.08 * np.sqrt([300 / 306, 300 / 603, 300 / 3300]))
-    assert rms(P, f) == pytest.approx([noise_of(x, 300.0, 0.08).sigma for x in f])
+    assert rms(P, f) == pytest.approx([noise_in(*map(np.float32, (x, 300.0, 0.08, 0.0))).sigma for x in f])
 
 
 def test_without_one_of_the_poles_the_noise_has_the_other():
@@ -95,7 +96,7 @@ def test_leak_carries_references_to_where_noise_is_frequent(deviations):
 def test_references_that_leak_moves_are_uniform_at_the_start(on, turns):
     """Between two events the reference of a quiet pixel falls by a threshold at one speed, in cells of any size."""
     quantiles = np.empty(SHARES.size, np.float32)
-    solve_start(on, 0.9 * on, 12_600.0, turns, Before(100.0, 1.0, 3.4e-6, 1800.0, 0.0), hazard_tables(), quantiles)
+    solve_start(on, 0.9 * on, 12_600.0, turns, Before(100.0, 1.0, 3.4e-6, 1800.0, 0.0), integral_tables(), quantiles)
     to_threshold = np.array([3.0, 5.0, 10.0, 0.2 * on, 0.5 * on, 0.8 * on])
     shares = np.interp(to_threshold - on, quantiles, SHARES)
     assert np.diff(shares) * on == pytest.approx(np.diff(to_threshold), rel=0.02)
