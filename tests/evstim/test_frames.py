@@ -1,9 +1,13 @@
 """Frames in, events out: against closed forms, and with arguments that are not frames."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import evstim
+from emulator.sensor.parameters import NoiseParameters
+from emulator.sensor.presets import PRESETS
 
 PLAIN = {
     "sensor": "ideal", "threshold_on": 0.25, "threshold_off": 0.25, "random_start": True, "dark_current_relative": 1e-6,
@@ -38,11 +42,12 @@ def test_levels_of_8_bits_are_decoded():
     share = levels / 255
     light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     times = [0, 30_000]
-    by_levels = evstim.events_from_frames(levels, times, levels="srgb", light_at_white=0.5)
-    by_light = evstim.events_from_frames(light.astype(np.float32) * np.float32(0.5), times)
+    sensor = dataclasses.replace(PRESETS["davis346"], noise=NoiseParameters())  # noise follows the last bit of a time
+    by_levels = evstim.events_from_frames(levels, times, sensor=sensor, levels="srgb", light_at_white=0.5)
+    by_light = evstim.events_from_frames(light.astype(np.float32) * np.float32(0.5), times, sensor=sensor)
     assert len(by_levels)
     assert np.array_equal(by_levels[["x", "y", "on"]], by_light[["x", "y", "on"]])
-    linear = evstim.events_from_frames(levels, times, levels="linear")
+    linear = evstim.events_from_frames(levels, times, sensor=sensor, levels="linear")
     assert len(linear) < len(by_levels), "linear levels have less contrast"
 
 
