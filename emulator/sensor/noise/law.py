@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.integral import ONE_POLE, integral_tables, pair_factors, rate_of, slice_of
+from emulator.sensor.noise.hazard import ONE_POLE, integral_tables, pair_factors, rate_of, slice_of
 from emulator.sensor.noise.moments import Noise, moments_over, noise_in, slower_rate
 from emulator.sensor.numerics.compiled import cached_entry, kernel_that_allocates
 from emulator.sensor.presets import SensorParameters

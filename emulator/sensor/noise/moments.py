@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from emulator.sensor.noise.hazard import LEAST_RATIO
-from emulator.sensor.noise.integral import ONE_POLE
+from emulator.sensor.noise.hazard import LEAST_RATIO, ONE_POLE
 from emulator.sensor.numerics.compiled import Real, lane
 from emulator.sensor.numerics.elementary import decay, exponential
 

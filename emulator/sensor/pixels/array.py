@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
-from emulator.sensor.noise.integral import integral_tables
+from emulator.sensor.noise.hazard import integral_tables
 from emulator.sensor.noise.law import SHARES, Before, solve_start
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
@@ -29,9 +29,8 @@ from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import STOP, Capabilities, PixelMethod, StepInterrupted, time_of
 from emulator.sensor.pixels.noisy import settle
-from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import Field, Memory
-from emulator.sensor.pixels.step import Share, Workers, advance, compile_parts, replace_light
+from emulator.sensor.pixels.step import SHORTEST_NS, Share, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
 
@@ -98,7 +97,7 @@ class PixelArray(PixelMethod):
         self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + layout.PARTS), np.uint8)
         self._moved_fields = self.state.fields
         self._replacing: layout.FlatLight | None = None
-        self._refinement: Refinement | None = None
+        self._refinement: Any = None
 
     def _dark_state(self) -> layout.PixelState:
         """Return the state before the first light, with thresholds and leak of each pixel."""
@@ -378,7 +377,9 @@ class PixelArray(PixelMethod):
         touched = self._touched(changed)
         if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
             share = Share(0, 1, self._workers.idle, touched, STOP)
-            if self._refinement is None:
+            if self._refinement is None:  # which few arrays need
+                from emulator.sensor.pixels.refinement import Refinement
+
                 table = self._workers.buffers[0].table
                 self._refinement = Refinement(len(state.fields), self._resting(), table, self._constants)
             buffers.keys, n_keys, tally = self._refinement.step(frame, pixels, share, buffers.keys, c, at)

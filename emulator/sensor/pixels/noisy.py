@@ -30,9 +30,8 @@ from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import Swing, fastest, photocurrent
 from emulator.sensor.pixels.passages import rounds
-from emulator.sensor.pixels.passages.certificates import certify
 from emulator.sensor.pixels.passages.rows import Visit, Visits, whole_vectors
-from emulator.sensor.pixels.passages.visiting import Constants, book_rest, look
+from emulator.sensor.pixels.passages.visiting import Constants, book_rest, certify, look
 from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Memory, Pixels, StepConstants, noise_stream, slot
 from emulator.sensor.pixels.substeps import begin, begin_substep, go_on, store_filters
 

@@ -25,13 +25,10 @@ from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
 from emulator.sensor.pixels.method import STOP
 from emulator.sensor.pixels.state import BLOCK, FIELDS, MEMORY, Field, FlatLight, Memory, Pixels, StepConstants, slot
-from emulator.sensor.pixels.step import Buffers, Share, Subset, Tally, advance, new_scratch, new_subset
+from emulator.sensor.pixels.step import SHORTEST_NS, Buffers, Share, Subset, Tally, advance, new_scratch, new_subset
 
 LEVELS = 3
 """Most refinements of a step."""
-
-SHORTEST_NS = 2_000
-"""Shortest step that is refined: a camera's timestamps are whole microseconds."""
 
 _Int64s = npt.NDArray[np.int64]
 

@@ -57,6 +57,9 @@ _U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _UNTIL, _Y = (int(f) * 
 _U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _, _Y0 = BEFORE_ROWS
 _ZERO, _PAST, _NO_FLAGS = np.float32(0), np.float32(-np.inf), np.uint64(0)
 
+SHORTEST_NS = 2_000
+"""Shortest step that is refined: a camera's timestamps are whole microseconds."""
+
 RUN = 8 * BLOCK
 """Pixels that a thread moves before it leaves the next ones to another."""
 

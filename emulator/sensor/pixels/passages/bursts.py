@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.integral import (
+from emulator.sensor.noise.hazard import (
     CERTAIN,
     FARTHEST,
     ONE_POLE,

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.integral import (
+from emulator.sensor.noise.hazard import (
     CERTAIN,
     FARTHEST,
     density_or_integral,

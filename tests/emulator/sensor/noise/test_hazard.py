@@ -10,9 +10,9 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_lyapunov
 
-from emulator.sensor.noise.hazard import LEAST_RATIO
-from emulator.sensor.noise.integral import (
+from emulator.sensor.noise.hazard import (
     FARTHEST,
+    LEAST_RATIO,
     ONE_POLE,
     exit_speed,
     integral_tables,

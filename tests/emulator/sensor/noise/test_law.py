@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from emulator.sensor.noise.integral import integral_tables
+from emulator.sensor.noise.hazard import integral_tables
 from emulator.sensor.noise.law import SHARES, Before, corner_hz, fixed_corner_hz, rms, solve_start, still_hz
 from emulator.sensor.noise.moments import noise_in
 from emulator.sensor.parameters import NoiseParameters
