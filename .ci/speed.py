@@ -2,7 +2,7 @@
 """Ratchet of speed: processor time of a step, by part, which may only get better. `speed.toml` has the numbers.
 
     speed.py                   four rigs as shipped, over a calibration in the same process: [quotients], for CI
-    speed.py --base            all rigs that differ, at both sizes, in turns with the commit `base`: [ratios]; minutes
+    speed.py --base [NAME...]  rigs, all that differ at both sizes, in turns with the commit `base`: [ratios]; minutes
     speed.py --measure NAME... print the measurement of these rigs, "eros" or "eros@1280x720", as JSON
 
 A quotient is the median processor time of a step over that of fixed loops, both vector and scalar; one fails beyond 1.5
@@ -191,7 +191,8 @@ def main(arguments: list[str]) -> int:
         from laboratory.realtime.variants import SIZES, distinct
 
         tree = base_tree(table["base"])
-        names = [f"{rig}@{size.name}" for rig in distinct(shipped_rigs()) for size in SIZES]
+        given = [name for name in arguments if not name.startswith("-")]
+        names = given or [f"{rig}@{size.name}" for rig in distinct(shipped_rigs()) for size in SIZES]
         section, slack, measure = "ratios", RATIO_SLACK, lambda wanted: ratios(tree, wanted)
     else:
         names, section, slack, measure = [*RIGS], "quotients", QUOTIENT_SLACK, quotients

@@ -121,7 +121,7 @@ _FAST_EXIT, _SLOW_EXIT = np.float32(7.9), np.float32(-5.99)
 def integral_tables() -> _Float32s:
     """Return the tables G, K and C, and those that are used as they are, in one flat array."""
     with np.load(TABLES) as file:
-        others = [np.asarray(file[name], np.float32).reshape(-1) for name in _OTHERS]
+        as_stored = [np.asarray(file[name], np.float32).reshape(-1) for name in _OTHERS]
         two, single = np.asarray(file["two"], np.float64), np.asarray(file["one"], np.float64)[::2]
     entries = np.concatenate([two, single[None]]).transpose(0, 2, 1)  # (8, speeds, places), the last of one pole
     fine = np.arange((_PLACES - 1) * _FINE + 1)
@@ -139,7 +139,7 @@ def integral_tables() -> _Float32s:
         [[np.interp(logs, np.log(np.maximum(row[::-1], _NO_INTEGRAL)), c[::-1]) for row in of_ratio] for of_ratio in k]
     )
     tables = [_finer(table).ravel() for table in (entries, scaled, inverse)]
-    return np.concatenate([*tables, *others])
+    return np.concatenate([*tables, *as_stored])
 
 
 def _finer(table: npt.NDArray[np.float64]) -> _Float32s:

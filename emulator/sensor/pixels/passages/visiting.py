@@ -8,7 +8,7 @@ light that stands still, or that moves evenly, this is exact.
 look-ups. The others go to columns: those whose integral reaches what is left, which turn near a threshold, in which
 both thresholds take much, which are in a burst, or whose noise changes with the light.
 
-Certificates tell until when, and within which limits, a pixel takes little of what is left of its drawn number. The
+A certificate is a time and limits within which a pixel takes little of what is left of its drawn number. The
 quiet pass tests them in place of the thresholds (`Field`), so a pixel that noise does not fire costs as little as one
 without noise. What it took while it rested is booked at its next visit.
 
