@@ -1,6 +1,6 @@
 """Visits of pixels: what their hazard has taken since the last one, and in which of them an event may come in a piece.
 
-A pixel rests while its certificate holds (`certificates`). At its next visit the integral over the rest is booked as
+A pixel rests while its certificate holds. At its next visit the integral over the rest is booked as
 that of a straight way from the value then to the value now, with today's noise: the certificate bounds it, and for
 light that stands still, or that moves evenly, this is exact.
 
