@@ -27,12 +27,6 @@ class MemoryLog:
         self._next_s = time.monotonic()
         self._rows: list[tuple[float, ...]] = []
 
-    @property
-    def newest(self) -> str:
-        """The last sample in MiB."""
-        row = zip(self._processes, self._rows[-1][1:], strict=True)
-        return ", ".join(f"{name} {value / 2**20:.1f} MiB" for name, value in row)
-
     def due(self) -> bool:
         """Tell whether a sample is due."""
         return time.monotonic() >= self._next_s
@@ -42,25 +36,8 @@ class MemoryLog:
         self._next_s = time.monotonic() + self._period_s
         self._rows.append((float(progress), *(float(resident_bytes(pid)) for pid in self._processes.values())))
 
-    def slopes(self) -> dict[str, float]:
-        """Return bytes per unit of progress of each process over the second half of the run, by least squares."""
-        rows = np.array(self._rows)
-        late = rows[rows[:, 0] >= rows[-1, 0] / 2]
-        if len(late) < 2:
-            return dict.fromkeys(self._processes, 0.0)
-        return {name: float(np.polyfit(late[:, 0], late[:, k], 1)[0]) for k, name in enumerate(self._processes, 1)}
-
     def grown(self) -> dict[str, float]:
         """Return by how many bytes the largest sample of the second half exceeds the smallest of it."""
         rows = np.array(self._rows)
         late = rows[rows[:, 0] >= rows[-1, 0] / 2]
         return {name: float(np.ptp(late[:, k])) for k, name in enumerate(self._processes, 1)}
-
-    def told(self) -> list[str]:
-        """Return a line for each process."""
-        last, grown = np.array(self._rows)[-1], self.grown()
-        return [
-            f"{name:8} {last[k] / MIB:.1f} MiB at the end; over the second half {slope * 1e9 / MIB:+.3f} MiB for each "
-            f"1e9 of progress, {grown[name] / MIB:.2f} MiB between least and most"
-            for k, (name, slope) in enumerate(self.slopes().items(), 1)
-        ]

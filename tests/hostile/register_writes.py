@@ -1,7 +1,5 @@
 """A DAVIS346 whose host writes anything to its registers while events, frames, samples and edges come.
 
-    python -m tests.hostile.register_writes 1e6
-
 The registers are written one by one or many at once, with 0, all ones and random values; a part of the writes go to
 registers that can only be read or do not exist. Beside them the host flushes, asks for a log level, and sends requests
 that are refused. After each batch the run bits are set in two cases of three, and in half of these all filters, regions
@@ -13,8 +11,6 @@ read every event, frame, sample and edge.
 
 from __future__ import annotations
 
-import sys
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -236,21 +232,3 @@ class Campaign:
         self.host.decoder, self._transit = Decoder(SIZE), _FrameInTransit()
         self.step(1000)  # through the silence after the start
         self.counts = Counts()
-
-
-def main() -> None:
-    """Run one campaign and print what happened after each 50 000 writes, and that the camera is exact then."""
-    wanted, done = int(float(sys.argv[1])), 0
-    campaign = Campaign(seed=1)
-    while done < wanted:
-        while campaign.counts.writes < 50_000:
-            campaign.batch(256)
-        done += campaign.counts.writes
-        reached = campaign.counts
-        campaign.assert_exact_again()
-        print(f"{done} writes in {time.process_time():.0f} s of processor time; of the last: {reached}", flush=True)
-        campaign.counts = Counts()
-
-
-if __name__ == "__main__":
-    main()

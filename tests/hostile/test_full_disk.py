@@ -35,15 +35,8 @@ def full(tmp_path):
 
 
 @pytest.fixture
-def tiny(tmp_path):
-    """A disk of 256 KiB; only root can make one."""
-    folder = tmp_path / "tiny"
-    folder.mkdir()
-    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "none", folder], capture_output=True, check=False)
-    if made.returncode:
-        pytest.skip(f"this user cannot mount a tmpfs: {made.stderr.decode().strip()}")
-    yield folder
-    subprocess.run(["umount", folder], check=True)
+def tiny(disk_of):
+    return disk_of("256k")
 
 
 def events(count, start_us=0):
