@@ -44,7 +44,7 @@ def assert_same_streams(driver: Driver, seen: Seen, delivered: Delivered, *, who
 
     With `whole`, the client kept all since device time was zero; without, a part in the middle.
     """
-    events = delivered.events[delivered.resets[-1] :]
+    events = delivered.last
     place = 0 if whole else place_of(seen.events, events)
     offset_us = int(seen.events["t"][0]) - int(events["t"][place]) if driver.adds_host_time or not whole else 0
     assert_same(seen.events, events[place:], offset_us=offset_us)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.events import EVENT, Edges, Events, empty_edges
+from firmware_protocol.events import EVENT, Edges, Events, make_edges
 
 __all__ = ["assert_same", "load_frames", "load_imu", "load_seen", "load_triggers"]
 
@@ -23,9 +23,7 @@ def load_seen(path: Path) -> Events:
 def load_triggers(path: Path) -> Edges:
     """Read a client's triggers as EDGE (n,), in the client's time."""
     with np.load(path) as arrays:
-        triggers = empty_edges(len(arrays["trigger_t"]))
-        triggers["t"], triggers["kind"] = arrays["trigger_t"], arrays["trigger_kind"]
-    return triggers
+        return make_edges(arrays["trigger_t"], arrays["trigger_kind"])
 
 
 def load_imu(path: Path) -> tuple[np.ndarray, np.ndarray]:

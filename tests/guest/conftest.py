@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from emulator.run.machine import free_loopback_address
+from firmware_protocol.gige.gvcp import GVCP_PORT
 from tests.guest.environments import DRIVERS, EVENTCV
+from tests.guest.gige_run import GigeRun
 from tests.guest.image import GuestUnavailable
 from tests.guest.machine import CACHE, Guest
 from tests.guest.own_network import CAMERA, HOST, OwnNetwork
@@ -52,6 +57,25 @@ def eventcv_python() -> Path:
     except GuestUnavailable as reason:
         cannot(reason)
         raise
+
+
+@pytest.fixture
+def address() -> str:
+    """A loopback address at which no GigE Vision camera is."""
+    return free_loopback_address(GVCP_PORT)
+
+
+@pytest.fixture
+def start_gige(tmp_path: Path) -> Iterator[Callable[..., GigeRun]]:
+    """Start runs on GigE Vision, which end with the test."""
+    with ExitStack() as ends:
+
+        def start(*keys: str, **more: Any) -> GigeRun:
+            run = GigeRun(tmp_path, *keys, **more)
+            ends.callback(run.kill)
+            return run
+
+        yield start
 
 
 @pytest.fixture

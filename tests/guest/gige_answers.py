@@ -26,7 +26,8 @@ import numpy as np
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START
-from tests.guest.gige_run import GigeRun, looped_1280x720
+from tests.guest.gige_run import HD, GigeRun
+from tests.hostile.looped import Looped
 
 _SO_TIMESTAMPNS = 35  # Linux: asm-generic/socket.h
 _EVENTS = 1_000_000
@@ -100,13 +101,13 @@ def main() -> None:
     """Measure and print."""
     numbers = [int(argument) for argument in sys.argv[1:]]
     count, loops, priority = [*numbers, *(10_000, 6, 0)[len(numbers) :]]
-    looped = looped_1280x720(_EVENTS)
+    looped = Looped(_EVENTS, 1, HD)
     draw = np.random.default_rng(3)
     looped.events["t"] = np.sort(draw.integers(0, round(_EVENTS / _EVENTS_PER_US), _EVENTS))
     address = f"127.0.7.{1 + os.getpid() % 250}"
     with tempfile.TemporaryDirectory() as folder, busy(loops):
         keys = f'host = "{address}"\nmbit_s = 20000\n'
-        run = GigeRun(Path(folder), looped, keys, run=f"fifo_priority = {priority}")
+        run = GigeRun(Path(folder), keys, looped, run=f"fifo_priority = {priority}")
         try:
             host = Host(address, 3956)
             host.start()

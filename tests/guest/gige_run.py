@@ -11,13 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from firmware_protocol.events import Events
 from tests.hostile.looped import Looped
 from transports.recording.record import load_record
 
-__all__ = ["LOSS", "GigeRun", "RigRun", "looped_1280x720"]
+__all__ = ["HD", "LOSS", "GigeRun", "RigRun"]
+
+HD = (1280, 720)
 
 RIG = """
 title = "recorded events at their own pace, on GigE Vision"
@@ -45,13 +45,6 @@ for_s = 1000.0
 """
 
 
-def looped_1280x720(count: int) -> Looped:
-    """Return `count` looped events at random pixels of 1280 x 720, 1 us apart on average until told otherwise."""
-    looped, draw = Looped(count, 1), np.random.default_rng(2)
-    looped.events["x"], looped.events["y"] = draw.integers(0, 1280, count), draw.integers(0, 720, count)
-    return looped
-
-
 class RigRun:
     """A run of a rig until it is stopped.
 
@@ -76,11 +69,13 @@ class RigRun:
             time.sleep(0.05)
 
     def stop(self) -> tuple[dict[str, Any], Events]:
-        """End it; returns its summary and what it delivered since the camera was last started."""
+        """End it; returns its summary, which must balance, and what it delivered since the camera was last started."""
         self._process.send_signal(signal.SIGINT)
         out, _ = self._process.communicate(timeout=120)
         delivered, resets = load_record(self._record)
-        return json.loads(out.splitlines()[-1]), delivered[resets[-1] if len(resets) else 0 :]
+        summary = json.loads(out.splitlines()[-1])
+        assert summary["balanced"], summary
+        return summary, delivered[resets[-1] if len(resets) else 0 :]
 
     def kill(self) -> None:
         """End it in any case."""
@@ -89,25 +84,8 @@ class RigRun:
 
 
 class GigeRun(RigRun):
-    """A run that plays `looped`.
+    """A run that plays looped events, `keys` being further lines of the link's table, and `run` of the run's."""
 
-    Parameters
-    ----------
-    folder, inside
-        See `RigRun`.
-    keys
-        Further lines of the link's table.
-    run
-        Further lines of the run's table.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        looped: Looped,
-        keys: str,
-        inside: Callable[..., list[str]] = lambda *command: [*command],
-        run: str = "",
-    ) -> None:
-        looped.save(folder / "looped.npz")
-        super().__init__(folder, RIG.format(run=run) + keys, inside)
+    def __init__(self, folder: Path, keys: str = "", looped: Looped | None = None, run: str = "", **more: Any) -> None:
+        (looped or Looped(500_000, 10, HD)).save(folder / "looped.npz")
+        super().__init__(folder, RIG.format(run=run) + keys, **more)

@@ -57,6 +57,11 @@ class Delivered:
     frames: np.ndarray
     frame_resets: list[int]
 
+    @property
+    def last(self) -> Events:
+        """The events since device time started anew the last time."""
+        return self.events[self.resets[-1] :]
+
     @classmethod
     def load(cls, record: Path) -> Delivered:
         """Read a record."""
@@ -79,7 +84,7 @@ class Delivered:
 
 
 class RunningRig:
-    """A rig that serves its camera until the block ends; `summary` and `delivered` are known afterwards.
+    """A rig that serves its camera until the block ends; `summary`, which must balance, and `delivered` are then known.
 
     Parameters
     ----------
@@ -126,6 +131,7 @@ class RunningRig:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.stop()
+        assert kind or self.summary["balanced"], self.summary
 
     def stop(self) -> None:
         """End the run as Ctrl-C does; calling it again does nothing."""

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.events import Edges, Events
+from tests.guest.attachment import Attachment
 from tests.guest.comparison import load_frames, load_imu, load_seen, load_triggers
 from tests.guest.environments import Driver
 from tests.guest.machine import Finished, Guest, Job
 
-__all__ = ["STREAM_TIMEOUT_S", "Seen", "Streaming", "wait_for_bytes"]
+__all__ = ["STREAM_TIMEOUT_S", "Seen", "Streaming", "read", "read_until_pulled", "wait_for_bytes"]
 
 STREAM_TIMEOUT_S = 240.0
 OPEN_TIMEOUT_S = 240.0
@@ -87,6 +88,24 @@ class Streaming:
         known = self._driver.abort_after_unplugging
         may_abort = about.get("running") is False or not self._driver.stops_camera
         return bool(known) and known in finished.stderr and may_abort
+
+
+def read(guest: Guest, driver: Driver, python: Path, count: int, *options: str, **limits: float) -> Seen:
+    """Return what a client saw; raises AssertionError where that are fewer events than it was asked for."""
+    seen = Streaming(guest, driver, python, count, *options, **limits).wait()
+    assert len(seen.events) >= count, seen.about
+    return seen
+
+
+def read_until_pulled(camera: Attachment, *client: Any, **limits: float) -> tuple[Seen, dict[str, str]]:
+    """Pull the cable while a client streams, see `read`; return what it saw, and what the kernel told of the camera."""
+    with camera:
+        streaming = Streaming(*client, "--on", **limits)
+        streaming.wait_until_started()
+    cut = streaming.wait()
+    assert cut.about["running"] is False
+    assert len(cut.events) >= client[3], cut.about
+    return cut, camera.device
 
 
 def wait_for_bytes(file: Path, timeout_s: float) -> None:

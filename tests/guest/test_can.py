@@ -21,12 +21,13 @@ import pytest
 from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_stream import RawReceiver
-from firmware_protocol.events import EVENT, Events, empty_events
+from firmware_protocol.events import Events, empty_events
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, RequestId, Stage, Stop, Verification
 from firmware_protocol.telemetry import as_received, decode_block
 from tests.guest.machine import Guest
+from tests.made_events import scattered
 from transports.link.deliveries import digest_of
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
@@ -37,6 +38,7 @@ PYTHON = f"NUMBA_DISABLE_JIT=1 {sys.executable}"
 LISTEN = f"{PYTHON} -c 'from emulator.cli import main; main()' listen can --interface socketcan --channel vcan0"
 TIMEOUT_S = 900.0
 SECONDS = 20
+TABLES = {name: json.dumps({"carriage": name, "heartbeat_ms": 100}) for name in ("raw", "isotp")}
 EARLY, LATE = 200, 50
 """Events before the order to stop, and after it."""
 BURST = 100
@@ -54,13 +56,9 @@ class Seen:
 
 
 def stream() -> Events:
-    rng = np.random.default_rng(5)
-    events = np.zeros(EARLY + LATE, EVENT)
-    events["t"] = 500_000 + np.cumsum(rng.exponential(8000, len(events))).astype(np.uint64)
-    events["t"][EARLY:] += 14_000_000
-    events["x"], events["y"] = rng.integers(0, 346, len(events)), rng.integers(0, 260, len(events))
-    events["on"] = rng.integers(0, 2, len(events))
-    return events
+    times = 500_000 + np.cumsum(np.random.default_rng(5).exponential(8000, EARLY + LATE)).astype(np.uint64)
+    times[EARLY:] += 14_000_000
+    return scattered(times)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +81,7 @@ def seen(guest: Guest, vcan: str) -> Seen:
     dump = guest.start(["sh", "-c", f"candump -L {vcan} > {at('log')} & {until_done}"], TIMEOUT_S)
     listening = f"{LISTEN} --json > {at('heard')} 2> {at('listening')} &"
     listener = guest.start(["sh", "-c", f"{listening} {until_done}"], TIMEOUT_S)
-    run = f"{PYTHON} {CLIENT} {vcan} raw {at('events.npy')} {at('report')} {SECONDS} {at('begin')}"
+    run = f"{PYTHON} {CLIENT} {vcan} {at('events.npy')} {at('report')} '{TABLES['raw']}' {SECONDS} {at('begin')}"
     link = guest.start(["sh", "-c", f"{run} || {{ touch {at('failed')}; exit 1; }}"], TIMEOUT_S)
     is_open = f"until grep -q 'CAN bus\\|Error' {at('listening')}; do sleep 0.2; done; sleep 3; touch {at('begin')}"
     guest.check(["sh", "-c", is_open], TIMEOUT_S)
@@ -179,7 +177,7 @@ def seen_by_kernel(guest: Guest, vcan: str) -> SeenByKernel:
     sides = f"-s {IDS.telecommand:X} -d {IDS.telemetry:X} {vcan}"
     receive = f"stdbuf -oL isotprecv -l {sides} > {at('packets')} &"
     listens = f"until grep -q ' {IDS.telemetry:x} ' /proc/net/can/rcvlist_sff; do sleep 0.1; done"
-    run = f"{PYTHON} {CLIENT} {vcan} isotp {at('burst.npy')} {at('isotp-report')} {SECONDS}"
+    run = f"{PYTHON} {CLIENT} {vcan} {at('burst.npy')} {at('isotp-report')} '{TABLES['isotp']}' {SECONDS}"
     link = guest.start(
         ["sh", "-c", f"{receive} {listens}; {run}; code=$?; kill $!; touch {at('over')}; exit $code"], TIMEOUT_S
     )

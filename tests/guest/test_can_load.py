@@ -19,14 +19,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import Events
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings
 from tests.firmware_protocol.telemetry.slow_decoder import decode
 from tests.guest.machine import CACHE, Guest
+from tests.made_events import scattered
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1700)]
 
-CLIENT = str(Path(__file__).with_name("clients") / "can_load.py")
+CLIENT = str(Path(__file__).with_name("clients") / "can_link.py")
 TIMEOUT_S = 1500.0
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {
@@ -75,14 +76,9 @@ class Read:
 
 def stream(count: int) -> Events:
     """Return events, some at the same time and some after a silence longer than a frame's time can tell."""
-    rng = np.random.default_rng(11)
-    gaps = rng.exponential(7, count).astype(np.uint64)
+    gaps = np.random.default_rng(11).exponential(7, count).astype(np.uint64)
     gaps[3000::5000] += 70_000
-    events = np.zeros(count, EVENT)
-    events["t"] = 1000 + np.cumsum(gaps)
-    events["x"], events["y"] = rng.integers(0, WIDTH, count), rng.integers(0, HEIGHT, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return scattered(1000 + np.cumsum(gaps), (WIDTH, HEIGHT))
 
 
 @pytest.fixture
@@ -123,7 +119,7 @@ def run_link(
         "until grep -q vcan0 /proc/net/can/rcvlist_all; do sleep 0.1; done",
         f"until grep -q ' {TELEMETRY:x} ' /proc/net/can/rcvlist_sff; do sleep 0.1; done" if isotp else "true",
         f"taskset 1 sh -c '{OTHER_NODE}' & other=$!",
-        f"{variables} taskset 1 {sys.executable} {CLIENT} vcan0 {at('load.npy')} report '{json.dumps(table)}'",
+        f"{variables} taskset 1 {sys.executable} {CLIENT} vcan0 {at('load.npy')} report '{json.dumps(table)}' 0",
         "code=$?; sleep 1; kill $other $peer; sleep 1; kill $dump; wait",
         f"touch packets; cp log packets report {at('')}; rm -f packets; exit $code",
     ]

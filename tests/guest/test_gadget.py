@@ -23,9 +23,9 @@ from tests.guest.attachment import EVK4
 from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS, ND_EVK4, Driver
 from tests.guest.gadget_rig import SLOWEST_LOOP_S, GadgetCamera, GadgetRig, load_port, loop_s
-from tests.guest.gige_run import looped_1280x720
+from tests.guest.gige_run import HD
 from tests.guest.machine import Guest
-from tests.guest.streaming import Seen, Streaming
+from tests.guest.streaming import Seen, Streaming, read
 from tests.hostile.looped import Looped
 
 EVENTS = round(float(os.environ.get("EVSTIM_GADGET_EVENTS", "1e5")))
@@ -56,9 +56,7 @@ def port(guest: Guest) -> Iterator[Guest]:
 
 
 def streamed(guest: Guest, driver: Driver, pythons: dict[str, Path], count: int = EVENTS, *asked: str) -> Seen:
-    seen = Streaming(guest, driver, pythons[driver.name], count, *asked, timeout_s=TIMEOUT_S).wait()
-    assert len(seen.events) >= count
-    return seen
+    return read(guest, driver, pythons[driver.name], count, *asked, timeout_s=TIMEOUT_S)
 
 
 def assert_turns(camera: GadgetCamera, turns: list[tuple[Driver, Seen]]) -> None:
@@ -140,11 +138,8 @@ def test_drivers_take_turns_at_high_speed(port: Guest, driver_pythons: dict[str,
 
 @pytest.mark.shows("evk4", "nd", "opens", "events")
 def test_an_evk4_is_read_event_by_event(port: Guest, driver_pythons: dict[str, Path]) -> None:
-    looped = looped_1280x720(300_000)
-    looped.events["t"] *= 10
-    looped.round_us *= 10
     options = ("--model", "evk4", "--serial", "0badcafe")
-    with GadgetCamera(port, *options, looped=looped, model=EVK4) as camera:
+    with GadgetCamera(port, *options, looped=Looped(300_000, 10, HD), model=EVK4) as camera:
         seen = streamed(port, ND_EVK4, {"nd_evk4": driver_pythons["nd"]})
     assert seen.about["serial"] == "0BADCAFE"
     assert_turns(camera, [(ND_EVK4, seen)])

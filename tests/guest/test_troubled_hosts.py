@@ -23,9 +23,8 @@ SUSPENDED_S = 12.0  # of stream time: the events of that are more than the FIFO 
 
 def assert_all_seen(seen: Seen, rig: RunningRig) -> None:
     delivered = rig.delivered
-    events = delivered.events[delivered.resets[-1] :]
+    events = delivered.last
     assert_same(seen.events, events, offset_us=int(seen.events["t"][0]) - int(events["t"][0]))
-    assert rig.summary["balanced"], rig.summary
 
 
 def stream_time_s() -> float:
