@@ -1,5 +1,7 @@
 """What holds for all tests: they judge the code, not how busy the machine is."""
 
+import asyncio
+import inspect
 import itertools
 import os
 import re
@@ -42,6 +44,15 @@ def pytest_collection_modifyitems(items):
             if test in sampled:
                 item.add_marker("long")
             sampled.add(test)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """Run a test that is a coroutine in an event loop of its own."""
+    if not inspect.iscoroutinefunction(test := pyfuncitem.obj):
+        return None
+    asyncio.run(test(**{name: pyfuncitem.funcargs[name] for name in inspect.signature(test).parameters}))
+    return True
 
 
 @pytest.fixture(autouse=True)

@@ -10,6 +10,7 @@ from firmware_protocol.davis346 import Davis346
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket
+from tests.made_events import steady as steady
 
 OUT, IN = 0x40, 0xC0
 
@@ -34,16 +35,6 @@ RUN: Writes = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1)]
 def events_of(*rows):
     """Events from (t, x, y, on) tuples."""
     return np.array(list(rows), EVENT)
-
-
-def steady(n, start_us=0, step_us=1, seed=0):
-    """`n` events, one each `step_us`, at random pixels of a 346 x 260 array."""
-    rng = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT)
-    events["t"] = start_us + np.arange(n) * step_us
-    events["x"], events["y"] = rng.integers(0, 346, n), rng.integers(0, 260, n)
-    events["on"] = rng.integers(0, 2, n)
-    return events
 
 
 class Host:

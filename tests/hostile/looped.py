@@ -20,7 +20,7 @@ _ALIKE = 64
 
 
 class Looped:
-    """`count` events at random times, `gap_us` apart on average, at random pixels of a 346 x 260 sensor.
+    """`count` events at random times, `gap_us` apart on average, at random pixels of a sensor, of 346 x 260 by default.
 
     Attributes
     ----------
@@ -28,14 +28,14 @@ class Looped:
     round_us : length of a round.
     """
 
-    def __init__(self, count: int, gap_us: int, seed: int = 1) -> None:
-        draw = np.random.default_rng(seed)
+    def __init__(self, count: int, gap_us: int, size: tuple[int, int] = (346, 260)) -> None:
+        draw = np.random.default_rng(1)
         last_us = (count - 1) * gap_us
         self.round_us = count * gap_us
         self.events = np.zeros(count, EVENT)
         self.events["t"] = np.sort(draw.integers(0, last_us, count, endpoint=True))
         self.events["t"][0], self.events["t"][-1] = 0, last_us
-        self.events["x"], self.events["y"] = draw.integers(0, 346, count), draw.integers(0, 260, count)
+        self.events["x"], self.events["y"] = draw.integers(0, size[0], count), draw.integers(0, size[1], count)
         self.events["on"] = draw.integers(0, 2, count)
 
     def save(self, path: Path) -> None:

@@ -24,7 +24,7 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.davis346.registers import registers
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.events import EDGE, EdgeKind
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.frames import LineKind
 from firmware_protocol.fx3.registers import Access, SystemInfo
 from firmware_protocol.usb.device import Stall
@@ -155,9 +155,10 @@ class Campaign:
         for source in self._sources:
             settings = self.camera.reading_settings(source.kind)
             self.camera.offer_readings(source.kind, source.read(LightFrame(until_us * 1000, self._light), settings))
-        edges = np.zeros(4, EDGE)
-        edges["t"] = np.linspace(now_us + 1, until_us, 4).astype(np.uint64)
-        edges["kind"] = EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.FALLING
+        edges = make_edges(
+            np.linspace(now_us + 1, until_us, 4).astype(np.uint64),
+            (EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.FALLING),
+        )
         self.camera.offer_edges(edges)
         events = steady(25, now_us + 1, max(1, step_us // 26), int(self._draw.integers(1000)))
         self.camera.offer(events)
@@ -193,8 +194,7 @@ class Campaign:
             assert (read.exposure_cycles, read.end_us) == (int(head["exposure"]), end_us)
             assert read.roi == tuple(head["roi"].tolist())
             for kind, got in ((LineKind.RESET, read.reset), (LineKind.SIGNAL, read.signal)):
-                of_kind = told[told["kind"] == kind]
-                assert np.array_equal(of_kind["samples"][:, : got.shape[0]].T, got)
+                assert np.array_equal(told[told["kind"] == kind]["samples"][:, : got.shape[0]].T, got)
         self.counts.frames += len(seen)
 
     def check_ledgers(self) -> None:

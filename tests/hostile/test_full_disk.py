@@ -12,6 +12,7 @@ from emulator.cli.app import _main
 from emulator.cli.checks import check_output
 from emulator.cli.output import Failure
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.output_file import OutputFile
@@ -40,9 +41,7 @@ def tiny(disk_of):
 
 
 def events(count, start_us=0):
-    made = np.zeros(count, EVENT)
-    made["t"] = start_us + np.arange(count)
-    return made
+    return events_at(start_us + np.arange(count))
 
 
 def test_a_record_stops_and_keeps_what_it_had(tiny):

@@ -13,9 +13,9 @@ import pytest
 
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from tests.made_events import events_at
 from transports.link.endpoint import LinkFactory
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
@@ -64,9 +64,7 @@ def open_link(**more):
 
 
 def push(link, count, start_us):
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count)
-    link.push_all(events, start_us + count)
+    link.push_all(events_at(start_us + np.arange(count)), start_us + count)
 
 
 def until(condition, timeout_s=120.0):
@@ -203,8 +201,7 @@ def test_the_other_link_goes_on_and_the_summary_is_written(tmp_path):
         code, summary = running.result()
     assert code == 1
     assert summary["balanced"]
-    states = sorted(link["error"] is None for link in summary["links"].values())
-    assert states == [False, True]
+    assert sorted(link["error"] is None for link in summary["links"].values()) == [False, True]
 
 
 @pytest.mark.sampled

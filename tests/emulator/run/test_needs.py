@@ -126,9 +126,8 @@ def last_json(out):
     return json.loads(out.splitlines()[-1])
 
 
-def test_rigs_lists_the_needs_of_each(no_packages, capsys):
-    assert _main(["rigs", "--json"]) == 0
-    told = {rig["name"]: rig["needs"] for rig in last_json(capsys.readouterr().out)["rigs"]}
+def test_rigs_lists_the_needs_of_each(no_packages, capsys, json_of):
+    told = {rig["name"]: rig["needs"] for rig in json_of(0, "rigs")["rigs"]}
     assert set(told) == set(shipped_rigs())
     assert told["loopback"] == []
     fix = "pip install '.[ros2]'  # in the source folder of evstim"
@@ -138,9 +137,8 @@ def test_rigs_lists_the_needs_of_each(no_packages, capsys):
     assert f"            needs the extra ros2 (cyclonedds): missing; {fix}" in capsys.readouterr().out
 
 
-def test_doctor_shows_the_needs_of_a_rig_and_measures_none_that_cannot_run(no_packages, capsys):
-    assert _main(["doctor", "stars-ros2", "--json"]) == 3
-    told = last_json(capsys.readouterr().out)
+def test_doctor_shows_the_needs_of_a_rig_and_measures_none_that_cannot_run(no_packages, capsys, json_of):
+    told = json_of(3, "doctor", "stars-ros2")
     assert [need["name"] for need in told["needs"]] == ["extra ros2 (cyclonedds)"]
     assert told["real_time"] is None
     assert _main(["doctor", "stars-ros2"]) == 3

@@ -111,8 +111,7 @@ def test_a_long_refractory_period_bounds_the_rate_of_a_pixel():
     sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("refractory_us", 30_000.0)
     events = _ramp(sensor, 3.0)  # 100 ms: 15 thresholds; with the pause one each 36.7 ms, the first before 6.7
-    counted = np.bincount(events["y"].astype(int) * _PLAIN.width + events["x"])
-    assert set(counted) == {3}
+    assert set(np.bincount(events["y"].astype(int) * _PLAIN.width + events["x"])) == {3}
 
 
 def test_a_low_corner_delays_a_step_of_light_by_its_closed_form():
@@ -150,8 +149,7 @@ def test_the_thresholds_of_a_pixel_are_the_distances_of_its_events():
     sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("threshold_on", 0.25)
     events = np.concatenate([_ramp(sensor, 2.0), _ramp(sensor, -2.0, start=100, first=2.0), sensor.finish()])
-    found = {sensor.thresholds_of(x, y) for x, y in ((0, 0), (7, 11), (39, 29))}
-    assert len(found) == 3
+    assert len({sensor.thresholds_of(x, y) for x, y in ((0, 0), (7, 11), (39, 29))}) == 3
     for x, y in ((0, 0), (7, 11), (39, 29)):
         own = events[(events["x"] == x) & (events["y"] == y)]
         for threshold, polarity in zip(sensor.thresholds_of(x, y), (True, False), strict=True):

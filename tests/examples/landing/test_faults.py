@@ -43,8 +43,7 @@ def test_poses_go_wrong_while_the_fault_lasts() -> None:
 def test_frames_are_lost_by_chance_and_by_seed() -> None:
     """About their share, the same for one seed, none outside."""
     first, again = (Faults([Fault("lose", 0.0, 10.0, 0.2)], seed=3) for _ in range(2))
-    lost = [first.loses_frame(1.0) for _ in range(2000)]
-    assert lost == [again.loses_frame(1.0) for _ in range(2000)]
+    assert [first.loses_frame(1.0) for _ in range(2000)] == [again.loses_frame(1.0) for _ in range(2000)]
     assert 340 < first.frames_lost < 460
     assert not any(first.loses_frame(11.0) for _ in range(100))
 

@@ -98,8 +98,7 @@ EDGE_ROWS = st.tuples(st.integers(0, 2**20), st.sampled_from([2, 3, 4]), st.inte
 @given(st.lists(EDGE_ROWS, min_size=1, max_size=9))
 def test_edges_come_back(library, rows):
     edges = np.array([(t, kind, channel, t & 0xFFFF) for t, kind, channel in sorted(rows)], EDGE)
-    data = BlockEncoder(SIZE).encode_edges(edges, 3)
-    assert check(library, [data]) == 1
+    assert check(library, [BlockEncoder(SIZE).encode_edges(edges, 3)]) == 1
 
 
 @given(st.integers(0, 2**34), st.integers(0, 2**32 - 1))

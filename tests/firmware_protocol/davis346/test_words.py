@@ -75,8 +75,7 @@ def test_words_are_those_of_the_rules_however_the_stream_is_cut(events, cuts):
 def test_decoding_gives_the_events_back(events, cuts, turned):
     data = WordEncoder((346, 260), turned).encode(events).words.tobytes()
     decoder = Decoder((346, 260), turned)
-    got = np.concatenate([decoder.feed(part).events for part in cut(data, cuts)])
-    assert np.array_equal(got, events)
+    assert np.array_equal(np.concatenate([decoder.feed(part).events for part in cut(data, cuts)]), events)
     assert decoder.faults.total == decoder.faults.not_interpreted == 0
 
 

@@ -150,8 +150,7 @@ def test_any_bytes_decode_as_the_slow_reader_does(data, cuts):
     slow, own = Reader(), GroupDecoder()
     slow.feed(bytes(data))
     found = np.concatenate([empty_events(), *[own.feed(part).events for part in cut(data, cuts)]])
-    good = [e for e in slow.events if e[1] < 640 and 0 <= e[2] < 480]
-    assert found.tolist() == good
+    assert found.tolist() == [e for e in slow.events if e[1] < 640 and 0 <= e[2] < 480]
     outside = [one for one in slow.wrong if one.startswith("column") and int(one.split()[1], 16) & 0x3FF >= 640]
     assert own.faults.column_outside == len(outside)
 

@@ -160,8 +160,7 @@ def test_a_signal_that_comes_back_fires_as_often_down_as_up_and_rests_in_between
         for t_ms in (1, 5):
             moved = ours.step(LightFrame(t_ns + t_ms * 1_000_000, light))
             on, off = on + int(moved.on.sum()), off + int((~moved.on).sum())
-        rest = ours.step(LightFrame(t_ns + 6 * 1_000_000, light))
-        assert len(rest) == 0
+        assert len(ours.step(LightFrame(t_ns + 6 * 1_000_000, light))) == 0
         t_ns += 6 * 1_000_000
     # Each pixel comes down to within a threshold of where it started.
     assert 0 <= on - off <= 20

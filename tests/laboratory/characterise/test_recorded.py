@@ -130,8 +130,7 @@ def test_still_pixels_are_those_away_from_what_moves(events):
     assert not still[:, :38].any()
     assert still[:, 43:].mean() > 0.99
     busy = np.bincount(events["y"].astype(int) * SIZE[0] + events["x"], minlength=PIXELS).argsort()[-HOT:]
-    hot = [one for one in busy if one % SIZE[0] > 43]
-    assert still.reshape(-1)[hot].mean() > 0.8
+    assert still.reshape(-1)[[one for one in busy if one % SIZE[0] > 43]].mean() > 0.8
 
 
 def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):

@@ -11,8 +11,8 @@ from virtual_loop import VirtualLoop
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.plain_device import PlainDevice
-from firmware_protocol.events import EVENT
 from firmware_protocol.usb.usbip import ImportRequest
+from tests.made_events import events_at
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbUnplugged
 from transports.link.edges import EdgeTrain, ListedEdges
@@ -150,12 +150,6 @@ def new_bench():
         each.close()
 
 
-def events_at(*times_us):
-    events = np.zeros(len(times_us), EVENT)
-    events["t"] = times_us
-    return events
-
-
 def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_bench):
     bench = new_bench(UsbipFactory(UsbipLink(port=0)))
     bench.publish_all(1)
@@ -167,7 +161,7 @@ def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_
 def test_single_events_leave_a_tenth_of_a_millisecond_after_their_time(new_bench):
     bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.publish_all(1)
-    bench.ring.push(events_at(*range(10_300, 990_000, 10_000)))
+    bench.ring.push(events_at(range(10_300, 990_000, 10_000)))
     report = bench.run(1)
     assert report.delivered == 98
     assert 0 < report.latency.max <= 501  # half a millisecond after the last tick
@@ -179,7 +173,7 @@ def test_late_events_wake_a_sleeping_link(new_bench):
     bench.ring.start(ORIGIN_NS)
     late_ms = [20 + 7.13 * k for k in range(100)]  # somewhere in each sleep of 1 ms
     for ms in late_ms:
-        bench.at(ms, partial(bench.ring.push, events_at(int(1000 * ms))))
+        bench.at(ms, partial(bench.ring.push, events_at([int(1000 * ms)])))
         bench.at(ms, partial(bench.ring.publish, int(1000 * ms)))
     report = bench.run(1)
     assert report.delivered == 100
@@ -195,13 +189,12 @@ def test_a_link_that_is_not_paced_follows_each_publication_at_once(new_bench, st
 
     def publish(k):
         behind.append((k - 1) * step_us - bench.ring.settled_us)
-        bench.ring.push(events_at(k * step_us - 1))
+        bench.ring.push(events_at([k * step_us - 1]))
         bench.ring.publish(k * step_us)
 
     for k in range(1, 101):
         bench.at(0.01 * k, partial(publish, k))
-    report = bench.run(0.1)
-    assert report.delivered == 100
+    assert bench.run(0.1).delivered == 100
     assert max(behind) == 0
     assert len(bench.ticks_ns) <= 100 + 25 + 4
 

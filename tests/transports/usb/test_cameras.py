@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evstim.testing.link_contract import event_stream
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EVENT, EdgeKind, make_edges
 from firmware_protocol.gen31.device import BOARDS, Gen31, Gen31Settings
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
@@ -73,8 +73,7 @@ def test_it_reports_the_identity(model):
 
 
 def test_events_and_edges_arrive_and_edges_only_where_they_are_wanted(each):
-    edges = np.zeros(1, EDGE)
-    edges["t"], edges["kind"] = 700, EdgeKind.RISING
+    edges = make_edges(700, EdgeKind.RISING)
     host = driver_of(DirectHost(each))
     each.advance(500)
     for wanted, ignored in ((True, 0), (False, 1)):

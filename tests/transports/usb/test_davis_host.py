@@ -10,6 +10,7 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity
+from tests.made_events import scattered
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import PeerGone, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.usbip.client import UsbipHost
@@ -20,11 +21,7 @@ SMALL = StreamSettings(transfer_bytes=8192, transfers=8)
 
 
 def events(n: int, start_us: int, seed: int = 1) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    batch = np.zeros(n, EVENT)
-    batch["t"] = start_us + np.sort(rng.integers(0, 20_000, n))
-    batch["x"], batch["y"], batch["on"] = rng.integers(0, 346, n), rng.integers(0, 260, n), rng.integers(0, 2, n)
-    return batch
+    return scattered(start_us + np.sort(np.random.default_rng(seed).integers(0, 20_000, n)), seed=seed)
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from emulator.run.report.modelled import Effect, Modelled, Part
 from emulator.run.report.observation import Observation
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.events import EVENT
+from tests.made_events import scattered
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import LatencySummary
 from transports.link.report import LinkReport
@@ -62,11 +63,9 @@ def full(name="usb"):
 
 
 def seen_of(count=1000, size=(20, 10)):
-    rng, events = np.random.default_rng(1), np.zeros(count, EVENT)
-    events["t"] = np.sort(rng.integers(0, 1_000_000, count))
-    events["x"], events["y"] = rng.integers(0, size[0], count), rng.integers(0, size[1], count)
     seen = Observation(size)
-    seen.take(events, np.ones(size[::-1], np.float32), 1_000_000)
+    times = np.sort(np.random.default_rng(1).integers(0, 1_000_000, count))
+    seen.take(scattered(times, size), np.ones(size[::-1], np.float32), 1_000_000)
     return seen
 
 
