@@ -3,6 +3,7 @@
 import asyncio
 import inspect
 import itertools
+import multiprocessing
 import os
 import re
 import signal
@@ -16,6 +17,17 @@ from tests.shown import pytest_itemcollected, pytest_runtest_logreport, pytest_s
 from tests.time_ledger import pytest_configure
 
 __all__ = ["pytest_configure", "pytest_itemcollected", "pytest_runtest_logreport", "pytest_sessionfinish"]
+
+_IMPORTED = [
+    "transports.can_bus.endpoint",
+    "transports.file",
+    "transports.gige.endpoint",
+    "transports.network_streams.tcp",
+    "transports.network_streams.udp",
+    "transports.serial_line.endpoint",
+    "transports.udp_packets.endpoint",
+    "transports.usb.usbip.endpoint",
+]
 
 settings.register_profile("quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("deep", settings.get_profile("quick"), max_examples=1000)
@@ -64,6 +76,16 @@ def _signal_handlers():
     sys.unraisablehook = discarded
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def forked_links(monkeypatch):
+    """Links are forks of a process that has imported them; `links_as_users_have_them` begins one of each kind anew."""
+    of_method, server = multiprocessing.get_context, multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_IMPORTED)
+    monkeypatch.setattr(
+        multiprocessing, "get_context", lambda method=None: server if method == "spawn" else of_method(method)
+    )
 
 
 @pytest.fixture(scope="session")
