@@ -1,12 +1,9 @@
 """A host for tests: the control requests that drivers send, and a reader that decodes what comes back."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np
 
-from firmware_protocol.davis346 import Davis346
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket
@@ -16,7 +13,7 @@ OUT, IN = 0x40, 0xC0
 
 Writes = list[tuple[int, int, int]]
 
-STOP: Writes = [
+STOP = [
     (1, 3, 0),
     (2, 4, 0),
     (3, 2, 0),
@@ -28,8 +25,8 @@ STOP: Writes = [
     (9, 0, 0),
     (0, 3, 0),
 ]
-SENSORS: Writes = [(1, 3, 1), (2, 4, 1), (3, 2, 1), (3, 3, 1), (3, 4, 1), (4, 0, 1)]
-RUN: Writes = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1)]
+SENSORS = [(1, 3, 1), (2, 4, 1), (3, 2, 1), (3, 3, 1), (3, 4, 1), (4, 0, 1)]
+RUN = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1)]
 
 
 def events_of(*rows):
@@ -40,7 +37,7 @@ def events_of(*rows):
 class Host:
     """Configures a camera and does what drivers do."""
 
-    def __init__(self, camera: Davis346, turned: bool = False) -> None:
+    def __init__(self, camera, turned=False):
         self.camera = camera
         self.turned = turned
         self.new_decoder()

@@ -1,7 +1,5 @@
 """A host for tests: requests into a camera without sockets, answers out, and the stream put together."""
 
-from __future__ import annotations
-
 import struct
 
 from firmware_protocol.evt.evt3 import Evt3Decoder
@@ -25,7 +23,7 @@ def steady(n, start_us=0, step_us=1, seed=0, size=(1280, 720)):
 class Host:
     """Talks to a camera as drivers do."""
 
-    def __init__(self, **settings) -> None:
+    def __init__(self, **settings):
         chosen = Triton2Settings(**{"start_delay_us": 0, **settings})
         self.camera = Triton2(chosen)
         self.control = Triton2Control(chosen, lambda: self.camera.time)

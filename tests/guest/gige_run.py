@@ -1,17 +1,11 @@
 """`evstim run` of recorded events at their own pace, on GigE Vision, and the record of what it delivered."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
-from firmware_protocol.events import Events
 from tests.hostile.looped import Looped
 from transports.recording.record import load_record
 
@@ -58,7 +52,7 @@ class RigRun:
         Gives the command that runs a command elsewhere, in a network of its own for example.
     """
 
-    def __init__(self, folder: Path, text: str, inside: Callable[..., list[str]] = lambda *command: [*command]) -> None:
+    def __init__(self, folder, text, inside=lambda *command: [*command]):
         rig, ready, self._record = folder / "gige.toml", folder / "ready", folder / "delivered.npz"
         rig.write_text(text)
         command = [sys.executable, "-c", "from emulator.cli import main; main()", "run", str(rig), "--json"]
@@ -68,7 +62,7 @@ class RigRun:
             assert self._process.poll() is None, "the run ended at once"
             time.sleep(0.05)
 
-    def stop(self) -> tuple[dict[str, Any], Events]:
+    def stop(self):
         """End it; returns its summary, which must balance, and what it delivered since the camera was last started."""
         self._process.send_signal(signal.SIGINT)
         out, _ = self._process.communicate(timeout=120)
@@ -77,7 +71,7 @@ class RigRun:
         assert summary["balanced"], summary
         return summary, delivered[resets[-1] if len(resets) else 0 :]
 
-    def kill(self) -> None:
+    def kill(self):
         """End it in any case."""
         self._process.kill()
         self._process.communicate()
@@ -86,6 +80,6 @@ class RigRun:
 class GigeRun(RigRun):
     """A run that plays looped events, `keys` being further lines of the link's table, and `run` of the run's."""
 
-    def __init__(self, folder: Path, keys: str = "", looped: Looped | None = None, run: str = "", **more: Any) -> None:
+    def __init__(self, folder, keys="", looped=None, run="", **more):
         (looped or Looped(500_000, 10, HD)).save(folder / "looped.npz")
         super().__init__(folder, RIG.format(run=run) + keys, **more)

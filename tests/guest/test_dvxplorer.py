@@ -6,23 +6,18 @@ default a second of device time; at length:
     EVSTIM_DVXPLORER_EVENTS=1e6 python -m pytest tests/guest/test_dvxplorer.py
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from firmware_protocol.events import Events
 from tests.guest.all_streams import COLUMNS, assert_same_streams
 from tests.guest.attachment import DVXPLORER, Attachment
 from tests.guest.comparison import assert_same
-from tests.guest.environments import DRIVERS, Driver
-from tests.guest.machine import Guest
+from tests.guest.environments import DRIVERS
 from tests.guest.running_rig import RunningRig
-from tests.guest.streaming import Seen, read, read_until_pulled
+from tests.guest.streaming import read, read_until_pulled
 from tests.guest.turns import long_but
 
 EVENTS = round(float(os.environ.get("EVSTIM_DVXPLORER_EVENTS", "3e5")))
@@ -58,12 +53,12 @@ port = {port}
 SWAPPED = [0, 1, 2, 3, 5, 4, 6]
 
 
-def as_others(driver: Driver, seen: Seen) -> Seen:
+def as_others(driver, seen):
     """Return what a driver saw; neuromorphic_drivers 0.18 has the first two axes of the gyroscope exchanged."""
     return dataclasses.replace(seen, imu=seen.imu[:, SWAPPED]) if driver.name == "nd" else seen
 
 
-def mirrored_back(seen: Events, delivered: Events) -> Events:
+def mirrored_back(seen, delivered):
     """Return events with x and y as the camera sent them, where dv-processing 2 mirrored a run of them.
 
     Its `setFlipHorizontal` and `setFlipVertical` mirror events in the library, those that are in its queue later: in a
@@ -82,9 +77,7 @@ def mirrored_back(seen: Events, delivered: Events) -> Events:
 @pytest.mark.shows("dvxplorer", "{driver.name}", "opens", "events", "imu", "triggers", "settings")
 @pytest.mark.shows("dvxplorer", "{driver.name}", "unplugged", "plugged again")
 @pytest.mark.parametrize("driver", long_but(DRIVERS[-1:], DRIVERS), ids=lambda driver: driver.name)
-def test_every_stream_is_seen_as_it_was_delivered(
-    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
-) -> None:
+def test_every_stream_is_seen_as_it_was_delivered(guest, driver, driver_pythons, tmp_path):
     """The cable is pulled while the driver streams; then it opens the camera again, and changes settings."""
     options = ("--imu", "--triggers", *(("--device", "inivation_dvxplorer") if driver.name == "nd" else ()))
     python = driver_pythons[driver.name]
@@ -109,13 +102,13 @@ def test_every_stream_is_seen_as_it_was_delivered(
 MICRO = RIG.replace('"dvxplorer"', '"dvxplorer_micro"').replace(RIG[RIG.index("[trigger]") : RIG.index("[run]")], "")
 
 
-def by_column(events: Events) -> Events:
+def by_column(events):
     """Return events in the order in which dv-processing hands over those of one column: all OFF events come first."""
     return events[np.lexsort((events["y"], events["on"], events["x"], events["t"]))]
 
 
 @pytest.mark.shows("dvxplorer_micro", "dv2", "opens", "events", "imu", "unplugged", "plugged again")
-def test_a_micro_is_seen_as_it_was_delivered(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
+def test_a_micro_is_seen_as_it_was_delivered(guest, driver_pythons, tmp_path):
     """Its library stamps an inertial sample when it arrives, so only the values are compared.
 
     The cable is pulled while the driver streams; then it opens the camera again.
@@ -139,9 +132,7 @@ def test_a_micro_is_seen_as_it_was_delivered(guest: Guest, driver_pythons: dict[
 
 @pytest.mark.long
 @pytest.mark.shows("dvxplorer_micro", "dv2", "settings")
-def test_settings_of_a_micro_are_changed_while_it_streams(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
-) -> None:
+def test_settings_of_a_micro_are_changed_while_it_streams(guest, driver_pythons, tmp_path):
     client = dataclasses.replace(DRIVERS[0], name="dvxplorer_dv2")
     with RunningRig(tmp_path, text=MICRO) as rig, Attachment(guest, rig.port, model=DVXPLORER):
         seen = read(guest, client, driver_pythons["dv2"], EVENTS, timeout_s=TIMEOUT_S)

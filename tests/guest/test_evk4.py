@@ -12,22 +12,19 @@ import math
 import os
 import time
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import EVENTCV, ND_EVK3, ND_EVK4
 from tests.guest.gige_run import HD
 from tests.guest.known_ramp import apart_us, expected_us, save_frames
-from tests.guest.machine import Guest
-from tests.guest.running_rig import Delivered, RunningRig
-from tests.guest.streaming import Seen, Streaming, read, read_until_pulled
+from tests.guest.running_rig import RunningRig
+from tests.guest.streaming import Streaming, read, read_until_pulled
 from tests.guest.turns import Turns, long_but, selected
 from tests.hostile.looped import Looped
 from transports.recording.word_files import EvtReader
@@ -104,23 +101,23 @@ port = {port}
 """
 
 
-def looped(folder: Path, size: tuple[int, int] = HD) -> None:
+def looped(folder, size=HD):
     """Save the recording that the rig plays in a loop."""
     Looped(1_000_000, GAP_US, size).save(folder / "looped.npz")
 
 
-def rig_of(model: str) -> str:
+def rig_of(model):
     return RIG.replace('model = "evk4"', f'model = "{model}"')
 
 
-def streamed(guest: Guest, python: Path, rig: RunningRig, count: int, *options: str) -> Seen:
+def streamed(guest, python, rig, count, *options):
     with Attachment(guest, rig.port, model=EVK4) as camera:
         assert camera.device["manufacturer"] == "Prophesee"
         return read(guest, ND_EVK4, python, count, *options, timeout_s=TIMEOUT_S)
 
 
 @pytest.fixture(scope="module")
-def turns(request: pytest.FixtureRequest, guest: Guest, tmp_path_factory: pytest.TempPathFactory) -> Turns[str, Seen]:
+def turns(request, guest, tmp_path_factory):
     """What each program that reads the camera as it is saw."""
     folder = tmp_path_factory.mktemp("evk4")
     looped(folder)
@@ -132,14 +129,14 @@ def turns(request: pytest.FixtureRequest, guest: Guest, tmp_path_factory: pytest
     return Turns(rig, selected(request, "program"), lambda program: programs[program]())
 
 
-def read_region(guest: Guest, python: Path, rig: RunningRig) -> Seen:
+def read_region(guest, python, rig):
     with Attachment(guest, rig.port, model=EVK4):
         return Streaming(guest, EVENTCV, python, FEWER_EVENTS, "--roi", timeout_s=TIMEOUT_S).wait()
 
 
 @pytest.mark.shows("evk4", "{program}", "opens", "events", "triggers", "settings")
 @pytest.mark.parametrize("program", ["nd"])
-def test_every_event_delivered_is_seen(turns: Turns[str, Seen], program: str) -> None:
+def test_every_event_delivered_is_seen(turns, program):
     seen = turns.result(program)
     assert seen.about["serial"] == "0BADCAFE"
     assert seen.about["discovered"] == ["0BADCAFE"]
@@ -151,7 +148,7 @@ def test_every_event_delivered_is_seen(turns: Turns[str, Seen], program: str) ->
     assert_same_triggers(seen.triggers, delivered)
 
 
-def assert_same_triggers(triggers: Edges, delivered: Delivered) -> None:
+def assert_same_triggers(triggers, delivered):
     """Assert that the edges of at least ten pulses were seen at their times; the last may still be on their way."""
     edges = delivered.edges[delivered.edge_resets[-1] :][: len(triggers)]
     assert len(edges) >= 20
@@ -160,9 +157,7 @@ def assert_same_triggers(triggers: Edges, delivered: Delivered) -> None:
 
 
 @pytest.mark.long
-def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
-) -> None:
+def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(guest, driver_pythons, tmp_path):
     """The driver counts the rows of its masks from the bottom, and those of its events from the top."""
     looped(tmp_path)
     with RunningRig(tmp_path, speed="high", text=RIG) as rig:
@@ -178,9 +173,7 @@ def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(
 
 
 @pytest.mark.long
-def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
-) -> None:
+def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(guest, driver_pythons, tmp_path):
     """The client opens with diff_on 20 and refr -10 steps from the factory's values."""
     save_frames(tmp_path / "ramp.npy", 1280, 720, (40, 30))
     with RunningRig(tmp_path, text=RAMP) as rig:
@@ -195,9 +188,7 @@ def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(
 @pytest.mark.long
 @pytest.mark.shows("evk4", "{program}", "opens", "events")
 @pytest.mark.parametrize("program", ["eventcv"])
-def test_a_library_with_an_older_driver_inside_sees_every_event_of_its_region(
-    turns: Turns[str, Seen], program: str
-) -> None:
+def test_a_library_with_an_older_driver_inside_sees_every_event_of_its_region(turns, program):
     seen = turns.result(program)
     assert seen.about["discovered"] == [["prophesee_evk4", "0BADCAFE"]]
     assert_same(seen.events, turns.delivered(program).events, offset_us=0)
@@ -215,7 +206,7 @@ class Opened:
     bias_diff_on: int = 25  # steps above the factory's; a Gen4.1's are currents
     has_thermometer: bool = True
 
-    def __str__(self) -> str:
+    def __str__(self):
         return f"{self.model}-{self.form}"
 
 
@@ -235,9 +226,7 @@ needs_openeb = pytest.mark.skipif(
 )
 
 
-def read_by_openeb(
-    guest: Guest, rig: RunningRig, out: str, count: int, *options: str, usb_id: tuple[str, str] = EVK4, **limits: float
-) -> tuple[dict[str, Any], Events]:
+def read_by_openeb(guest, rig, out, count, *options, usb_id=EVK4, **limits):
     """Return what OpenEB's client told of a camera, and the events that it saw.
 
     Its own discovery, device, biases, window, filters, monitoring, stream and decoder, as its Prophesee plugin has
@@ -264,7 +253,7 @@ def read_by_openeb(
 @pytest.mark.shows("{one.model}", "openeb", "opens", "events", "triggers", "settings")
 @needs_openeb
 @pytest.mark.parametrize("one", OPENED, ids=str)
-def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path, one: Opened) -> None:
+def test_openeb_sees_every_event_of_its_window(guest, tmp_path, one):
     """The ids of other makers, which their own plugins list, are given to it."""
     looped(tmp_path)
     rig = RunningRig(tmp_path, text=rig_of(one.model))
@@ -295,9 +284,7 @@ SIBLINGS_EVENTS = round(float(os.environ.get("EVSTIM_SIBLINGS_EVENTS", "2e4")))
 @pytest.mark.long
 @pytest.mark.shows("{model}", "nd", "opens", "events", "unplugged", "plugged again")
 @pytest.mark.parametrize("model", long_but(["evk4"], LISTED))
-def test_a_driver_sees_every_event_of_a_sibling(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, model: str
-) -> None:
+def test_a_driver_sees_every_event_of_a_sibling(guest, driver_pythons, tmp_path, model):
     """The cable is pulled while the driver streams; then it opens the camera again."""
     driver, usb_id, *strings = LISTED[model]
     looped(tmp_path)
@@ -315,9 +302,7 @@ def test_a_driver_sees_every_event_of_a_sibling(
 @pytest.mark.long
 @pytest.mark.shows("{model}", "nd", "triggers", "settings")
 @pytest.mark.parametrize("model", [model for model, listed in LISTED.items() if listed[0] is ND_EVK4][1:])
-def test_triggers_and_settings_of_a_sibling(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, model: str
-) -> None:
+def test_triggers_and_settings_of_a_sibling(guest, driver_pythons, tmp_path, model):
     looped(tmp_path)
     count = max(SIBLINGS_EVENTS, FEWER_EVENTS)
     with RunningRig(tmp_path, text=rig_of(model)) as rig, Attachment(guest, rig.port, model=LISTED[model][1]):

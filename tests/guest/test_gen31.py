@@ -5,11 +5,7 @@ Short by default; at length:
     EVSTIM_GEN31_EVENTS=5e6 EVSTIM_OPENEB_CLIENT=BUILD/client python -m pytest tests/guest/test_gen31.py
 """
 
-from __future__ import annotations
-
 import os
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +13,6 @@ import pytest
 from tests.guest.attachment import Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import ND_VGA
-from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import read, read_until_pulled
 from tests.guest.test_evk4 import GAP_US, looped, needs_openeb, read_by_openeb, rig_of
@@ -34,9 +29,7 @@ pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(2 * TIM
 
 @pytest.mark.shows("evk3_vga", "openeb", "opens", "events", "triggers", "settings")
 @needs_openeb
-def test_openeb_sees_every_event_of_its_window(
-    guest: Guest, tmp_path: Path, record_property: Callable[[str, object], None]
-) -> None:
+def test_openeb_sees_every_event_of_its_window(guest, tmp_path, record_property):
     looped(tmp_path, VGA)
     rig = RunningRig(tmp_path, text=rig_of("evk3_vga"))
     about, seen = read_by_openeb(guest, rig, "evk3-vga.bin", OPENEB_EVENTS, "EVT3", timeout_s=TIMEOUT_S)
@@ -52,9 +45,7 @@ def test_openeb_sees_every_event_of_its_window(
 
 
 @pytest.mark.shows("silkyevcam_vga", "nd", "opens", "events", "settings", "unplugged", "plugged again")
-def test_a_driver_sees_every_event(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, record_property: Callable[[str, object], None]
-) -> None:
+def test_a_driver_sees_every_event(guest, driver_pythons, tmp_path, record_property):
     """The cable is pulled while the driver streams; then it opens the camera again, and changes its biases."""
     looped(tmp_path, VGA)
     more = (guest, ND_VGA, driver_pythons["nd"], EVENTS)

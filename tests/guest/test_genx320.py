@@ -5,16 +5,12 @@ Short by default; at length:
     EVSTIM_GENX320_EVENTS=1e6 EVSTIM_OPENEB_CLIENT=BUILD/client python -m pytest tests/guest/test_genx320.py
 """
 
-from __future__ import annotations
-
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from emulator.sensor.presets import PRESETS
-from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.test_evk4 import GAP_US, looped, needs_openeb, read_by_openeb, rig_of
 
@@ -29,7 +25,7 @@ pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(2 * TIM
 
 @pytest.mark.shows("genx320", "openeb", "opens", "events", "triggers")
 @pytest.mark.parametrize("form", FORMS)
-def test_openeb_sees_every_event_that_its_settings_select(guest: Guest, tmp_path: Path, form: str) -> None:
+def test_openeb_sees_every_event_that_its_settings_select(guest, tmp_path, form):
     looped(tmp_path, SIZE)
     rig = RunningRig(tmp_path, text=rig_of("genx320"))
     about, seen = read_by_openeb(guest, rig, f"genx320-{form}.bin", EVENTS, form, timeout_s=TIMEOUT_S)

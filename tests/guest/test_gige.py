@@ -7,8 +7,6 @@ its own. More events, larger packets and more openings than in CI:
     EVSTIM_GIGE_EVENTS=6e7 EVSTIM_GIGE_GAP_US=0.025 python -m pytest -s -k exact tests/guest/test_gige.py  # 40 Mev/s
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -35,7 +33,7 @@ EMPTY_USB = (
 pytestmark = [pytest.mark.guest, pytest.mark.socket]
 
 
-def where_libusb_starts() -> list[str]:
+def where_libusb_starts():
     """Return what prefixes a command so that libusb finds a USB, an empty one where this machine has none."""
     if Path("/sys/bus/usb/devices").is_dir() and Path("/dev/bus/usb").is_dir():
         return []

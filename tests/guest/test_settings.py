@@ -4,18 +4,14 @@ What the changes do to the streams is tested elsewhere; here none of them may fa
 and when all is set back, everything is exact again.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from tests.guest.all_streams import ASKED, FREE, STREAMS, assert_same_frames, assert_same_streams
 from tests.guest.attachment import Attachment
-from tests.guest.environments import DRIVERS, Driver
-from tests.guest.machine import Guest
+from tests.guest.environments import DRIVERS
 from tests.guest.running_rig import CHECKERBOARD, RunningRig
 from tests.guest.streaming import read
 from tests.guest.turns import long_but
@@ -35,9 +31,7 @@ pytestmark = [
 @pytest.mark.long
 @pytest.mark.shows("davis346", "{driver.name}", "settings")
 @pytest.mark.parametrize("driver", long_but(DRIVERS[-1:], DRIVERS), ids=lambda driver: driver.name)
-def test_every_setting_is_changed_while_all_streams_run(
-    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
-) -> None:
+def test_every_setting_is_changed_while_all_streams_run(guest, driver, driver_pythons, tmp_path):
     client = replace(driver, name=f"settings_{driver.name}")
     more = STREAMS + (FREE if driver.adds_host_time else "")
     with RunningRig(tmp_path, more=more, text=FILTERING) as rig, Attachment(guest, rig.port):

@@ -6,19 +6,14 @@ pixel, sample and edge, at its time. Ten million events of each driver, with wha
     EVSTIM_GUEST_EVENTS=10000000 python -m pytest tests/guest/test_streams.py
 """
 
-from __future__ import annotations
-
 import os
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from tests.guest.all_streams import ASKED, FREE, STREAMS, STREAMS_240C, assert_same_frames, assert_same_streams
 from tests.guest.attachment import DAVIS_FX2, DAVIS_FX3, Attachment
-from tests.guest.environments import DRIVERS, Driver
-from tests.guest.machine import Guest
+from tests.guest.environments import DRIVERS
 from tests.guest.running_rig import CHECKERBOARD, CHECKERBOARD_240C, RunningRig
 from tests.guest.streaming import read
 
@@ -42,13 +37,13 @@ CASES = [pytest.param("davis346", driver, id=driver.name) for driver in DRIVERS]
 @pytest.mark.shows("{model}", "{driver.name}", "opens", "events", "frames", "imu", "triggers")
 @pytest.mark.parametrize(("model", "driver"), CASES)
 def test_every_stream_is_seen_as_it_was_delivered(
-    guest: Guest,
-    model: str,
-    driver: Driver,
-    driver_pythons: dict[str, Path],
-    tmp_path: Path,
-    record_property: Callable[[str, object], None],
-) -> None:
+    guest,
+    model,
+    driver,
+    driver_pythons,
+    tmp_path,
+    record_property,
+):
     text, streams, usb_id = MODELS[model]
     layout = LAYOUTS[driver.name] if model == "davis346" else "upright"
     # neuromorphic_drivers did not open beside a run at free pace: its requests timed out.

@@ -6,17 +6,13 @@ Short by default; at length:
     python -m pytest tests/guest/test_v4l2.py
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +25,7 @@ from tests.guest.comparison import assert_same
 from tests.guest.conftest import cannot
 from tests.guest.image import GuestUnavailable
 from tests.guest.kernel_module import built_module
-from tests.guest.machine import CACHE, HOST_ADDRESS, Guest
+from tests.guest.machine import CACHE, HOST_ADDRESS
 from tests.guest.running_rig import RunningRig
 from tests.guest.test_evk4 import needs_openeb, rig_of
 from tests.hostile.looped import Looped
@@ -54,7 +50,7 @@ pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(2 * TIM
 
 
 @pytest.fixture(scope="module")
-def module(guest: Guest) -> Iterator[None]:
+def module(guest):
     """The kernel module in the guest, which reports no error of its own until it is removed again."""
     try:
         built = built_module(firmware_protocol.c.FOLDER / "v4l2", guest.kernel, CACHE)
@@ -71,7 +67,7 @@ def module(guest: Guest) -> Iterator[None]:
 
 
 @contextmanager
-def words(guest: Guest, name: str) -> Iterator[None]:
+def words(guest, name):
     """A sensor that a small program feeds, until the block ends."""
     pid = guest.path_in_guest("words.pid")
     guest.start([sys.executable, WORDS, name, pid], TIMEOUT_S)
@@ -84,7 +80,7 @@ def words(guest: Guest, name: str) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", ["imx636", pytest.param("genx320", marks=pytest.mark.long)])
-def test_v4l2_compliance_finds_no_fault(guest: Guest, module: None, name: str) -> None:
+def test_v4l2_compliance_finds_no_fault(guest, module, name):
     """The checker of V4L2's own developers: of the topology, of both devices, and of streams."""
     with words(guest, name):
         for arguments in (["-m", "/dev/media0"], ["-d", VIDEO, "-s", "5"]):
@@ -95,7 +91,7 @@ def test_v4l2_compliance_finds_no_fault(guest: Guest, module: None, name: str) -
 
 
 @pytest.mark.long
-def test_a_program_that_is_killed_amid_a_stream_leaves_nothing(guest: Guest, module: None) -> None:
+def test_a_program_that_is_killed_amid_a_stream_leaves_nothing(guest, module):
     for number in range(KILLS):
         out = guest.path_in_guest(f"v4l2-killed-{number}.raw")
         with words(guest, "genx320"):
@@ -105,7 +101,7 @@ def test_a_program_that_is_killed_amid_a_stream_leaves_nothing(guest: Guest, mod
         assert ended.code is not None
 
 
-def test_the_module_survives_any_messages(guest: Guest, module: None) -> None:
+def test_the_module_survives_any_messages(guest, module):
     told = guest.check([sys.executable, WORDS, "imx636", str(MESSAGES)], MESSAGES_S)
     assert MESSAGES // 20 < int(told) < MESSAGES  # some are valid, some are refused
     with words(guest, "imx636"):
@@ -113,7 +109,7 @@ def test_the_module_survives_any_messages(guest: Guest, module: None) -> None:
 
 
 @contextmanager
-def sensor(guest: Guest, tmp_path: Path, model: str) -> Iterator[RunningRig]:
+def sensor(guest, tmp_path, model):
     """A rig whose camera is a sensor in the guest; the camera's own record is there afterwards."""
     Looped(1_000_000, GAP_US, SIZES[model]).save(tmp_path / "looped.npz")
     with RunningRig(tmp_path, text=rig_of(model).replace("step_us = 1000\n", "step_us = 10000\n")) as rig:
@@ -130,7 +126,7 @@ def sensor(guest: Guest, tmp_path: Path, model: str) -> Iterator[RunningRig]:
         assert not guest.run(["test", "-e", VIDEO]).ok
 
 
-def wait_for(guest: Guest, condition: str, within_s: float = 240.0) -> None:
+def wait_for(guest, condition, within_s=240.0):
     """Wait until a condition of the shell holds: a program of the guest waits, without a connection for each look."""
     looks = f"for i in $(seq {2 * within_s:.0f}); do {condition} && exit 0; sleep 0.5; done; exit 1"
     guest.check(["sh", "-c", looks], 2 * within_s)
@@ -145,9 +141,7 @@ def wait_for(guest: Guest, condition: str, within_s: float = 240.0) -> None:
         pytest.param("evk4", "PSE3", marks=pytest.mark.long),
     ],
 )
-def test_v4l2_ctl_sets_a_sensor_and_reads_every_event(
-    guest: Guest, module: None, tmp_path: Path, model: str, letters: str
-) -> None:
+def test_v4l2_ctl_sets_a_sensor_and_reads_every_event(guest, module, tmp_path, model, letters):
     """Its list of controls, a format, a bias, rate control, and the words of its buffers."""
     out = f"v4l2-{model}-{letters}.raw"
     with sensor(guest, tmp_path, model) as rig:
@@ -179,16 +173,14 @@ def test_v4l2_ctl_sets_a_sensor_and_reads_every_event(
     ("model", "letters"),
     [("genx320", "PSE3"), ("genx320", "PSE2"), ("genx320", "PSEE"), ("evk4", "PSE3"), ("evk4", "PSE1")],
 )
-def test_openeb_opens_a_sensor_and_sees_every_event(
-    guest: Guest, module: None, tmp_path: Path, record_property: Callable[[str, object], None], model: str, letters: str
-) -> None:
+def test_openeb_opens_a_sensor_and_sees_every_event(guest, module, tmp_path, record_property, model, letters):
     """Its discovery on V4L2, bias, window and rate control, changed while they stream, its stream and its decoder."""
     out, client = f"openeb-v4l2-{model}-{letters}.bin", str(Path(OPENEB).with_name("v4l2_client"))
     with sensor(guest, tmp_path, model) as rig:
         guest.check(["v4l2-ctl", "-d", VIDEO, "-v", f"pixelformat={letters}"])
         command = [client, str(EVENTS), str(TIMEOUT_S), guest.path_in_guest(out)]
         begun_s = time.monotonic()
-        about: dict[str, Any] = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
+        about = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
         seconds = time.monotonic() - begun_s
     name = {"PSE3": "EVT3", "PSEE": "EVT2"}.get(letters, "EVT21")
     assert (about["serial"], about["integrator"]) == ("0BADCAFE", "evstim")

@@ -63,7 +63,7 @@ class _FrameInTransit:
 
     lines: list[np.ndarray] = field(default_factory=list)
 
-    def take(self, record: np.ndarray) -> np.ndarray | None:
+    def take(self, record):
         """Take a line, (1,) of `line_record`; return all lines of a frame that is whole with it."""
         if int(record["kind"][0]) == LineKind.START:
             self.lines = []
@@ -79,7 +79,7 @@ class _FrameInTransit:
 class Campaign:
     """A camera, its sensor's parts, and a host that knows no manners."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed):
         self.camera = Davis346(Davis346Settings(frames=True, imu_unit=2, start_delay_us=50))
         self.host = Host(self.camera)
         self.counts = Counts()
@@ -95,7 +95,7 @@ class Campaign:
 
     # --- the host
 
-    def batch(self, count: int) -> None:
+    def batch(self, count):
         """Write `count` registers, send other requests, let time pass and read."""
         writes = [self._any_write() for _ in range(count)]
         setting = self._draw.random()
@@ -114,12 +114,12 @@ class Campaign:
         self._read_back(writes)
         self.step(int(self._draw.choice([50, 2000, 40_000, 40_000])), reads=self._draw.random() < 0.9)
 
-    def _any_write(self) -> tuple[int, int, int]:
+    def _any_write(self):
         kinds = (0, 0xFFFFFFFF, int(self._draw.integers(1 << 32)), int(self._draw.integers(512)))
         keys = KEYS if self._draw.random() < 0.98 else ABSENT
         return (*keys[int(self._draw.integers(len(keys)))], kinds[int(self._draw.integers(4))])
 
-    def _expect(self, module: int, address: int, value: int) -> None:
+    def _expect(self, module, address, value):
         """Note what the register must read now; a reader of the stream begins anew where time does."""
         key = module, address
         if key not in WRITABLE:
@@ -128,7 +128,7 @@ class Campaign:
         if key == TIMESTAMP_RUN and self._expected[key] > before:
             self.host.decoder, self._transit = Decoder(SIZE), _FrameInTransit()
 
-    def _any_requests(self) -> None:
+    def _any_requests(self):
         wrong = ((0xBF, 0, 0, b"\0"), (0xC2, 3, 0, b"\0" * 6), (0xB9, 0, 0, b""), (0xBE, 1, 0, b"\0" * 64))
         for request in ((0xC6, 0, 0, b""), (0xB1, 4, 0, b""), *wrong):
             if self._draw.random() < 0.1:
@@ -138,7 +138,7 @@ class Campaign:
                     self.counts.refused += 1
                     assert request in wrong, request
 
-    def _read_back(self, writes: list[tuple[int, int, int]]) -> None:
+    def _read_back(self, writes):
         """Every register that was written, and every one in one case of fifty."""
         asked = {(module, address) for module, address, _ in writes}
         for key in KEYS + ABSENT if self._draw.random() < 0.02 else asked:
@@ -148,7 +148,7 @@ class Campaign:
 
     # --- what the camera sees and sends
 
-    def step(self, step_us: int, *, reads: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, step_us, *, reads=True):
         """Let time pass with everything going on; return the events and edges that were offered."""
         now_us = self.camera.now_us
         until_us = now_us + step_us
@@ -169,7 +169,7 @@ class Campaign:
         self.check_ledgers()
         return events, edges
 
-    def read(self) -> None:
+    def read(self):
         """Read all there is; what is decoded must be what the camera says."""
         while (transfer := self.camera.read(2, int(self._draw.choice([62, 512, 8192, 131072])))) is not None:
             self.camera.sent(transfer)
@@ -186,7 +186,7 @@ class Campaign:
             self.counts.samples += len(told)
         assert self.host.decoder.faults.total == 0, self.host.decoder.faults
 
-    def _check_frames(self, seen: tuple, lines: list[np.ndarray]) -> None:
+    def _check_frames(self, seen, lines):
         whole = [frame for frame in map(self._transit.take, lines) if frame is not None]
         assert len(seen) == len(whole)
         for read, told in zip(seen, whole, strict=True):
@@ -197,7 +197,7 @@ class Campaign:
                 assert np.array_equal(told[told["kind"] == kind]["samples"][:, : got.shape[0]].T, got)
         self.counts.frames += len(seen)
 
-    def check_ledgers(self) -> None:
+    def check_ledgers(self):
         """Everything that was offered has exactly one fate, and the sensor's figures stay figures."""
         counters = self.camera.counters
         assert counters.offered == counters.accounted, counters
@@ -208,7 +208,7 @@ class Campaign:
 
     # --- afterwards
 
-    def assert_exact_again(self, steps: int = 120) -> None:
+    def assert_exact_again(self, steps=120):
         """Start the camera as drivers do; it must then send everything that comes in `steps` of 1 ms, and no more."""
         self.start_anew()
         dropped = self.camera.counters.dropped_fifo
@@ -221,7 +221,7 @@ class Campaign:
         assert self.camera.counters.dropped_fifo == dropped
         assert self.host.decoder.frames_incomplete == 0
 
-    def start_anew(self) -> None:
+    def start_anew(self):
         """Do what drivers do when they open a camera in any state."""
         self.host.write_all(STOP)
         self.step(10_000)  # as libcaer waits; the sensor's parts hear of registers once a step

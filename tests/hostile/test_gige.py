@@ -136,7 +136,7 @@ def test_the_stream_is_exact_whatever_strangers_send(link):
     assert (report.error, report.delivered) == (None, 400 * PARTS)
 
 
-def _answer(owner: socket.socket, asked: bytes) -> bytes:
+def _answer(owner, asked):
     """Return the answer to a request, which is sent again as a host does: a flood may fill the camera's buffer."""
     for _ in range(60):
         owner.send(asked)

@@ -17,7 +17,6 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
@@ -76,7 +75,7 @@ class FreeRun:
     `tables` are more of the rig, TOML.
     """
 
-    def __init__(self, looped: Looped, folder: Path, tables: str = "") -> None:
+    def __init__(self, looped, folder, tables=""):
         rig, ready = folder / "soak.toml", folder / "ready"
         looped.save(folder / "looped.npz")
         step_us = max(1, EVENTS_A_STEP * looped.round_us // len(looped.events))
@@ -94,13 +93,13 @@ class FreeRun:
         found = subprocess.run(["pgrep", "-P", str(self._run.pid), "-f", "spawn_main"], capture_output=True, text=True)
         self.processes = {"session": self._run.pid, "link": int(found.stdout.split()[0])}
 
-    def stop(self) -> dict:
+    def stop(self):
         """End it as Ctrl-C does and return its summary."""
         self._run.send_signal(signal.SIGINT)
         out, _ = self._run.communicate(timeout=60)
         return json.loads(out.splitlines()[-1])
 
-    def close(self) -> None:
+    def close(self):
         """End it in any case."""
         self._run.kill()
         self._run.wait()

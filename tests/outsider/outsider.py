@@ -165,7 +165,7 @@ BEACON = LinkKind(
 )
 
 
-def listen() -> int:
+def listen():
     """Read a beacon."""
     return 0
 
@@ -200,7 +200,7 @@ LINES = Format(
 )
 
 
-def count(path: Path, /) -> int:
+def count(path, /):
     """Count the events of a file of lines.
 
     Parameters

@@ -28,11 +28,11 @@ _PLAIN = SensorParameters(
 )
 
 
-def _light(value: float) -> np.ndarray:
+def _light(value):
     return np.full((_PLAIN.height, _PLAIN.width), value, np.float32)
 
 
-def _ramp(sensor: Sensor, growth: float, steps: int = 100, start: int = 0, first: float = 0.0) -> np.ndarray:
+def _ramp(sensor, growth, steps=100, start=0, first=0.0):
     """Let ln of the light grow by `growth` from `first` in `steps`; return the events."""
     shares = (np.arange(steps) + 1) / steps
     parts = [
@@ -170,14 +170,12 @@ _NOISY = dataclasses.replace(
 )  # fmt: skip
 
 
-def _noise_events(sensor: Sensor, ends_ms: tuple[int, ...]) -> np.ndarray:
+def _noise_events(sensor, ends_ms):
     return np.concatenate([sensor.expose(LightFrame(end * _STEP_NS, _light(0.05))) for end in ends_ms])
 
 
 @numba.njit
-def _followed(
-    phases: np.ndarray, first: tuple, second: tuple, edges: np.ndarray, random: np.random.Generator
-) -> np.ndarray:
+def _followed(phases, first, second, edges, random):
     """Events before each edge of pixels whose thresholds change at the first; deviations and time constants."""
     counts, step = np.zeros(edges.size + 1), 0.01
     decay, kick = math.exp(-step), math.sqrt(-math.expm1(-2 * step))

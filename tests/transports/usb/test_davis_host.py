@@ -1,7 +1,5 @@
 """A driver's whole life with our own camera, over USB/IP."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ pytestmark = pytest.mark.socket
 SMALL = StreamSettings(transfer_bytes=8192, transfers=8)
 
 
-def events(n: int, start_us: int, seed: int = 1) -> np.ndarray:
+def events(n, start_us, seed=1):
     return scattered(start_us + np.sort(np.random.default_rng(seed).integers(0, 20_000, n)), seed=seed)
 
 
@@ -41,7 +39,7 @@ def cable(bench):
     return open_camera
 
 
-def read_all(driver: DavisHost, n: int) -> np.ndarray:
+def read_all(driver, n):
     parts = [np.zeros(0, EVENT)]
     while sum(map(len, parts)) < n:
         part = driver.read(120)
@@ -83,7 +81,7 @@ def test_every_event_arrives_as_it_was(cable, layout):
 class Scripted:
     """A reader that gives what it was given."""
 
-    def __init__(self, *transfers: bytes) -> None:
+    def __init__(self, *transfers):
         self._transfers = list(transfers)
 
     def read(self, timeout_s):
