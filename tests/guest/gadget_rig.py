@@ -77,13 +77,7 @@ class GadgetCamera:
         (vendor, product) of the camera, as the bus tells them.
     """
 
-    def __init__(
-        self,
-        guest,
-        *options,
-        looped=None,
-        model=DAVIS_FX3,
-    ):
+    def __init__(self, guest, *options, looped=None, model=DAVIS_FX3):
         self._guest, self._options, self._model = guest, options, model
         self._looped = looped or Looped(300_000, GAP_US)
         self.device = {}

@@ -175,11 +175,7 @@ class Guest:
 
     def _power_on(self):
         initramfs = self.results / "initramfs.gz"
-        settings = {
-            "PYTHON": sys.executable,
-            "AGENT": str(AGENT),
-            "PORT": _port(self._listener),
-        }
+        settings = {"PYTHON": sys.executable, "AGENT": str(AGENT), "PORT": _port(self._listener)}
         build_initramfs(self.kernel, settings, initramfs)
         with self.console_file.open("wb") as console:
             return subprocess.Popen(

@@ -42,15 +42,7 @@ class Seen:
 class Streaming:
     """One run of a client: it opens the camera, takes `count` events or what comes in time, and closes it."""
 
-    def __init__(
-        self,
-        guest,
-        driver,
-        python,
-        count,
-        *options,
-        timeout_s=STREAM_TIMEOUT_S,
-    ):
+    def __init__(self, guest, driver, python, count, *options, timeout_s=STREAM_TIMEOUT_S):
         self._guest = guest
         self._driver = driver
         self._output = guest.results / f"{driver.name}.npz"
@@ -60,8 +52,7 @@ class Streaming:
         output = ["--output", guest.path_in_guest(self._output.name)]
         guest.prepare(python, driver.imports)
         self._job = guest.start(
-            [str(python), str(driver.program), *limits, *output, *options],
-            timeout_s + STREAM_TIMEOUT_S,
+            [str(python), str(driver.program), *limits, *output, *options], timeout_s + STREAM_TIMEOUT_S
         )
 
     def wait_until_started(self):

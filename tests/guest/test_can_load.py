@@ -28,11 +28,7 @@ pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1700)]
 CLIENT = str(Path(__file__).with_name("clients") / "can_link.py")
 TIMEOUT_S = 1500.0
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = {
-    "NUMBA_CACHE_DIR": str(CACHE / "numba"),
-    "NUMBA_CPU_NAME": "generic",
-    "NUMBA_CPU_FEATURES": "",
-}
+ENVIRONMENT = {"NUMBA_CACHE_DIR": str(CACHE / "numba"), "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 """Of a link that makes blocks: guest and host use code for the same processor, and the host compiles it."""
 WIDTH, HEIGHT = 346, 260
 MANY, FEWER, FEW = 200_000, 50_000, 4_000
@@ -91,13 +87,7 @@ def vcan(guest):
     guest.run(["ip", "link", "del", "vcan0"])
 
 
-def run_link(
-    guest,
-    events,
-    table,
-    *,
-    frames_a_second,
-):
+def run_link(guest, events, table, *, frames_a_second):
     """Run the link on a bus of so many frames a second, while another node sends too."""
     np.save(guest.results / "load.npy", events)
     at, fd = guest.path_in_guest, table.get("fd", False)

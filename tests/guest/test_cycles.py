@@ -69,12 +69,7 @@ def assert_cycled(ended, record):
 
 
 @pytest.fixture(scope="module")
-def cycled(
-    request,
-    guest,
-    driver_pythons,
-    tmp_path_factory,
-):
+def cycled(request, guest, driver_pythons, tmp_path_factory):
     rig = RunningRig(tmp_path_factory.mktemp("cycles"), more=STREAMS)
 
     def take(driver):
@@ -153,11 +148,7 @@ REOPENED = (
 @pytest.mark.shows("{one.model}", "{one.driver.name}", "cycles")
 @pytest.mark.parametrize("one", REOPENED, ids=str)
 def test_another_camera_is_closed_in_the_midst_of_its_streams_again_and_again(
-    guest,
-    driver_pythons,
-    tmp_path,
-    one,
-    record_property,
+    guest, driver_pythons, tmp_path, one, record_property
 ):
     with RunningRig(tmp_path, text=one.rig(tmp_path)) as rig, Attachment(guest, rig.port, model=one.usb_id):
         more = ("--streams", one.streams, *(("--device", one.device) if one.driver is ND else ()))

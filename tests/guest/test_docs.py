@@ -62,12 +62,7 @@ def forwarded(guest, port):
 
 
 @pytest.fixture(scope="module")
-def ended(
-    request,
-    guest,
-    driver_pythons,
-    tmp_path_factory,
-):
+def ended(request, guest, driver_pythons, tmp_path_factory):
     """The programs of the page, each with the camera attached by the commands of the page, on its rig."""
     (_, text), _, (_, attach), (_, detach) = blocks("Attach it")
     text = re.sub(rf"^port = {PORT}$", "port = {port}", text, flags=re.M)

@@ -37,11 +37,7 @@ OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
 LIMIT = 40  # events in 200 us, of 50 on average
 MASKED_COLUMNS, MASKED_ROWS, MASKED_PIXEL = (100, 200), (40, 60), (640, 300)  # as clients/nd_evk4.py has them
 
-pytestmark = [
-    pytest.mark.guest,
-    pytest.mark.socket,
-    pytest.mark.timeout(2 * TIMEOUT_S + 1200),
-]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(2 * TIMEOUT_S + 1200)]
 
 RIG = """
 title = "recorded events at their own pace, for a driver of the EVK4"

@@ -32,11 +32,7 @@ TIMEOUT_S = 300.0 + EVENTS * 1e-4
 NEVER_READS = str(Path(__file__).parent / "clients" / "never_reads.py")
 DV2, DV1, ND = DRIVERS
 
-pytestmark = [
-    pytest.mark.guest,
-    pytest.mark.socket,
-    pytest.mark.timeout(10 * TIMEOUT_S),
-]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(10 * TIMEOUT_S)]
 
 
 @pytest.fixture(scope="module")

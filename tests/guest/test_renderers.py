@@ -90,13 +90,7 @@ def drawing(python, program, port):
     ],
 )
 def test_a_driver_reads_every_event_of_a_renderer(
-    guest,
-    driver_pythons,
-    renderer_python,
-    tmp_path,
-    rig,
-    program,
-    package,
+    guest, driver_pythons, renderer_python, tmp_path, rig, program, package
 ):
     python = renderer_python(package)
     driver, scene_port = DRIVERS[0], free_port()

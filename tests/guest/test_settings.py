@@ -21,11 +21,7 @@ FILTERING = CHECKERBOARD.replace("[camera]\n", "[camera]\nactivity_filter = true
 EVENTS = 100_000  # of the settled part: a third of a second of device time
 ABOVE_INFO = re.compile(r"\b(WARNING|WARN|ERROR|CRITICAL|ALERT|EMERGENCY)\b")
 
-pytestmark = [
-    pytest.mark.guest,
-    pytest.mark.socket,
-    pytest.mark.timeout(TIMEOUT_S + 900),
-]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(TIMEOUT_S + 900)]
 
 
 @pytest.mark.long

@@ -21,11 +21,7 @@ from tests.guest.streaming import read
 EVENTS = int(os.environ.get("EVSTIM_GUEST_EVENTS", "150000"))
 TIMEOUT_S = 240.0 + EVENTS / 5000
 
-pytestmark = [
-    pytest.mark.guest,
-    pytest.mark.socket,
-    pytest.mark.timeout(TIMEOUT_S + 960),
-]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(TIMEOUT_S + 960)]
 LAYOUTS = {"dv2": "upright", "dv1": "turned", "nd": "upright"}
 MODELS = {"davis346": (CHECKERBOARD, STREAMS, DAVIS_FX3), "davis240c": (CHECKERBOARD_240C, STREAMS_240C, DAVIS_FX2)}
 CASES = [pytest.param("davis346", driver, id=driver.name) for driver in DRIVERS] + [
@@ -36,22 +32,12 @@ CASES = [pytest.param("davis346", driver, id=driver.name) for driver in DRIVERS]
 @pytest.mark.sampled
 @pytest.mark.shows("{model}", "{driver.name}", "opens", "events", "frames", "imu", "triggers")
 @pytest.mark.parametrize(("model", "driver"), CASES)
-def test_every_stream_is_seen_as_it_was_delivered(
-    guest,
-    model,
-    driver,
-    driver_pythons,
-    tmp_path,
-    record_property,
-):
+def test_every_stream_is_seen_as_it_was_delivered(guest, model, driver, driver_pythons, tmp_path, record_property):
     text, streams, usb_id = MODELS[model]
     layout = LAYOUTS[driver.name] if model == "davis346" else "upright"
     # neuromorphic_drivers did not open beside a run at free pace: its requests timed out.
     more = streams + (FREE if driver.adds_host_time else "")
-    with (
-        RunningRig(tmp_path, layout=layout, more=more, text=text) as rig,
-        Attachment(guest, rig.port, model=usb_id),
-    ):
+    with RunningRig(tmp_path, layout=layout, more=more, text=text) as rig, Attachment(guest, rig.port, model=usb_id):
         started_s = time.monotonic()
         seen = read(guest, driver, driver_pythons[driver.name], EVENTS, *ASKED, timeout_s=TIMEOUT_S)
         record_property("seconds", round(time.monotonic() - started_s))

@@ -121,12 +121,7 @@ class Exposed:
 
 
 @pytest.fixture(scope="module")
-def exposed(
-    request,
-    guest,
-    driver_pythons,
-    tmp_path_factory,
-):
+def exposed(request, guest, driver_pythons, tmp_path_factory):
     folder = tmp_path_factory.mktemp("faults")
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("XDG_RUNTIME_DIR", str(folder))

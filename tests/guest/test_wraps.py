@@ -63,13 +63,7 @@ def looped():
 
 
 @pytest.fixture(scope="module")
-def turns(
-    request,
-    guest,
-    driver_pythons,
-    looped,
-    tmp_path_factory,
-):
+def turns(request, guest, driver_pythons, looped, tmp_path_factory):
     folder = tmp_path_factory.mktemp("wraps")
     looped.save(folder / "looped.npz")
     rig = LongRun(folder, text=RIG)

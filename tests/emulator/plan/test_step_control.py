@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.plan.step_control import (
-    ControlledSteps,
-    Limits,
-    RefinementModel,
-    error_us,
-    sample,
-    weighted_quantile,
-)
+from emulator.plan.step_control import ControlledSteps, Limits, RefinementModel, error_us, sample, weighted_quantile
 
 DARK = 1e-3
 PHASES = np.linspace(0, 2 * np.pi, 900, endpoint=False).reshape(30, 30)

@@ -7,15 +7,7 @@ import math
 import pytest
 
 from emulator.rig.kinds import CAMERA_MODELS, LINKS, SCENES
-from emulator.rig.loading import (
-    LoopbackLink,
-    RigError,
-    UsbipLink,
-    find_rig,
-    load_rig,
-    parse_rig,
-    shipped_rigs,
-)
+from emulator.rig.loading import LoopbackLink, RigError, UsbipLink, find_rig, load_rig, parse_rig, shipped_rigs
 from emulator.rig.top_level import rig_schema
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.genx320.device import SLOPES
@@ -56,9 +48,7 @@ def test_there_are_no_other_shipped_rigs():
 def test_a_rig_is_typed_and_frozen():
     rig = parse_rig(GOOD, "my.toml", "my")
     assert rig.camera.sensor == dataclasses.replace(
-        PRESETS["davis346"],
-        threshold_on=0.2,
-        readout=dataclasses.replace(PRESETS["davis346"].readout, event_ns=100.0),
+        PRESETS["davis346"], threshold_on=0.2, readout=dataclasses.replace(PRESETS["davis346"].readout, event_ns=100.0)
     )
     assert rig.links == (UsbipLink(port=0), LoopbackLink())
     with pytest.raises(dataclasses.FrozenInstanceError):

@@ -54,10 +54,7 @@ _EVSTIM = [sys.executable, "-c", _PROGRAM, "run"]
 
 def open_link(**more):
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
-    link = LinkProcess(
-        LinkSetup("loopback", EventRing(), camera, LOOPBACK, **more),
-        MonotonicClock(),
-    )
+    link = LinkProcess(LinkSetup("loopback", EventRing(), camera, LOOPBACK, **more), MonotonicClock())
     link.wait_ready()
     link.start(FREE_RUNNING)
     return link

@@ -102,14 +102,7 @@ def driven(tmp_path, syncs, *, ends_by_itself):
     events = EventRing()
     camera = partial(Davis346, Davis346Settings(size=(24, 16), start_delay_us=0))
     timing = paths.timing("bus", None, None)
-    setup = LinkSetup(
-        "bus",
-        events,
-        camera,
-        LOOPBACK,
-        FileRecorder(tmp_path / "a.npz"),
-        timing=timing,
-    )
+    setup = LinkSetup("bus", events, camera, LOOPBACK, FileRecorder(tmp_path / "a.npz"), timing=timing)
     run = session([setup], clock)
     sink = paths.sink("bus", events)
 

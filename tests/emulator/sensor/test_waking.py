@@ -94,10 +94,7 @@ def test_a_lower_threshold_fires_resting_pixels_at_once():
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"noise": NoiseParameters(rms=0.05, grade="grid")},
-        {"photoreceptor": "circuit", "noise": NoiseParameters()},
-    ],
+    [{"noise": NoiseParameters(rms=0.05, grade="grid")}, {"photoreceptor": "circuit", "noise": NoiseParameters()}],
 )
 def test_a_sensor_that_cannot_change_refuses(changes):
     one = sensor("davis346", **changes)

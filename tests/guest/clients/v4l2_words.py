@@ -15,14 +15,7 @@ from pathlib import Path
 
 from firmware_protocol.genx320 import registers as genx320
 from firmware_protocol.imx636 import registers as imx636
-from firmware_protocol.prophesee.v4l2 import (
-    REQUEST_BYTES,
-    WORDS_HEADER,
-    NodeSettings,
-    Request,
-    RequestKind,
-    answer,
-)
+from firmware_protocol.prophesee.v4l2 import REQUEST_BYTES, WORDS_HEADER, NodeSettings, Request, RequestKind, answer
 
 FILE = "/dev/evstim-v4l2"
 SENSORS = {"imx636": imx636.V4L2_SENSOR, "genx320": genx320.V4L2_SENSOR}

@@ -13,10 +13,7 @@ from emulator.cli.app import _main
 from laboratory.accuracy.peers import running, worker
 from laboratory.accuracy.peers.page import BEGIN, END
 from laboratory.accuracy.peers.running import BUNDLED, OURS, Adapter, run_adapter
-from laboratory.accuracy.peers.scoring import (
-    read_events,
-    score_events,
-)
+from laboratory.accuracy.peers.scoring import read_events, score_events
 from laboratory.accuracy.peers.sequences import SCENES, FolderError, export, open_folder
 from laboratory.accuracy.scenes import Dark, Flash, MovingEdge, SlowRamp
 from laboratory.accuracy.truth import ideal_events

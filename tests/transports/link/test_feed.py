@@ -37,10 +37,7 @@ def linked(timing, path=None, origin_ns=ORIGIN_NS):
     ring, clock = EventRing(10_000), FakeClock(ORIGIN_NS)
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
     recorder = path and FileRecorder(path)
-    link = Link(
-        LinkSetup("loopback", ring, camera, LOOPBACK, recorder, timing=timing),
-        clock,
-    )
+    link = Link(LinkSetup("loopback", ring, camera, LOOPBACK, recorder, timing=timing), clock)
     asyncio.run(link.endpoint.start())
     ring.start(origin_ns)
     return link, ring, clock

@@ -190,8 +190,7 @@ class Stalled:
 
 
 @pytest.mark.parametrize(
-    ("turns", "turn_s", "left"),
-    [(20, 0.7, 0), (50, 0.0005, 0), (1000, 0.7, 1000 - 202), (5000, 0.0005, 5000 - 2002)],
+    ("turns", "turn_s", "left"), [(20, 0.7, 0), (50, 0.0005, 0), (1000, 0.7, 1000 - 202), (5000, 0.0005, 5000 - 2002)]
 )
 async def test_the_drain_counts_the_links_own_time_and_has_an_end(turns, turn_s, left):
     clock = FakeClock(ORIGIN_NS)

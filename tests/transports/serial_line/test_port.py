@@ -258,10 +258,7 @@ def test_a_failure_of_the_thread_is_raised_by_the_next_write():
     port.close()
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("port", ""), ("baud", 10), ("stop_bits", 3), ("break_ms", -1)],
-)
+@pytest.mark.parametrize(("field", "value"), [("port", ""), ("baud", 10), ("stop_bits", 3), ("break_ms", -1)])
 def test_parameters_refuse_nonsense_by_the_key(field, value):
     with pytest.raises(ValueError, match=field):
         SerialLink(**{field: value})

@@ -124,13 +124,7 @@ def test_several_telecommands_in_a_datagram_are_done_in_order(bench):
 
 @pytest.mark.parametrize(
     ("octets", "refused"),
-    [
-        (b"", 0),
-        (b"\x18", 1),
-        (bytes(5), 1),
-        (b"\xff" * 2000, 1),
-        (bytes.fromhex("1aa0c0000006291101000081e8"), 1),
-    ],
+    [(b"", 0), (b"\x18", 1), (bytes(5), 1), (b"\xff" * 2000, 1), (bytes.fromhex("1aa0c0000006291101000081e8"), 1)],
 )
 def test_octets_that_are_no_telecommand_are_counted_and_stop_nothing(bench, octets, refused):
     b = bench()

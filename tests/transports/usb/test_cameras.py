@@ -33,10 +33,7 @@ CAMERAS = {
     "SilkyEvCam VGA": lambda: Gen31(Gen31Settings(**USUAL, board=BOARDS["silkyevcam_vga"])),
     "EVK3 VGA": lambda: Gen31(Gen31Settings(**USUAL, board=BOARDS["evk3_vga"])),
 }
-NAMES = {
-    "EVK4": ("CCam5 Imx636 Event-Based Camera", "psee,ccam5_imx636"),
-    "EVK3 GenX320": (None, "psee,cx3_genx320"),
-}
+NAMES = {"EVK4": ("CCam5 Imx636 Event-Based Camera", "psee,ccam5_imx636"), "EVK3 GenX320": (None, "psee,cx3_genx320")}
 FPGA = "CCam5 FPGA Event-Based Camera", "psee,ccam5_fpga"
 
 

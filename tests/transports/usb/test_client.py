@@ -8,14 +8,7 @@ import pytest
 
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity, SetupPacket
-from firmware_protocol.usb.usbip import (
-    DeviceListReply,
-    DeviceRecord,
-    ImportReply,
-    OpStatus,
-    Submitted,
-    Unlinked,
-)
+from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus, Submitted, Unlinked
 from transports.usb.host import DeviceAbsent, DeviceBusy, PeerBroken, PeerGone, TransferTimeout
 from transports.usb.usbip.client import UsbipHost
 

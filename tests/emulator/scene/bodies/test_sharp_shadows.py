@@ -14,12 +14,7 @@ from emulator.scene.bodies.cast_shadow import build_tree
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.shadow_polygons import (
-    Dark,
-    SharpShadows,
-    Surroundings,
-    receivers_of,
-)
+from emulator.scene.bodies.shadow_polygons import Dark, SharpShadows, Surroundings, receivers_of
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
 from emulator.trajectory.building import build_trajectory
