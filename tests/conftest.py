@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+from contextlib import ExitStack
 
 import pytest
 from _pytest.mark.expression import Expression
@@ -86,6 +87,13 @@ def forked_links(monkeypatch):
     monkeypatch.setattr(
         multiprocessing, "get_context", lambda method=None: server if method == "spawn" else of_method(method)
     )
+
+
+@pytest.fixture
+def at_end():
+    """An ExitStack that is left with the test."""
+    with ExitStack() as stack:
+        yield stack
 
 
 @pytest.fixture(scope="session")

@@ -3,8 +3,9 @@
 import numpy as np
 
 from firmware_protocol.events import EVENT
+from firmware_protocol.imu_samples import no_samples
 
-__all__ = ["events_at", "scattered", "steady"]
+__all__ = ["events_at", "events_of", "samples_at", "scattered", "steady"]
 
 
 def events_at(times, **columns):
@@ -14,6 +15,18 @@ def events_at(times, **columns):
     for name, values in columns.items():
         events[name] = values
     return events
+
+
+def events_of(*rows):
+    """Return (t, x, y, on) rows as EVENT."""
+    return np.array(list(rows), EVENT)
+
+
+def samples_at(times, counts, scale=0xEA):
+    """Return samples of an inertial unit at times, us, (n,), with counts, (n, 7)."""
+    samples = no_samples(len(times))
+    samples["t"], samples["scale"], samples["counts"] = times, scale, counts
+    return samples
 
 
 def scattered(times, size=(346, 260), seed=1):

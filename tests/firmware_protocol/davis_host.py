@@ -2,11 +2,9 @@
 
 import struct
 
-import numpy as np
-
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket
+from tests.made_events import events_of as events_of
 from tests.made_events import steady as steady
 
 OUT, IN = 0x40, 0xC0
@@ -16,11 +14,6 @@ Writes = list[tuple[int, int, int]]
 STOP = [(1, 3, 0), (2, 4, 0), (3, 2, 0), (3, 3, 0), (3, 4, 0), (4, 0, 0), (0, 0, 0), (0, 1, 0), (9, 0, 0), (0, 3, 0)]
 SENSORS = [(1, 3, 1), (2, 4, 1), (3, 2, 1), (3, 3, 1), (3, 4, 1), (4, 0, 1)]
 RUN = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1)]
-
-
-def events_of(*rows):
-    """Events from (t, x, y, on) tuples."""
-    return np.array(list(rows), EVENT)
 
 
 class Host:

@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 
-from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket
+from tests.made_events import events_of as events_of
 
 REQUESTS, ANSWERS, DATA = 2, 2, 1
 START = ((0xB000, 0x2F9), (0x9028, 0), (0x9008, 0x645), (0x002C, 0x0022_C724), (0x0004, 0xF000_5442))
@@ -49,6 +49,18 @@ class Host:
         return np.frombuffer(data, "<u2").tolist()
 
 
-def events_of(*rows):
-    """Return (t, x, y, on) rows as EVENT."""
-    return np.array(list(rows), EVENT)
+def on_board(camera, settings, opening, start):
+    """Return `opened`, `running`: a camera and its host after `opening`, and after entries and `start` too."""
+
+    def opened(**changes):
+        made = camera(settings(**{"start_delay_us": 0, **changes}))
+        host = Host(made)
+        host.write(*opening)
+        return made, host
+
+    def running(*entries, **changes):
+        made, host = opened(**changes)
+        host.write(*entries, *start)
+        return made, host
+
+    return opened, running

@@ -1,7 +1,6 @@
 """The guest, booted once for all its tests; and what happens where it cannot be had."""
 
 import os
-from contextlib import ExitStack
 
 import pytest
 
@@ -61,16 +60,15 @@ def address():
 
 
 @pytest.fixture
-def start_gige(tmp_path):
+def start_gige(tmp_path, at_end):
     """Start runs on GigE Vision, which end with the test."""
-    with ExitStack() as ends:
 
-        def start(*keys, **more):
-            run = GigeRun(tmp_path, *keys, **more)
-            ends.callback(run.kill)
-            return run
+    def start(*keys, **more):
+        run = GigeRun(tmp_path, *keys, **more)
+        at_end.callback(run.kill)
+        return run
 
-        yield start
+    return start
 
 
 @pytest.fixture

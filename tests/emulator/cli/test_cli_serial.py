@@ -63,16 +63,13 @@ class Camera:
 
 
 @pytest.fixture
-def camera_after():
-    made = []
-
+def camera_after(at_end):
     def make(telecommands):
-        made.append(Camera(stream(3000), telecommands))
-        return made[-1]
+        made = Camera(stream(3000), telecommands)
+        at_end.callback(made.stop)
+        return made
 
-    yield make
-    for one in made:
-        one.stop()
+    return make
 
 
 def test_a_camera_is_started_read_and_recorded(camera_after, tmp_path, capsys):
@@ -89,8 +86,7 @@ def test_a_camera_is_started_read_and_recorded(camera_after, tmp_path, capsys):
 
 
 def test_people_are_told_in_words(camera_after, capsys):
-    camera = camera_after(telecommands=1)
-    assert _main(["listen", "serial", camera.path, "--start", "--events", "3000"]) == 0
+    assert _main(["listen", "serial", camera_after(telecommands=1).path, "--start", "--events", "3000"]) == 0
     out = capsys.readouterr().out
     assert "3000 events and 0 edges" in out
     assert "no fault" in out

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 
 import numpy as np
@@ -16,6 +15,7 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from tests.made_events import events_at
+from tests.waiting import until
 from transports.link.endpoint import LinkFactory
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
@@ -62,13 +62,6 @@ def open_link(**more):
 
 def push(link, count, start_us):
     link.push_all(events_at(start_us + np.arange(count)), start_us + count)
-
-
-def until(condition, timeout_s=120.0):
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
 
 
 def delivered(link):

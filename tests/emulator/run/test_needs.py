@@ -122,10 +122,6 @@ def test_a_network_interface_is_looked_for(tmp_path, monkeypatch, there):
     assert (found.fix is None) is there
 
 
-def last_json(out):
-    return json.loads(out.splitlines()[-1])
-
-
 def test_rigs_lists_the_needs_of_each(no_packages, capsys, json_of):
     told = {rig["name"]: rig["needs"] for rig in json_of(0, "rigs")["rigs"]}
     assert set(told) == set(shipped_rigs())
@@ -154,6 +150,6 @@ def test_what_drivers_need_is_no_reason_not_to_measure(monkeypatch, capsys, tmp_
     small = "[run]\nseconds = 0.01\nstep_us = 5000\n"
     rig.write_text(f'{BOARD}{small}[[links]]\nkind = "usbip"\n')
     assert _main(["doctor", str(rig), "--json"]) in (0, 1)  # fast or slow, but measured
-    told = last_json(capsys.readouterr().out)
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["needs"][0]["good"] is False
     assert told["real_time"] in (True, False)

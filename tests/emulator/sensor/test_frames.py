@@ -182,8 +182,7 @@ def test_switching_frames_off_ends_one_and_on_begins_another():
     source.reset(LightFrame(0, light))
     assert len(source.read(LightFrame(3_000_000, light), ())) == 0
     assert source.read(LightFrame(9_000_000, light), numbers(ASKED))["t"].tolist() == [9_000]
-    off = source.read(LightFrame(10_000_000, light), numbers(dataclasses.replace(ASKED, run=False)))
-    assert len(off) == 0
+    assert len(source.read(LightFrame(10_000_000, light), numbers(dataclasses.replace(ASKED, run=False)))) == 0
     assert source.read(LightFrame(20_000_000, light), numbers(ASKED))["t"].tolist() == [20_000]
     later = source.read(LightFrame(50_000_000, light), numbers(ASKED))
     assert set(np.unique(later[later["kind"] == LineKind.SIGNAL]["samples"])) == {700}

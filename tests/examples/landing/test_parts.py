@@ -91,8 +91,7 @@ def test_noise_is_not_reliable():
     t, x, y = np.sort(draw.uniform(0, 1.2, 8000)), draw.uniform(-0.57, 0.57, 8000), draw.uniform(-0.43, 0.43, 8000)
     for sign in (draw.choice([-1.0, 1.0], 8000), np.ones(8000)):
         rays = Rays(t, x, y, sign, (-0.57, 0.57, -0.43, 0.43))
-        found = estimate(rays, Motion(0, 0, 0.08, math.inf, 0.0, 0), 0.05, 300.0, (173.0, 130.0))
-        assert not found.reliable
+        assert not estimate(rays, Motion(0, 0, 0.08, math.inf, 0.0, 0), 0.05, 300.0, (173.0, 130.0)).reliable
 
 
 def test_rays_are_level_whatever_the_attitude():

@@ -48,8 +48,7 @@ def same_as_python(library, frames):
 def test_events_come_back(library, events, tick_us, parts, fd):
     sender = RawSender(RawSettings(EVENTS, EPOCH, tick_us, fd=fd))
     frames = [p.frame for i, part in enumerate(np.array_split(events, parts)) for p in sender.pack(part, dropped=3 * i)]
-    reply = same_as_python(library, frames)
-    assert np.array_equal(reply.events[["x", "y", "on"]], events[["x", "y", "on"]])
+    assert np.array_equal(same_as_python(library, frames).events[["x", "y", "on"]], events[["x", "y", "on"]])
 
 
 @given(jumping_streams(), st.booleans(), st.integers(0, 40))

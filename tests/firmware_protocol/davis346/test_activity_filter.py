@@ -125,8 +125,7 @@ def test_what_passes_is_what_the_reference_lets_pass(name, corner, layout):
     bench.write(ASKED[name])
     reference.write(ASKED[name], 0)
     sent = some_events(corner=corner)
-    expected = sent[[reference.passes(t, x, y) for t, x, y, _ in sent.tolist()]]
-    assert np.array_equal(bench.show(sent), expected)
+    assert np.array_equal(bench.show(sent), sent[[reference.passes(t, x, y) for t, x, y, _ in sent.tolist()]])
     counters = bench.model.counters
     assert (counters.dropped_background, counters.dropped_refractory) == (reference.isolated, reference.too_soon)
     assert counters.not_selected == 0

@@ -165,5 +165,4 @@ def test_an_array_beyond_twelve_bits_is_refused(size):
 
 
 def test_the_largest_array_fits():
-    events = events_of((1, 4095, 4095, True), (1, 0, 4095, False))
-    assert words_of(events) == [0x8001, 0x1FFF, 0x3FFF, 0x2000]
+    assert words_of(events_of((1, 4095, 4095, True), (1, 0, 4095, False))) == [0x8001, 0x1FFF, 0x3FFF, 0x2000]

@@ -18,6 +18,7 @@ from firmware_protocol.events import make_edges
 from firmware_protocol.imu_samples import ImuSettings, no_samples, physical
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Stall
+from tests.made_events import samples_at
 
 IMU = ReadingKind.IMU
 
@@ -82,8 +83,7 @@ def test_the_host_chooses_the_grammar():
         camera.offer(events)
         data = host.data()
         lengths.append(len(data))
-        codes = {word >> 12 for word in np.frombuffer(data, "<u2").tolist()}
-        assert (2 in codes) == (packet_format == 0x80)
+        assert (2 in {word >> 12 for word in np.frombuffer(data, "<u2").tolist()}) == (packet_format == 0x80)
         assert read(data).events == events.tolist()
     assert lengths[0] < lengths[1]
 
@@ -237,10 +237,8 @@ def test_the_period_of_a_scan_gives_each_named_rate(fixed, ms, us, column, inter
 
 
 def samples(n, start_us=1000, scale=0xEA, period_us=1250):
-    out = no_samples(n)
-    out["t"], out["scale"] = start_us + period_us * np.arange(n), scale
-    out["counts"] = np.random.default_rng(0).integers(-32768, 32768, (n, 7))
-    return out
+    counts = np.random.default_rng(0).integers(-32768, 32768, (n, 7))
+    return samples_at(start_us + period_us * np.arange(n), counts, scale)
 
 
 def test_samples_go_out_in_the_axes_of_the_unit():

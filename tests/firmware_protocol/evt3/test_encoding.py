@@ -28,8 +28,7 @@ def by_hand(*words):
 
 def test_single_events_are_the_words_of_the_published_format():
     events = np.array([(0x123456, 5, 7, True), (0x123456, 6, 7, False), (0x123457, 6, 8, False)], EVENT)
-    expected = by_hand(0x8000, 0x8123, 0x6456, 0x0007, 0x2805, 0x2006, 0x6457, 0x0008, 0x2006)
-    assert words_of(events) == expected
+    assert words_of(events) == by_hand(0x8000, 0x8123, 0x6456, 0x0007, 0x2805, 0x2006, 0x6457, 0x0008, 0x2006)
 
 
 def test_five_events_of_a_window_are_a_base_and_a_whole_triple():

@@ -3,16 +3,11 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EVENT
 from tests.made_events import events_at
+from tests.made_events import events_of as events_of
 
 SIZES = [(346, 260), (1, 1), (7, 3), (1, 4096), (4096, 1), (4096, 4096), (640, 480)]
 TICKS = [1, 10, 100, 1000]
-
-
-def events_of(*rows):
-    """Events from (t, x, y, on)."""
-    return np.array(list(rows), EVENT)
 
 
 def stream(size, n, span_us, seed, start_us=0):

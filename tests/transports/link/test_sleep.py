@@ -2,6 +2,7 @@
 
 import multiprocessing
 import socket
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -138,16 +139,8 @@ class Bench:
 
 
 @pytest.fixture
-def new_bench():
-    made = []
-
-    def make(*args, **more):
-        made.append(Bench(*args, **more))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
+def new_bench(at_end):
+    return lambda *args, **more: at_end.enter_context(closing(Bench(*args, **more)))
 
 
 def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_bench):
@@ -285,8 +278,7 @@ def test_edges_of_a_list_are_applied_at_their_time(new_bench):
     report = bench.run(1)
     assert report.edges.taken == 10
     assert report.edges.worst_late_us == 0
-    ticks_us = {(t_ns - ORIGIN_NS) // 1000 for t_ns in bench.ticks_ns}
-    assert {10_500 + 50_000 * k for k in range(10)} <= ticks_us
+    assert {10_500 + 50_000 * k for k in range(10)} <= {(t_ns - ORIGIN_NS) // 1000 for t_ns in bench.ticks_ns}
 
 
 def test_the_end_of_the_session_ends_a_link_that_sleeps(new_bench):

@@ -5,24 +5,15 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 
 import pytest
 import serial
 
+from tests.waiting import until
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import DescriptorPort, PtyPort, ThreadedPort, open_port, remove_abandoned
 
 PATIENCE_S = 120.0
-
-
-def until(condition):
-    """Wait for something that another thread or the kernel does; fail when it does not."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not (value := condition()):
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.001)
-    return value
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+from contextlib import closing
 from functools import partial
 
 import numpy as np
@@ -91,16 +92,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
-    made = []
-
-    def make(*faults, **more):
-        made.append(Bench(faults, **more))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+def bench(at_end):
+    return lambda *faults, **more: at_end.enter_context(closing(Bench(faults, **more)))
 
 
 def test_a_telecommand_of_another_library_is_done_and_answered(bench):
