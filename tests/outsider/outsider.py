@@ -165,7 +165,7 @@ BEACON = LinkKind(
 )
 
 
-def listen():
+def listen() -> int:
     """Read a beacon."""
     return 0
 
@@ -200,7 +200,7 @@ LINES = Format(
 )
 
 
-def count(path, /):
+def count(path: Path, /) -> int:
     """Count the events of a file of lines.
 
     Parameters
