@@ -1,10 +1,14 @@
 """What holds for all tests: they judge the code, not how busy the machine is."""
 
+import asyncio
+import inspect
 import itertools
+import multiprocessing
 import os
 import re
 import signal
 import sys
+from contextlib import ExitStack
 
 import pytest
 from _pytest.mark.expression import Expression
@@ -14,6 +18,17 @@ from tests.shown import pytest_itemcollected, pytest_runtest_logreport, pytest_s
 from tests.time_ledger import pytest_configure
 
 __all__ = ["pytest_configure", "pytest_itemcollected", "pytest_runtest_logreport", "pytest_sessionfinish"]
+
+_IMPORTED = [
+    "transports.can_bus.endpoint",
+    "transports.file",
+    "transports.gige.endpoint",
+    "transports.network_streams.tcp",
+    "transports.network_streams.udp",
+    "transports.serial_line.endpoint",
+    "transports.udp_packets.endpoint",
+    "transports.usb.usbip.endpoint",
+]
 
 settings.register_profile("quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("deep", settings.get_profile("quick"), max_examples=1000)
@@ -44,6 +59,15 @@ def pytest_collection_modifyitems(items):
             sampled.add(test)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """Run a test that is a coroutine in an event loop of its own."""
+    if not inspect.iscoroutinefunction(test := pyfuncitem.obj):
+        return None
+    asyncio.run(test(**{name: pyfuncitem.funcargs[name] for name in inspect.signature(test).parameters}))
+    return True
+
+
 @pytest.fixture(autouse=True)
 def _signal_handlers():
     """Restore the handlers that a command sets for the rest of its process, which here is that of all tests."""
@@ -53,6 +77,23 @@ def _signal_handlers():
     sys.unraisablehook = discarded
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def forked_links(monkeypatch):
+    """Links are forks of a process that has imported them; `links_as_users_have_them` begins one of each kind anew."""
+    of_method, server = multiprocessing.get_context, multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(_IMPORTED)
+    monkeypatch.setattr(
+        multiprocessing, "get_context", lambda method=None: server if method == "spawn" else of_method(method)
+    )
+
+
+@pytest.fixture
+def at_end():
+    """An ExitStack that is left with the test."""
+    with ExitStack() as stack:
+        yield stack
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,6 @@ whose length is chosen records it, `record_property("amount", "100 cycles")`, wi
 the machine.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import os
@@ -22,8 +20,6 @@ import platform
 import re
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 __all__ = ["declared", "pytest_itemcollected", "pytest_runtest_logreport", "pytest_sessionfinish"]
 
@@ -33,11 +29,11 @@ REASON_CHARACTERS = 160
 MEASURED = ("amount", "seconds")
 
 Row = dict[str, Any]
-_rows: dict[str, list[Row]] = {}
-_collected: dict[str, list[Row]] = {}
+_rows = {}
+_collected = {}
 
 
-def declared(item: pytest.Item) -> list[Row]:
+def declared(item):
     """Return what a test declares: of each mark its camera, client and list of columns."""
     parameters = item.callspec.params if hasattr(item, "callspec") else {}
     rows = []
@@ -47,7 +43,7 @@ def declared(item: pytest.Item) -> list[Row]:
     return rows
 
 
-def outcome_of(report: pytest.TestReport) -> tuple[str, str]:
+def outcome_of(report):
     """Return "passed", "failed" or "skipped", and the reason in one line; an expected failure is a failure."""
     if report.passed:
         return "passed", ""
@@ -60,14 +56,14 @@ def outcome_of(report: pytest.TestReport) -> tuple[str, str]:
     return "failed", lines[0][:REASON_CHARACTERS]
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
+def pytest_itemcollected(item):
     """Put the declarations into the reports, which come from other processes where tests run in parallel."""
     if rows := declared(item):
         item.user_properties.append((PROPERTY, rows))
         _collected[item.nodeid] = [row | of_test(item.nodeid, "skipped", "not in the run") for row in rows]
 
 
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+def pytest_runtest_logreport(report):
     """Take the outcome of a test: of its call, or of what failed before or after it."""
     properties = dict(report.user_properties)
     rows = properties.get(PROPERTY)
@@ -79,25 +75,25 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     _rows[report.nodeid] = [row | of_test(report.nodeid, outcome, reason) | measured for row in rows]
 
 
-def machine() -> str:
+def machine():
     """Return the number of cores and the processor's name, as Linux has it."""
     models = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     return f"{os.cpu_count()} cores of an {models[0] if models else platform.machine()}"
 
 
-def of_test(name: str, outcome: str, reason: str) -> Row:
+def of_test(name, outcome, reason):
     """Return the part of a row that its test gives."""
     date = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     return {"test": name, "outcome": outcome, "reason": reason, "date": date}
 
 
-def pytest_sessionfinish() -> None:
+def pytest_sessionfinish():
     """Write the outcomes into the file that EVSTIM_MATRIX names."""
     if FILE and _collected and "PYTEST_XDIST_WORKER" not in os.environ:
         write(Path(FILE), _rows, _collected)
 
 
-def write(file: Path, rows: dict[str, list[Row]], collected: dict[str, list[Row]]) -> None:
+def write(file, rows, collected):
     """Replace in a file the rows of the tests that ran, and keep the others; add those collected that it lacks."""
     kept = [row for row in (json.loads(file.read_text()) if file.exists() else []) if row["test"] not in rows]
     lacking = collected.keys() - rows.keys() - {row["test"] for row in kept}

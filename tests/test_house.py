@@ -1,18 +1,11 @@
 """How the house is kept: what the plan promises about modules, and that the README's commands exist."""
 
 import ast
-import importlib.util
 import re
-import sys
 import tomllib
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parent.parent
-SPEC = importlib.util.spec_from_file_location("house", ROOT / ".ci" / "house.py")
-house = sys.modules["house"] = importlib.util.module_from_spec(SPEC)  # dataclasses look their module up
-SPEC.loader.exec_module(house)
 ROOMS = ("evstim", "emulator", "transports", "firmware_protocol", "laboratory")
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 LONGEST = 600
@@ -54,19 +47,3 @@ def test_nothing_installs_evstim_from_a_package_index():
     told += [path for ending in ("md", "py", "toml", "ipynb") for path in (ROOT / "examples").rglob(f"*.{ending}")]
     wrong = re.compile(r"pip install '?evstim\b|evstim\[\w")
     assert [path.name for path in told if path.name != "CHANGELOG.md" and wrong.search(path.read_text())] == []
-
-
-@pytest.mark.parametrize(
-    ("present", "sentence"),
-    [
-        ((5001, 20), "emulator/scene has 5001 lines, house.toml allows 5000: remove 1"),
-        ((5000, 21), "emulator/scene has 21 modules, house.toml allows 20: remove 1"),
-        ((4849, 20), "emulator/scene has 4849 lines, house.toml allows 5000: lower it to 4849"),
-        ((5000, 16), "emulator/scene has 16 modules, house.toml allows 20: lower it to 16"),
-        ((4850, 17), ""),
-    ],
-)
-def test_a_folder_may_neither_grow_nor_stay_far_below_its_number(present, sentence):
-    budget = house.House(folders={"emulator/scene": (5000, 20)})
-    differences = house.differences(house.House(folders={"emulator/scene": present}), budget)
-    assert [text.removesuffix(f"; {house.RULE}") for text in differences] == ([sentence] if sentence else [])

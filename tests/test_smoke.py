@@ -102,8 +102,7 @@ def test_a_recording_is_read_back(tmp_path):
     rig, file = tmp_path / "rig.toml", tmp_path / "events.raw"
     rig.write_text(RIG.format(model="evk4", kind="loopback", more=""))
     assert evstim_process("record", rig, file, "--seconds", "0.1").wait(WAIT_S) == 0
-    info = evstim_process("info", file, stdout=subprocess.PIPE)
-    assert "1280 x 720" in info.communicate(timeout=WAIT_S)[0]
+    assert "1280 x 720" in evstim_process("info", file, stdout=subprocess.PIPE).communicate(timeout=WAIT_S)[0]
     assert len(evstim.read_events(file)) > EVENTS
 
 

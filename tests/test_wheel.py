@@ -388,5 +388,4 @@ def test_the_commands_of_a_page_work_as_printed(desk, page):
 
 def test_what_is_left_out_is_still_on_a_page():
     lines = [line for page in PAGES for line in commands_of((ROOT / page).read_text())]
-    unused = [left for left in [*LEFT_OUT, *RUNS_ON] if not any(re.search(left, line) for line in lines)]
-    assert unused == []
+    assert [left for left in [*LEFT_OUT, *RUNS_ON] if not any(re.search(left, line) for line in lines)] == []

@@ -41,5 +41,4 @@ def test_an_example_runs(block, tmp_path):
 
 def test_every_public_name_is_in_the_reference():
     reference = PAGE.partition("## Reference")[2]
-    missing = [name for name in evstim.__all__ if not re.search(rf"\b{name}\b", reference)]
-    assert missing == []
+    assert [name for name in evstim.__all__ if not re.search(rf"\b{name}\b", reference)] == []

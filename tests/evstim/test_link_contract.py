@@ -2,6 +2,7 @@
 
 import asyncio
 import dataclasses
+import multiprocessing
 import queue
 import threading
 import time
@@ -28,7 +29,15 @@ from transports.usb.usbip.client import UsbipHost
 
 pytestmark = pytest.mark.socket
 
+START = multiprocessing.get_context
 PATIENT = InstrumentSettings(housekeeping_s=0, queue_ms=60_000)
+
+
+@pytest.fixture(autouse=True)
+def links_as_users_have_them(request, forked_links, monkeypatch):
+    """In one test of each kind the process of a link begins as it does for users."""
+    if request.node.originalname == "test_every_event_arrives_in_order":
+        monkeypatch.setattr(multiprocessing, "get_context", START)
 
 
 class UsbipReader:

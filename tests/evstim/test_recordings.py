@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import evstim
+from tests.made_events import events_at
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
@@ -13,11 +14,9 @@ COUNT = 100_000  # more than one piece holds
 
 @pytest.fixture(scope="module")
 def events():
-    made = np.zeros(COUNT, evstim.EVENT)
-    made["t"] = np.arange(COUNT) * 3
-    made["x"], made["y"] = np.arange(COUNT) % 346, np.arange(COUNT) % 260
-    made["on"] = np.arange(COUNT) % 3 == 0
-    return made
+    return events_at(
+        np.arange(COUNT) * 3, x=np.arange(COUNT) % 346, y=np.arange(COUNT) % 260, on=np.arange(COUNT) % 3 == 0
+    )
 
 
 def written(path, form, events):

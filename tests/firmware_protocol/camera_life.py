@@ -9,8 +9,9 @@ from hypothesis import stateful
 from hypothesis import strategies as st
 
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.events import make_edges
 from firmware_protocol.imu_samples import no_samples
+from tests.made_events import events_at
 
 IMU = ReadingKind.IMU
 
@@ -27,8 +28,7 @@ class CameraLife(stateful.RuleBasedStateMachine):
 
     @stateful.rule(steps=st.lists(STEPS_US, min_size=1, max_size=8), repeat=st.integers(1, 40), seed=st.integers(0, 9))
     def offer(self, steps, repeat, seed):
-        events = np.zeros(len(steps) * repeat, EVENT)
-        events["t"] = self.t_us + np.cumsum(np.tile(steps, repeat))
+        events = events_at(self.t_us + np.cumsum(np.tile(steps, repeat)))
         rng = np.random.default_rng(seed)
         events["x"], events["y"], events["on"] = rng.integers(0, (*self.AREA, 2), (len(events), 3)).T
         self.camera.offer(events)
@@ -36,9 +36,10 @@ class CameraLife(stateful.RuleBasedStateMachine):
 
     @stateful.rule(steps=st.lists(STEPS_US, min_size=1, max_size=4), back_us=STEPS_US, kinds=st.integers(0, 80))
     def offer_edges(self, steps, back_us, kinds):
-        edges = np.zeros(len(steps), EDGE)
-        edges["t"] = max(0, self.t_us - back_us) + np.cumsum(steps)
-        edges["kind"] = [2 + kinds // 3**k % self.EDGE_KINDS for k in range(len(steps))]
+        edges = make_edges(
+            max(0, self.t_us - back_us) + np.cumsum(steps),
+            [2 + kinds // 3**k % self.EDGE_KINDS for k in range(len(steps))],
+        )
         self.camera.offer_edges(edges)
 
     @stateful.rule(step_us=STEPS_US)

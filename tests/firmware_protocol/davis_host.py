@@ -1,55 +1,25 @@
 """A host for tests: the control requests that drivers send, and a reader that decodes what comes back."""
 
-from __future__ import annotations
-
 import struct
 
-import numpy as np
-
-from firmware_protocol.davis346 import Davis346
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket
+from tests.made_events import events_of as events_of
+from tests.made_events import steady as steady
 
 OUT, IN = 0x40, 0xC0
 
 Writes = list[tuple[int, int, int]]
 
-STOP: Writes = [
-    (1, 3, 0),
-    (2, 4, 0),
-    (3, 2, 0),
-    (3, 3, 0),
-    (3, 4, 0),
-    (4, 0, 0),
-    (0, 0, 0),
-    (0, 1, 0),
-    (9, 0, 0),
-    (0, 3, 0),
-]
-SENSORS: Writes = [(1, 3, 1), (2, 4, 1), (3, 2, 1), (3, 3, 1), (3, 4, 1), (4, 0, 1)]
-RUN: Writes = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1)]
-
-
-def events_of(*rows):
-    """Events from (t, x, y, on) tuples."""
-    return np.array(list(rows), EVENT)
-
-
-def steady(n, start_us=0, step_us=1, seed=0):
-    """`n` events, one each `step_us`, at random pixels of a 346 x 260 array."""
-    rng = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT)
-    events["t"] = start_us + np.arange(n) * step_us
-    events["x"], events["y"] = rng.integers(0, 346, n), rng.integers(0, 260, n)
-    events["on"] = rng.integers(0, 2, n)
-    return events
+STOP = [(1, 3, 0), (2, 4, 0), (3, 2, 0), (3, 3, 0), (3, 4, 0), (4, 0, 0), (0, 0, 0), (0, 1, 0), (9, 0, 0), (0, 3, 0)]
+SENSORS = [(1, 3, 1), (2, 4, 1), (3, 2, 1), (3, 3, 1), (3, 4, 1), (4, 0, 1)]
+RUN = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1)]
 
 
 class Host:
     """Configures a camera and does what drivers do."""
 
-    def __init__(self, camera: Davis346, turned: bool = False) -> None:
+    def __init__(self, camera, turned=False):
         self.camera = camera
         self.turned = turned
         self.new_decoder()

@@ -1,7 +1,5 @@
 """How many bits each register of a DAVIS346 keeps, typed from the published logic and not taken from the model."""
 
-from __future__ import annotations
-
 __all__ = ["WIDTHS", "kept"]
 
 # (module, first and last parameter): bits, as the published logic declares them for this chip and its clocks.
@@ -14,7 +12,7 @@ WIDTHS = {
 }  # fmt: skip
 
 
-def kept(module: int, address: int, value: int) -> int:
+def kept(module, address, value):
     """Return what a register keeps of a 32-bit value."""
     (bits,) = (n for (of, first, last), n in WIDTHS.items() if of == module and first <= address <= last)
     return value & (1 << bits) - 1

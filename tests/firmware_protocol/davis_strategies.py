@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 
 # Steps that meet every case: same time, next microsecond, across one wrap, exactly one wrap, many wraps.
 STEPS_US = st.one_of(
@@ -21,8 +21,7 @@ STEPS_US = st.one_of(
 def streams(draw, max_size=60, width=346, height=260, first_us=0):
     """Sorted events; rows often repeat."""
     steps = draw(st.lists(STEPS_US, max_size=max_size))
-    events = np.zeros(len(steps), EVENT)
-    events["t"] = first_us + np.cumsum(np.array(steps, np.int64))
+    events = events_at(first_us + np.cumsum(np.array(steps, np.int64)))
     rows = st.one_of(st.integers(0, height - 1), st.integers(0, min(1, height - 1)))
     for name, values in (("x", st.integers(0, width - 1)), ("y", rows), ("on", st.booleans())):
         events[name] = draw(st.lists(values, min_size=len(steps), max_size=len(steps)))

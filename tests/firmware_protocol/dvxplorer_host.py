@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings, GroupDecoder
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at, steady
 
 RUN = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1), (5, 0x3000, 2)]
 MEASURE = [(3, 2, 1), (3, 3, 1), (3, 4, 1)]
@@ -47,20 +48,14 @@ def scans(n, start_us=0, scan_us=197, seed=0):
 
 def scattered(n, start_us=0, step_us=1, seed=0):
     """`n` events, one each `step_us`, anywhere."""
-    rng = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT)
-    events["t"] = start_us + np.arange(n) * step_us
-    events["x"], events["y"] = rng.integers(0, 640, n), rng.integers(0, 480, n)
-    events["on"] = rng.integers(0, 2, n)
-    return events
+    return steady(n, start_us, step_us, seed, (640, 480))
 
 
 @st.composite
 def streams(draw, max_size=60, first_us=0):
     """Sorted events in any order of pixels; times, columns and groups often repeat."""
     steps = draw(st.lists(st.one_of(st.just(0), STEPS_US), max_size=max_size))
-    events = np.zeros(len(steps), EVENT)
-    events["t"] = first_us + np.cumsum(np.array(steps, np.int64))
+    events = events_at(first_us + np.cumsum(np.array(steps, np.int64)))
     columns = st.one_of(st.integers(0, 639), st.integers(0, 1), st.just(639))
     rows = st.one_of(st.integers(0, 479), st.integers(0, 20), st.integers(470, 479))
     for name, values in (("x", columns), ("y", rows), ("on", st.booleans())):

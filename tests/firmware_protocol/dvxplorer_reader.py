@@ -27,13 +27,13 @@ class Reader:
     scale: int | None = None
     last_was_time: bool = False
 
-    def feed(self, data: bytes) -> None:
+    def feed(self, data):
         """Read whole words."""
         assert len(data) % 2 == 0
         for k in range(0, len(data), 2):
             self.word(data[k] | data[k + 1] << 8)
 
-    def word(self, word: int) -> None:
+    def word(self, word):
         if word & 0x8000:
             self.time(self.base_us + (word & 0x7FFF))
             return
@@ -62,12 +62,12 @@ class Reader:
         else:
             self.wrong.append(f"word {word:#06x}")
 
-    def time(self, t_us: int) -> None:
+    def time(self, t_us):
         if t_us < self.now_us or (t_us == self.now_us and t_us):
             self.wrong.append(f"time {t_us} after {self.now_us}")
         self.now_us = t_us
 
-    def pixels(self, group: int | None, value: int) -> None:
+    def pixels(self, group, value):
         if self.x is None or group is None or value & 0xE00 or not value & 0xFF:
             self.wrong.append(f"pixels {value:#x} at column {self.x}, group {group}")
         if self.x is None or group is None:  # the three bits without a meaning are ignored
@@ -76,7 +76,7 @@ class Reader:
             if value >> bit & 1:
                 self.events.append((self.now_us, self.x, 8 * group + bit, not value & 0x100))
 
-    def special(self, code: int) -> None:
+    def special(self, code):
         if code == 1:
             self.resets += 1
             self.now_us = self.base_us = 0
@@ -90,7 +90,7 @@ class Reader:
         else:
             self.wrong.append(f"special {code}")
 
-    def misc(self, code: int, value: int) -> None:
+    def misc(self, code, value):
         if self.sample is None or code not in (0, 3):
             self.wrong.append(f"misc {code}")
         elif code == 3:
@@ -99,7 +99,7 @@ class Reader:
             self.sample.append(value)
 
 
-def read(data: bytes) -> Reader:
+def read(data):
     """Return what a new reader finds in a whole stream."""
     reader = Reader()
     reader.feed(data)

@@ -22,7 +22,7 @@ class FrameReader:
     groups: set[int] = field(default_factory=set)
     is_bare: bool = False
 
-    def feed(self, data: bytes) -> FrameReader:
+    def feed(self, data):
         """Read whole words."""
         if len(data) % 4:
             self.wrong.append(f"{len(data)} bytes")
@@ -30,7 +30,7 @@ class FrameReader:
             self.word(int.from_bytes(data[k : k + 4], "little"))
         return self
 
-    def word(self, word: int) -> None:
+    def word(self, word):
         if word >> 31:
             self.pair(word)
         elif word >> 26 & 1:
@@ -43,7 +43,7 @@ class FrameReader:
         elif word:
             self.wrong.append(f"word {word:#010x}")
 
-    def column(self, x: int, sub_us: int, first: bool) -> None:
+    def column(self, x, sub_us, first):
         if self.is_bare:
             self.wrong.append(f"nothing in column {self.x}")
         if x > 639 or sub_us > 999 or self.ms is None:
@@ -59,7 +59,7 @@ class FrameReader:
             self.wrong.append(f"column {x} at {sub_us} after {self.x} at {self.sub_us}")
         self.x, self.groups, self.is_bare = x, set(), True
 
-    def pair(self, word: int) -> None:
+    def pair(self, word):
         self.is_bare = False
         first = word >> 18 & 0x3F
         second = first + (word >> 26 & 0x1F)

@@ -1,6 +1,6 @@
 """A host of a Gen 3.1 in a few lines; the sequences are those of OpenEB 5.1.1 and of neuromorphic_drivers."""
 
-from evk4_requests import Host
+from evk4_requests import on_board
 
 from firmware_protocol.gen31.device import Gen31, Gen31Settings
 
@@ -17,18 +17,4 @@ INIT = (
 GATE = ((0x0000, 0xC_1107), (0x0008, 0x300), (0x0238, 1), (0x0204, 0x2B))
 START = (*GATE, (0x0248, 0xC8))
 STOP = ((0x0204, 0x23), (0x0238, 0), (0x0008, 0x100), (0x0000, 0x8_1107), (0x0000, 0x8_1106))
-
-
-def opened(**changes):
-    """Return a camera and its host after the sequence of the opening."""
-    camera = Gen31(Gen31Settings(**{"start_delay_us": 0, **changes}))
-    host = Host(camera)
-    host.write(*INIT)
-    return camera, host
-
-
-def running(*entries, **changes):
-    """Return a camera and its host after `entries` and the sequence of the start."""
-    camera, host = opened(**changes)
-    host.write(*entries, *START)
-    return camera, host
+opened, running = on_board(Gen31, Gen31Settings, INIT, START)

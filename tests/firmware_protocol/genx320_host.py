@@ -1,6 +1,6 @@
 """A host of the GenX320 in a few lines; the sequences are those of OpenEB 5.1.1."""
 
-from evk4_requests import DATA, Host, events_of
+from evk4_requests import DATA, Host, events_of, on_board
 
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
 
@@ -24,21 +24,7 @@ INIT = (
 )  # fmt: skip
 OPEN = (*STOP, *DESTROY, *INIT, (0x9008, 0x194))
 START = ((0xB000, 0x1000_8803), (0x9028, 0), (0x9008, 0x195), (0x002C, 0x22_C724), (0x0000, 0xC02))
-
-
-def opened(**changes):
-    """Return a camera and its host after OpenEB's sequence of the opening."""
-    camera = Genx320(Genx320Settings(**{"start_delay_us": 0, **changes}))
-    host = Host(camera)
-    host.write(*OPEN)
-    return camera, host
-
-
-def running(*entries, **changes):
-    """Return a camera and its host after `entries` and OpenEB's sequence of the start."""
-    camera, host = opened(**changes)
-    host.write(*entries, *START)
-    return camera, host
+opened, running = on_board(Genx320, Genx320Settings, OPEN, START)
 
 
 def octets(camera, max_bytes=131_072):

@@ -1,12 +1,7 @@
 """A host for tests: requests into a camera without sockets, answers out, and the stream put together."""
 
-from __future__ import annotations
-
 import struct
 
-import numpy as np
-
-from firmware_protocol.events import EVENT
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.gvsp import BlockAssembly
@@ -14,6 +9,7 @@ from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.imx636.triton2_control import Triton2Control
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
+from tests import made_events
 
 PEER = ("127.0.0.1", 40_000)
 STRANGER = ("127.0.0.1", 40_001)
@@ -21,18 +17,13 @@ STRANGER = ("127.0.0.1", 40_001)
 
 def steady(n, start_us=0, step_us=1, seed=0, size=(1280, 720)):
     """`n` events, one each `step_us`, at random pixels."""
-    draw = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT)
-    events["t"] = start_us + np.arange(n) * step_us
-    events["x"], events["y"] = draw.integers(0, size[0], n), draw.integers(0, size[1], n)
-    events["on"] = draw.integers(0, 2, n)
-    return events
+    return made_events.steady(n, start_us, step_us, seed, size)
 
 
 class Host:
     """Talks to a camera as drivers do."""
 
-    def __init__(self, **settings) -> None:
+    def __init__(self, **settings):
         chosen = Triton2Settings(**{"start_delay_us": 0, **settings})
         self.camera = Triton2(chosen)
         self.control = Triton2Control(chosen, lambda: self.camera.time)

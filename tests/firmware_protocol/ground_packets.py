@@ -140,10 +140,7 @@ def _samples():
     return [
         Sample("HOUSEKEEPING", packet(MessageKind.HOUSEKEEPING, REPORT.encode()), REPORT_VALUES),
         Sample(
-            "EVENTS",
-            packet(MessageKind.EVENTS, BLOCK),
-            _block_values("ROWS", "US_10", 3, 77, BLOCK[13]),
-            BLOCK[14:],
+            "EVENTS", packet(MessageKind.EVENTS, BLOCK), _block_values("ROWS", "US_10", 3, 77, BLOCK[13]), BLOCK[14:]
         ),
         Sample(
             "EDGES",

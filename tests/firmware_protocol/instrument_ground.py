@@ -2,24 +2,19 @@
 
 import numpy as np
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Verification
 from firmware_protocol.telemetry import decode_block
+from tests.made_events import steady
 
 SIZE = (346, 260)
 
 
 def stream(count, every_us=10, start_us=0, seed=1):
     """Return events at a steady rate, anywhere on the array."""
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count) * every_us
-    events["x"] = rng.integers(0, SIZE[0], count)
-    events["y"] = rng.integers(0, SIZE[1], count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return steady(count, start_us, every_us, seed, SIZE)
 
 
 class Ground:
@@ -66,6 +61,4 @@ class Ground:
 
 
 def edges(*times):
-    made = np.zeros(len(times), EDGE)
-    made["t"], made["kind"], made["seq"] = times, EdgeKind.RISING, np.arange(len(times))
-    return made
+    return make_edges(times, EdgeKind.RISING, seq=np.arange(len(times)))

@@ -72,8 +72,7 @@ def test_stream_time_comes_back_from_what_was_shown(t_us):
     clock = DeviceClock(dataclasses.replace(ALL, steps=()), 5)
     shown = clock.shown_us(t_us)
     assert abs(float(clock.stream_us(shown, t_us)[0]) - t_us) <= 2
-    near = clock.stream_us(shown, t_us + 300_000)
-    assert abs(float(near[0]) - t_us) <= 2
+    assert abs(float(clock.stream_us(shown, t_us + 300_000)[0]) - t_us) <= 2
 
 
 def test_long_runs_keep_little_and_go_on_from_there():

@@ -7,7 +7,7 @@ from instrument_ground import Ground, stream
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.plain_device import PlainDevice
-from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.gen31.device import Gen31, Gen31Settings
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
@@ -19,9 +19,7 @@ from transports.usb.treuzell_host import TreuzellHost
 
 
 def edges_at(*times_us):
-    edges = empty_edges(len(times_us))
-    edges["t"], edges["kind"] = times_us, EdgeKind.PULSE
-    return edges
+    return make_edges(times_us, EdgeKind.PULSE)
 
 
 def davis():

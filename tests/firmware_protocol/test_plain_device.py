@@ -10,16 +10,11 @@ from hypothesis import strategies as st
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.device.items import Numbers, ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
-from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.events import EDGE
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.frames import line_record
 from firmware_protocol.imu_samples import no_samples
-
-
-def events_at(times):
-    events = np.zeros(len(times), EVENT)
-    events["t"] = times
-    return events
+from tests.made_events import events_at
 
 
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 20)), max_size=20), st.integers(1, 60))

@@ -15,8 +15,6 @@ started the interpreter and imported each MODULE once: that is slow on a process
 such a program is a process of its own, from its first line to the end of the interpreter.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import runpy
@@ -27,10 +25,9 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 
-def main() -> None:
+def main():
     host, port, *modules = sys.argv[1:]
     for module in modules:
         import_module(module)
@@ -40,7 +37,7 @@ def main() -> None:
         runpy.run_path(program[0], run_name="__main__")
 
 
-def serve(host: str, port: int) -> list[str]:
+def serve(host, port):
     """Serve the host until it closes the idle connection; in a fork that shall run a program return its arguments."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for what answers, nor for orphans of process 1
     while True:
@@ -54,7 +51,7 @@ def serve(host: str, port: int) -> list[str]:
         connection.close()
 
 
-def answer(connection: socket.socket, argv: list[str], timeout_s: float) -> list[str]:
+def answer(connection, argv, timeout_s):
     """Run the command and send its end to the host, then exit; in the fork that is the program return its arguments."""
     if argv[0] == sys.executable and argv[1].endswith(".py"):
         out, err = os.memfd_create("out"), os.memfd_create("err")
@@ -71,14 +68,14 @@ def answer(connection: socket.socket, argv: list[str], timeout_s: float) -> list
     os._exit(0)
 
 
-def redirect(out: int, err: int) -> None:
+def redirect(out, err):
     """Let this process read nothing and write to two files."""
     for source, target in ((os.open(os.devnull, os.O_RDONLY), 0), (out, 1), (err, 2)):
         os.dup2(source, target)
         os.close(source)
 
 
-def code_of(process: int, timeout_s: float) -> int | None:
+def code_of(process, timeout_s):
     """Wait for the end of a child and return its code; None when it had to be killed."""
     ended, _, _ = select.select([os.pidfd_open(process)], [], [], timeout_s)
     if not ended:
@@ -87,13 +84,13 @@ def code_of(process: int, timeout_s: float) -> int | None:
     return code if ended else None
 
 
-def content(file: int) -> str:
+def content(file):
     with os.fdopen(file, "rb") as written:
         written.seek(0)
         return text(written.read())
 
 
-def run(argv: list[str], timeout_s: float) -> dict[str, Any]:
+def run(argv, timeout_s):
     try:
         done = subprocess.run(argv, capture_output=True, stdin=subprocess.DEVNULL, timeout=timeout_s, check=False)
     except subprocess.TimeoutExpired as error:
@@ -103,7 +100,7 @@ def run(argv: list[str], timeout_s: float) -> dict[str, Any]:
     return {"code": done.returncode, "stdout": text(done.stdout), "stderr": text(done.stderr)}
 
 
-def text(output: bytes | None) -> str:
+def text(output):
     return (output or b"").decode(errors="replace")
 
 

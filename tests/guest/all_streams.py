@@ -1,14 +1,9 @@
 """All streams of a camera: tables of a rig, what a client is asked for, and whether it saw what was delivered."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from firmware_protocol.events import EdgeKind, Events
+from firmware_protocol.events import EdgeKind
 from tests.guest.comparison import assert_same
-from tests.guest.environments import Driver
-from tests.guest.running_rig import Delivered
-from tests.guest.streaming import Seen
 
 __all__ = ["ASKED", "FREE", "STREAMS", "STREAMS_240C", "assert_same_frames", "assert_same_streams", "place_of"]
 
@@ -39,12 +34,12 @@ COLUMNS = [f"accelerometer_{a}" for a in "xyz"] + ["temperature"] + [f"gyroscope
 KNOWN_PLACE = 100  # events that no other part of a stream repeats
 
 
-def assert_same_streams(driver: Driver, seen: Seen, delivered: Delivered, *, whole: bool = True) -> int:
+def assert_same_streams(driver, seen, delivered, *, whole=True):
     """Assert that events, edges and samples are as delivered, and return by how much a client's time is later, in us.
 
     With `whole`, the client kept all since device time was zero; without, a part in the middle.
     """
-    events = delivered.events[delivered.resets[-1] :]
+    events = delivered.last
     place = 0 if whole else place_of(seen.events, events)
     offset_us = int(seen.events["t"][0]) - int(events["t"][place]) if driver.adds_host_time or not whole else 0
     assert_same(seen.events, events[place:], offset_us=offset_us)
@@ -53,7 +48,7 @@ def assert_same_streams(driver: Driver, seen: Seen, delivered: Delivered, *, who
     return offset_us
 
 
-def place_of(seen: Events, delivered: Events) -> int:
+def place_of(seen, delivered):
     """Return the index in `delivered` (m,) at which `seen` (n,) begins, in a time of its own."""
     start = seen[:KNOWN_PLACE]
     for place in np.flatnonzero((delivered["x"] == start["x"][0]) & (delivered["y"] == start["y"][0])):
@@ -64,7 +59,7 @@ def place_of(seen: Events, delivered: Events) -> int:
     raise AssertionError(f"nothing that was delivered begins as what was seen: {start[:5].tolist()}")
 
 
-def assert_same_edges(seen: Seen, delivered: Delivered, offset_us: int, least: int) -> None:
+def assert_same_edges(seen, delivered, offset_us, least):
     edges, count = delivered.edges[delivered.edge_resets[-1] :], len(seen.triggers)
     assert count >= least
     edges = edges[np.searchsorted(edges["t"], seen.triggers["t"][0] - np.uint64(offset_us)) :]
@@ -73,7 +68,7 @@ def assert_same_edges(seen: Seen, delivered: Delivered, offset_us: int, least: i
     assert set(seen.triggers["kind"].tolist()) == set(EdgeKind)
 
 
-def assert_same_samples(seen: Seen, delivered: Delivered, offset_us: int, least: int) -> None:
+def assert_same_samples(seen, delivered, offset_us, least):
     imu, count = delivered.imu[delivered.imu_resets[-1] :], len(seen.imu_t)
     assert count >= least
     first = int(np.searchsorted(imu["t"], seen.imu_t[0] - offset_us))
@@ -84,7 +79,7 @@ def assert_same_samples(seen: Seen, delivered: Delivered, offset_us: int, least:
     assert abs(values[:, 1].mean() + 1) < 0.2  # at rest on the bench, y down, it is held up with 1 g
 
 
-def assert_same_frames(driver: Driver, seen: Seen, delivered: Delivered, offset_us: int) -> None:
+def assert_same_frames(driver, seen, delivered, offset_us):
     frames = delivered.frames[delivered.frame_resets[-1] :]
     times = seen.frame_t - offset_us
     assert len(times) >= 3
@@ -98,6 +93,6 @@ def assert_same_frames(driver: Driver, seen: Seen, delivered: Delivered, offset_
         assert np.abs(pixels.astype(np.int64) - expected).max() <= most, k
 
 
-def as_seen(driver: Driver, reset_less_signal: np.ndarray) -> np.ndarray:
+def as_seen(driver, reset_less_signal):
     """What a driver's picture is, of pixels of 10 bits, within a step of 8 bits where it rounds."""
     return reset_less_signal << 6 if driver.name == "nd" else np.minimum(reset_less_signal / 4, 255)

@@ -1,14 +1,10 @@
 """The camera's cable: `usbip attach` and `usbip detach` in the guest."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
-from tests.guest.machine import HOST_ADDRESS, Guest
+from tests.guest.machine import HOST_ADDRESS
 
 __all__ = ["DAVIS_FX2", "DAVIS_FX3", "DVXPLORER", "EVK4", "Attachment", "remote_cameras", "usb_bus"]
 
@@ -19,19 +15,16 @@ DVXPLORER = ("152a", "8419")
 EVK4 = ("04b4", "00f5")
 
 
-def usb_bus(
-    guest: Guest, cameras: int, timeout_s: float = 120.0, model: tuple[str, str] = DAVIS_FX3, *, on_cable: bool = False
-) -> dict[str, Any]:
+def usb_bus(guest, cameras, timeout_s=120.0, model=DAVIS_FX3, *, on_cable=False):
     """Wait until the guest's bus shows this many cameras of a model and return it; raises RuntimeError in vain.
 
     `on_cable`: they hang on the guest's own controller, and not on USB/IP.
     """
     argv = [sys.executable, BUS_PROGRAM, *model, str(cameras), str(timeout_s), *(["cable"] if on_cable else [])]
-    seen: dict[str, Any] = json.loads(guest.check(argv, timeout_s + 10))
-    return seen
+    return json.loads(guest.check(argv, timeout_s + 10))
 
 
-def remote_cameras(guest: Guest, tcp_port: int) -> str:
+def remote_cameras(guest, tcp_port):
     """Ask what the host exports, in the words of `usbip list`."""
     return guest.check(["usbip", "--tcp-port", str(tcp_port), "list", "-r", HOST_ADDRESS])
 
@@ -39,20 +32,20 @@ def remote_cameras(guest: Guest, tcp_port: int) -> str:
 class Attachment:
     """A camera of the host on the guest's USB bus, from the moment that the kernel knows it until it is unplugged."""
 
-    def __init__(self, guest: Guest, tcp_port: int, busid: str = "1-1", model: tuple[str, str] = DAVIS_FX3) -> None:
+    def __init__(self, guest, tcp_port, busid="1-1", model=DAVIS_FX3):
         self._guest = guest
         self._model = model
         self._tool = ["usbip", "--tcp-port", str(tcp_port)]
         self._busid = busid
 
-    def __enter__(self) -> Attachment:
+    def __enter__(self):
         self._guest.check([*self._tool, "attach", "-r", HOST_ADDRESS, "-b", self._busid])
         seen = usb_bus(self._guest, cameras=1, model=self._model)
-        self.device: dict[str, str] = seen["devices"][0]
-        self._port: int = seen["ports"][0]
+        self.device = seen["devices"][0]
+        self._port = seen["ports"][0]
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, kind, error, at):
         # After an unplugging there is nothing left to detach: the outcome shows on the bus.
         self._guest.run(["usbip", "detach", "-p", str(self._port)])
         usb_bus(self._guest, cameras=0, model=self._model)

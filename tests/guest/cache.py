@@ -1,16 +1,13 @@
 """A folder that is made once and kept: one process makes it, others that want it wait."""
 
-from __future__ import annotations
-
 import fcntl
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 __all__ = ["made_once"]
 
 
-def made_once(folder: Path, make: Callable[[Path], None]) -> Path:
+def made_once(folder, make):
     """Return `folder`, which `make` fills under another name first, so that what is there is whole."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with (folder.parent / "lock").open("w") as lock:

@@ -1,17 +1,13 @@
 """Does a client's view equal what was delivered, event by event?"""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 
-from firmware_protocol.events import EVENT, Edges, Events, empty_edges
+from firmware_protocol.events import EVENT, make_edges
 
 __all__ = ["assert_same", "load_frames", "load_imu", "load_seen", "load_triggers"]
 
 
-def load_seen(path: Path) -> Events:
+def load_seen(path):
     """Read a client's arrays as EVENT (n,), in the client's time."""
     with np.load(path) as arrays:
         seen = np.empty(len(arrays["t"]), EVENT)
@@ -20,27 +16,25 @@ def load_seen(path: Path) -> Events:
     return seen
 
 
-def load_triggers(path: Path) -> Edges:
+def load_triggers(path):
     """Read a client's triggers as EDGE (n,), in the client's time."""
     with np.load(path) as arrays:
-        triggers = empty_edges(len(arrays["trigger_t"]))
-        triggers["t"], triggers["kind"] = arrays["trigger_t"], arrays["trigger_kind"]
-    return triggers
+        return make_edges(arrays["trigger_t"], arrays["trigger_kind"])
 
 
-def load_imu(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def load_imu(path):
     """Read a client's samples: times (n,) in the client's time, and values (n, 7) as `collecting` describes them."""
     with np.load(path) as arrays:
         return arrays["imu_t"], arrays["imu"]
 
 
-def load_frames(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def load_frames(path):
     """Read a client's frames: times (n,) in the client's time, and pixels (n, height, width) as the driver has them."""
     with np.load(path) as arrays:
         return arrays["frame_t"], arrays["frames"]
 
 
-def assert_same(seen: Events, delivered: Events, *, offset_us: int) -> None:
+def assert_same(seen, delivered, *, offset_us):
     """Assert that `seen` (n,) is how `delivered` (m,) begins, with times later by `offset_us`."""
     assert len(seen) <= len(delivered), f"{len(seen)} events seen, only {len(delivered)} delivered"
     expected = delivered[: len(seen)].copy()

@@ -78,11 +78,11 @@ class Driver:
     options: tuple[str, ...] = ()
 
     @property
-    def program(self) -> Path:
+    def program(self):
         """The stand-alone client."""
         return CLIENTS / f"{self.name}.py"
 
-    def python(self, cache: Path) -> Path:
+    def python(self, cache):
         """Return the environment's interpreter, making the environment on the first call for these packages.
 
         Raises GuestUnavailable when no fitting Python is here or pip cannot install the packages.
@@ -90,7 +90,7 @@ class Driver:
         environment = cache / f"venv-{self.name}-{zlib.crc32(' '.join(self.packages).encode()):08x}"
         return made_once(environment, self._make) / "bin" / "python"
 
-    def _make(self, environment: Path) -> None:
+    def _make(self, environment):
         """Only `bin/python` is used later, so the environment may be moved after pip has filled it."""
         interpreter = str(environment / "bin" / "python")
         for command in (
@@ -101,7 +101,7 @@ class Driver:
             if done.returncode != 0:
                 raise GuestUnavailable(f"cannot install {' '.join(self.packages)}: {done.stderr.strip()}")
 
-    def _base_python(self) -> str:
+    def _base_python(self):
         running = f"{sys.version_info.major}.{sys.version_info.minor}"
         if not self.pythons or running in self.pythons:
             return sys.executable

@@ -1,19 +1,13 @@
 """A camera in the guest itself, on the guest's own USB bus: FunctionFS, and dummy_hcd as its port and cable."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
 import numpy as np
 
 from tests.guest.attachment import DAVIS_FX3, usb_bus
-from tests.guest.machine import Finished, Guest, Job
 from tests.guest.running_rig import Delivered
 from tests.hostile.looped import Looped
 
@@ -53,7 +47,7 @@ kind = "usb_gadget"
 """
 
 
-def load_port(guest: Guest, speed: str) -> None:
+def load_port(guest, speed):
     """Give the guest a USB device port of a speed, "super" or "high", with its cable in the guest's own bus."""
     for module in ("libcomposite", "usb_f_fs"):
         guest.load(module)
@@ -63,7 +57,7 @@ def load_port(guest: Guest, speed: str) -> None:
     guest.check(["modprobe", "-d", str(guest.kernel.tree), "dummy_hcd", f"is_super_speed={wide}"])
 
 
-def loop_s(guest: Guest) -> float:
+def loop_s(guest):
     """Return the time of a million rounds of a loop of Python in the guest, s, the best of five."""
     return min(float(guest.check([sys.executable, "-c", LOOP])) for _ in range(5))
 
@@ -83,25 +77,19 @@ class GadgetCamera:
         (vendor, product) of the camera, as the bus tells them.
     """
 
-    def __init__(
-        self,
-        guest: Guest,
-        *options: str,
-        looped: Looped | None = None,
-        model: tuple[str, str] = DAVIS_FX3,
-    ) -> None:
+    def __init__(self, guest, *options, looped=None, model=DAVIS_FX3):
         self._guest, self._options, self._model = guest, options, model
         self._looped = looped or Looped(300_000, GAP_US)
-        self.device: dict[str, str] = {}
-        self.told: dict[str, Any] = {}
-        self.finished: Finished | None = None
+        self.device = {}
+        self.told = {}
+        self.finished = None
 
-    def __enter__(self) -> GadgetCamera:
+    def __enter__(self):
         # Process ids are kept: signals must reach this program and no other.
         (self._guest.results / "gadget.pids").unlink(missing_ok=True)
         command = self._command()
         line = f"exec env PYTHONPATH={shlex.quote(str(ROOT))} {shlex.join([sys.executable, *command])}"
-        self._job: Job = self._guest.start(["sh", "-c", f"echo $$ > {self._path('gadget.pids')}; {line}"], LIMIT_S)
+        self._job = self._guest.start(["sh", "-c", f"echo $$ > {self._path('gadget.pids')}; {line}"], LIMIT_S)
         try:
             self.device = self.on_the_bus(1)
         except BaseException as error:
@@ -109,60 +97,59 @@ class GadgetCamera:
             raise RuntimeError(f"no camera on the bus: {self.finished}") from error
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, kind, error, at):
         self.stop()
 
-    def on_the_bus(self, cameras: int) -> dict[str, str]:
+    def on_the_bus(self, cameras):
         """Wait until the guest's bus shows so many cameras, 0 or 1; return what the kernel tells of the one."""
         devices = usb_bus(self._guest, cameras, START_TIMEOUT_S, self._model, on_cable=True)["devices"]
         return devices[0] if devices else {}
 
-    def plug(self, *, connected: bool) -> None:
+    def plug(self, *, connected):
         """Bind the gadget to its controller, or unbind it, behind the camera's back."""
         self._guest.check(["sh", "-c", f"echo '{CONTROLLER if connected else ''}' > {UDC}"])
         self.on_the_bus(int(connected))
 
-    def stop(self) -> None:
+    def stop(self):
         """End the run as Ctrl-C does; calling it again does nothing."""
         if self.finished is None:
             self._signal("INT")
             self.finished = self._job.wait()
             self.told = self._told(self.finished.stdout)
 
-    def kill(self) -> None:
+    def kill(self):
         """End its processes at once."""
         self._signal("KILL")
         self.finished = self._job.wait()
 
     @property
-    def delivered(self) -> Delivered:
+    def delivered(self):
         """The record; only after the end of the run."""
         return Delivered.load(self._guest.results / "gadget.npz")
 
-    def _command(self) -> Sequence[str]:
+    def _command(self):
         np.save(self._guest.results / "looped.npy", self._looped.events)
         files = ("--events", "looped.npy"), ("--record", "gadget.npz"), ("--pids", "gadget.pids")
         named = [word for option, name in files for word in (option, self._path(name))]
         return [str(PROGRAM), *named, "--round-us", str(self._looped.round_us), *self._options]
 
-    def _told(self, stdout: str) -> dict[str, Any]:
-        told: dict[str, Any] = json.loads(stdout.splitlines()[-1])
-        return told
+    def _told(self, stdout):
+        return json.loads(stdout.splitlines()[-1])
 
-    def _signal(self, name: str) -> None:
+    def _signal(self, name):
         whom = (
             f"$(cat {self._path('gadget.pids')})" if name == "KILL" else f"$(cut -d' ' -f1 {self._path('gadget.pids')})"
         )
         self._guest.check(["sh", "-c", f"kill -{name} {whom}"])
 
-    def _path(self, name: str) -> str:
+    def _path(self, name):
         return self._guest.path_in_guest(name)
 
 
 class GadgetRig(GadgetCamera):
     """`evstim run` with a link usb_gadget."""
 
-    def _command(self) -> Sequence[str]:
+    def _command(self):
         self._looped.save(self._guest.results / "looped.npz")
         (self._guest.results / "gadget.toml").write_text(RIG)
         record = ["--record", self._path("gadget.npz")]

@@ -7,8 +7,6 @@ processes do nothing but compute. The time of an answer is the kernel's own stam
 and the host runs before everything else where that is allowed: its waiting for a processor is no part of the time.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import socket
@@ -17,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -26,7 +23,8 @@ import numpy as np
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START
-from tests.guest.gige_run import GigeRun, looped_1280x720
+from tests.guest.gige_run import HD, GigeRun
+from tests.hostile.looped import Looped
 
 _SO_TIMESTAMPNS = 35  # Linux: asm-generic/socket.h
 _EVENTS = 1_000_000
@@ -40,7 +38,7 @@ _DRIVERS_PATIENCE_MS = 25.0  # neuromorphic_drivers
 class Host:
     """Has control of a camera whose stream goes to an unread socket."""
 
-    def __init__(self, address: str, port: int) -> None:
+    def __init__(self, address, port):
         self._number = 0
         self._control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._control.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
@@ -49,14 +47,14 @@ class Host:
         self._stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._stream.bind(("127.0.0.1", 0))
 
-    def start(self) -> None:
+    def start(self):
         """Take control and start the stream."""
         port = self._stream.getsockname()[1]
         settings = ((Register.PRIVILEGE, 2), (Register.PACKET_SIZE, 9000), (Register.STREAM_ADDRESS, 0x7F000001))
         for address, value in (*settings, (Register.STREAM_PORT, port), (ACQUISITION_START, 1)):
             self.answered_ns(Command.WRITEREG, struct.pack(">II", address, value))
 
-    def answered_ns(self, command: int, payload: bytes) -> int:
+    def answered_ns(self, command, payload):
         """Return the time from before the request to the arrival of its answer; raises TimeoutError."""
         self._number = self._number % 0xFFFF + 1
         sent_ns = time.clock_gettime_ns(time.CLOCK_REALTIME)
@@ -69,7 +67,7 @@ class Host:
 
 
 @contextmanager
-def busy(loops: int) -> Iterator[None]:
+def busy(loops):
     """Keep the machine busy."""
     processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(loops)]
     try:
@@ -80,9 +78,9 @@ def busy(loops: int) -> Iterator[None]:
             process.wait()
 
 
-def measured_ns(host: Host, count: int) -> list[int]:
+def measured_ns(host, count):
     """Return the times of `count` answers, fewer where that takes too long, to writes and reads of the driver."""
-    times: list[int] = []
+    times = []
     end_s = time.monotonic() + _LONGEST_S
     for k in range(count):
         if time.monotonic() > end_s:
@@ -96,17 +94,17 @@ def measured_ns(host: Host, count: int) -> list[int]:
     return times
 
 
-def main() -> None:
+def main():
     """Measure and print."""
     numbers = [int(argument) for argument in sys.argv[1:]]
     count, loops, priority = [*numbers, *(10_000, 6, 0)[len(numbers) :]]
-    looped = looped_1280x720(_EVENTS)
+    looped = Looped(_EVENTS, 1, HD)
     draw = np.random.default_rng(3)
     looped.events["t"] = np.sort(draw.integers(0, round(_EVENTS / _EVENTS_PER_US), _EVENTS))
     address = f"127.0.7.{1 + os.getpid() % 250}"
     with tempfile.TemporaryDirectory() as folder, busy(loops):
         keys = f'host = "{address}"\nmbit_s = 20000\n'
-        run = GigeRun(Path(folder), looped, keys, run=f"fifo_priority = {priority}")
+        run = GigeRun(Path(folder), keys, looped, run=f"fifo_priority = {priority}")
         try:
             host = Host(address, 3956)
             host.start()

@@ -1,23 +1,17 @@
 """`evstim run` of recorded events at their own pace, on GigE Vision, and the record of what it delivered."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from firmware_protocol.events import Events
 from tests.hostile.looped import Looped
 from transports.recording.record import load_record
 
-__all__ = ["LOSS", "GigeRun", "RigRun", "looped_1280x720"]
+__all__ = ["HD", "LOSS", "GigeRun", "RigRun"]
+
+HD = (1280, 720)
 
 RIG = """
 title = "recorded events at their own pace, on GigE Vision"
@@ -45,13 +39,6 @@ for_s = 1000.0
 """
 
 
-def looped_1280x720(count: int) -> Looped:
-    """Return `count` looped events at random pixels of 1280 x 720, 1 us apart on average until told otherwise."""
-    looped, draw = Looped(count, 1), np.random.default_rng(2)
-    looped.events["x"], looped.events["y"] = draw.integers(0, 1280, count), draw.integers(0, 720, count)
-    return looped
-
-
 class RigRun:
     """A run of a rig until it is stopped.
 
@@ -65,7 +52,7 @@ class RigRun:
         Gives the command that runs a command elsewhere, in a network of its own for example.
     """
 
-    def __init__(self, folder: Path, text: str, inside: Callable[..., list[str]] = lambda *command: [*command]) -> None:
+    def __init__(self, folder, text, inside=lambda *command: [*command]):
         rig, ready, self._record = folder / "gige.toml", folder / "ready", folder / "delivered.npz"
         rig.write_text(text)
         command = [sys.executable, "-c", "from emulator.cli import main; main()", "run", str(rig), "--json"]
@@ -75,39 +62,24 @@ class RigRun:
             assert self._process.poll() is None, "the run ended at once"
             time.sleep(0.05)
 
-    def stop(self) -> tuple[dict[str, Any], Events]:
-        """End it; returns its summary and what it delivered since the camera was last started."""
+    def stop(self):
+        """End it; returns its summary, which must balance, and what it delivered since the camera was last started."""
         self._process.send_signal(signal.SIGINT)
         out, _ = self._process.communicate(timeout=120)
         delivered, resets = load_record(self._record)
-        return json.loads(out.splitlines()[-1]), delivered[resets[-1] if len(resets) else 0 :]
+        summary = json.loads(out.splitlines()[-1])
+        assert summary["balanced"], summary
+        return summary, delivered[resets[-1] if len(resets) else 0 :]
 
-    def kill(self) -> None:
+    def kill(self):
         """End it in any case."""
         self._process.kill()
         self._process.communicate()
 
 
 class GigeRun(RigRun):
-    """A run that plays `looped`.
+    """A run that plays looped events, `keys` being further lines of the link's table, and `run` of the run's."""
 
-    Parameters
-    ----------
-    folder, inside
-        See `RigRun`.
-    keys
-        Further lines of the link's table.
-    run
-        Further lines of the run's table.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        looped: Looped,
-        keys: str,
-        inside: Callable[..., list[str]] = lambda *command: [*command],
-        run: str = "",
-    ) -> None:
-        looped.save(folder / "looped.npz")
-        super().__init__(folder, RIG.format(run=run) + keys, inside)
+    def __init__(self, folder, keys="", looped=None, run="", **more):
+        (looped or Looped(500_000, 10, HD)).save(folder / "looped.npz")
+        super().__init__(folder, RIG.format(run=run) + keys, **more)

@@ -42,12 +42,12 @@ class Kernel:
     tree: Path
 
     @property
-    def image(self) -> Path:
+    def image(self):
         """The bootable file."""
         return self.tree / "boot" / f"vmlinuz-{self.release}"
 
 
-def fetch_kernel(cache: Path) -> Kernel:
+def fetch_kernel(cache):
     """Return Debian's newest kernel, downloading and unpacking it on the first call.
 
     Raises GuestUnavailable where apt does not know the package or cannot fetch it.
@@ -58,7 +58,7 @@ def fetch_kernel(cache: Path) -> Kernel:
     return kernel
 
 
-def build_initramfs(kernel: Kernel, settings: dict[str, str], destination: Path) -> None:
+def build_initramfs(kernel, settings, destination):
     """Write the initramfs; `settings` become shell variables that init.sh reads."""
     modules = _module_files(kernel)
     lines = [f"{name}={shlex.quote(value)}" for name, value in settings.items()]
@@ -78,7 +78,7 @@ def build_initramfs(kernel: Kernel, settings: dict[str, str], destination: Path)
     destination.write_bytes(gzip.compress(archive, compresslevel=1))
 
 
-def _newest_package() -> str:
+def _newest_package():
     """Ask apt which package `linux-image-amd64` stands for today."""
     try:
         listing = subprocess.run(
@@ -92,7 +92,7 @@ def _newest_package() -> str:
     return found[1]
 
 
-def _unpack(package: str, release: str, tree: Path) -> None:
+def _unpack(package, release, tree):
     """Download `package` beside `tree`, into a folder that holds nothing else, and lay it out in `tree`."""
     scratch = tree.parent
     prepare_step(["apt-get", "download", package], scratch)
@@ -102,7 +102,7 @@ def _unpack(package: str, release: str, tree: Path) -> None:
     prepare_step(["depmod", "-b", str(tree), release], scratch)
 
 
-def prepare_step(command: list[str], folder: Path) -> str:
+def prepare_step(command, folder):
     """Run one command of the preparation in a folder; return what it printed, or raise GuestUnavailable."""
     environment = os.environ | {"PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
     try:
@@ -118,9 +118,9 @@ def prepare_step(command: list[str], folder: Path) -> str:
     return done.stdout
 
 
-def _module_files(kernel: Kernel) -> list[Path]:
+def _module_files(kernel):
     """Return the modules that mount the root, in the order in which they load."""
-    files: dict[Path, None] = {}
+    files = {}
     for module in ROOT_MODULES:
         command = ["modprobe", "-d", str(kernel.tree), "-S", kernel.release, "--show-depends", module]
         for line in prepare_step(command, kernel.tree).splitlines():
@@ -129,17 +129,17 @@ def _module_files(kernel: Kernel) -> list[Path]:
     return list(files)
 
 
-def _module_bytes(path: Path) -> bytes:
+def _module_bytes(path):
     """Read a module; Debian 13 compresses them."""
     return lzma.decompress(path.read_bytes()) if path.suffix == ".xz" else path.read_bytes()
 
 
-def _cpio_entry(name: str, mode: int, data: bytes = b"") -> bytes:
+def _cpio_entry(name, mode, data=b""):
     name_bytes = name.encode() + b"\0"
     fields = (0, mode, 0, 0, 1, 0, len(data), 0, 0, 0, 0, len(name_bytes), 0)
     head = b"070701" + b"".join(b"%08X" % field for field in fields) + name_bytes
     return _padded(head) + _padded(data)
 
 
-def _padded(data: bytes) -> bytes:
+def _padded(data):
     return data + bytes(-len(data) % 4)

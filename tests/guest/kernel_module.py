@@ -1,31 +1,28 @@
 """A kernel module for the guest, built with the headers of Debian's kernel, which are never installed."""
 
-from __future__ import annotations
-
 import shutil
 from hashlib import sha256
-from pathlib import Path
 
 from tests.guest.cache import made_once
-from tests.guest.image import Kernel, prepare_step
+from tests.guest.image import prepare_step
 
 __all__ = ["built_module"]
 
 
-def built_module(source: Path, kernel: Kernel, cache: Path) -> Path:
+def built_module(source, kernel, cache):
     """Return NAME.ko of a folder with NAME.c and a Makefile, built once for each text; raises GuestUnavailable."""
     headers = made_once(cache / f"headers-{kernel.release}", lambda tree: _unpack(kernel.release, tree))
     texts = sorted(path for path in source.iterdir() if path.is_file())
     digest = sha256(b"".join(path.read_bytes() for path in texts) + kernel.release.encode()).hexdigest()[:16]
 
-    def build(folder: Path) -> None:
+    def build(folder):
         shutil.copytree(source, folder)
         prepare_step(["make", f"KERNEL={headers}/usr/src/linux-headers-{kernel.release}"], folder)
 
     return next(made_once(cache / f"module-{digest}", build).glob("*.ko"))
 
 
-def _unpack(release: str, tree: Path) -> None:
+def _unpack(release, tree):
     """Lay out the headers for one architecture, those for all, and the programs that build."""
     version, flavour = release.rsplit("-", 1)
     kernel = ".".join(version.split(".")[:2])

@@ -3,13 +3,7 @@
 Events of one pixel on one line are threshold / slope + refractory period apart.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
-
-from firmware_protocol.events import Events
 
 __all__ = ["FRAMES_PER_S", "apart_us", "expected_us", "save_frames"]
 
@@ -18,14 +12,14 @@ RISE = 4.0
 _FEWEST = 500
 
 
-def save_frames(path: Path, width: int, height: int, region: tuple[int, int]) -> None:
+def save_frames(path, width, height, region):
     """Write the frames of the light in a region (width, height) of the array, the rest dark and still."""
     frames = np.full((3, height, width), 1e-3, np.float32)
     frames[:, : region[1], : region[0]] = np.exp([0.0, RISE, 0.0])[:, None, None]
     np.save(path, frames)
 
 
-def apart_us(events: Events, *, on: bool) -> float:
+def apart_us(events, *, on):
     """Return the median time between events of one pixel on one line, as often as a polarity repeats."""
     ordered = events[np.lexsort((events["t"], events["x"], events["y"]))]
     same = (ordered["x"][1:] == ordered["x"][:-1]) & (ordered["y"][1:] == ordered["y"][:-1])
@@ -35,6 +29,6 @@ def apart_us(events: Events, *, on: bool) -> float:
     return float(np.median(between_us))
 
 
-def expected_us(threshold: float, refractory_us: float) -> float:
+def expected_us(threshold, refractory_us):
     """Return the same in closed form."""
     return 1e6 * threshold / (RISE * FRAMES_PER_S) + refractory_us

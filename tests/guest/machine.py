@@ -14,11 +14,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from tests.guest.image import GuestUnavailable, build_initramfs, fetch_kernel
 
@@ -44,11 +42,11 @@ class Finished:
     stderr: str
 
     @property
-    def ok(self) -> bool:
+    def ok(self):
         """True when the program ended with code 0."""
         return self.code == 0
 
-    def __str__(self) -> str:
+    def __str__(self):
         end = "ran out of time" if self.code is None else f"ended with {self.code}"
         return f"{shlex.join(self.argv)} {end}\n{self.stdout}{self.stderr}"
 
@@ -56,14 +54,14 @@ class Finished:
 class Job:
     """A program that runs in the guest."""
 
-    def __init__(self, argv: Sequence[str], connection: socket.socket, timeout_s: float) -> None:
+    def __init__(self, argv, connection, timeout_s):
         self._argv = tuple(argv)
         self._connection = connection
         # The agent keeps the time; the margin is for a guest that no longer answers.
         connection.settimeout(timeout_s + 30)
         connection.sendall(json.dumps({"argv": self._argv, "timeout_s": timeout_s}).encode() + b"\n")
 
-    def wait(self) -> Finished:
+    def wait(self):
         """Wait for the end of the program; raises TimeoutError or ConnectionError when the guest is gone."""
         with self._connection.makefile("rb") as lines:
             reply = lines.readline()
@@ -72,7 +70,7 @@ class Job:
             raise ConnectionError(f"the guest left while {shlex.join(self._argv)} ran")
         return Finished(self._argv, **json.loads(reply))
 
-    def close(self) -> None:
+    def close(self):
         """Hear no more of the program."""
         self._connection.close()
 
@@ -86,13 +84,13 @@ class Guest:
         Existing folder of the host that the guest may write; see `path_in_guest`.
     """
 
-    def __init__(self, results: Path) -> None:
+    def __init__(self, results):
         self.results = results
         self.console_file = results / "console.log"
-        self._jobs: list[Job] = []
+        self._jobs = []
         self.kernel = fetch_kernel(CACHE)
         self._listener = _listener()
-        self._listeners: dict[str, socket.socket] = {}
+        self._listeners = {}
         try:
             self._qemu = self._power_on()
         except BaseException:
@@ -100,13 +98,13 @@ class Guest:
             raise
         self._wait_until_up()
 
-    def __enter__(self) -> Guest:
+    def __enter__(self):
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, kind, error, at):
         self.close()
 
-    def close(self) -> None:
+    def close(self):
         """End the guest."""
         for job in self._jobs:
             job.close()
@@ -115,13 +113,13 @@ class Guest:
         self._qemu.kill()
         self._qemu.wait()
 
-    def start(self, argv: Sequence[str], timeout_s: float) -> Job:
+    def start(self, argv, timeout_s):
         """Start a program in the guest as root; by fork where its interpreter was prepared."""
         job = Job(argv, self._idle_connection(self._listeners.get(argv[0], self._listener)), timeout_s)
         self._jobs.append(job)
         return job
 
-    def prepare(self, python: Path, modules: Sequence[str], path: str = "") -> None:
+    def prepare(self, python, modules, path=""):
         """Start an interpreter that has imported modules, also from `path`, for all that `python` runs from now on."""
         if str(python) in self._listeners or not modules:
             return
@@ -130,11 +128,11 @@ class Guest:
         self.start(["env", f"PYTHONPATH={path}", *program], GUEST_LIFE_S)
         self._listeners[str(python)] = listener
 
-    def run(self, argv: Sequence[str], timeout_s: float = 120.0) -> Finished:
+    def run(self, argv, timeout_s=120.0):
         """Run a program in the guest as root and wait for its end."""
         return self.start(argv, timeout_s).wait()
 
-    def check(self, argv: Sequence[str], timeout_s: float = 120.0) -> str:
+    def check(self, argv, timeout_s=120.0):
         """Run a program that must succeed and return its output; raises RuntimeError with all that it said."""
         finished = self.run(argv, timeout_s)
         if not finished.ok:
@@ -142,7 +140,7 @@ class Guest:
         return finished.stdout
 
     @contextmanager
-    def suspended(self) -> Iterator[None]:
+    def suspended(self):
         """Let the whole machine stand still until the block ends."""
         self._qemu.send_signal(signal.SIGSTOP)
         try:
@@ -150,20 +148,20 @@ class Guest:
         finally:
             self._qemu.send_signal(signal.SIGCONT)
 
-    def load(self, module: str) -> None:
+    def load(self, module):
         """Load a kernel module from the unpacked package."""
         self.check(["modprobe", "-d", str(self.kernel.tree), module])
 
-    def path_in_guest(self, name: str) -> str:
+    def path_in_guest(self, name):
         """Path under which the guest writes the file that the host finds as `results`/name."""
         return str(RESULTS_IN_GUEST / name)
 
     @property
-    def console(self) -> str:
+    def console(self):
         """The last lines of the guest's console."""
         return "\n".join(self.console_file.read_text(errors="replace").splitlines()[-CONSOLE_TAIL_LINES:])
 
-    def _idle_connection(self, listener: socket.socket) -> socket.socket:
+    def _idle_connection(self, listener):
         """Take the connection that an agent of the guest keeps open; raises RuntimeError when there is none in time."""
         deadline = time.monotonic() + BOOT_TIMEOUT_S
         while time.monotonic() < deadline and self._qemu.poll() is None:
@@ -175,27 +173,23 @@ class Guest:
         trouble = "does not answer" if self._qemu.returncode is None else f"left with code {self._qemu.returncode}"
         raise RuntimeError(f"the guest {trouble}; its console:\n{self.console}")
 
-    def _power_on(self) -> subprocess.Popen[bytes]:
+    def _power_on(self):
         initramfs = self.results / "initramfs.gz"
-        settings = {
-            "PYTHON": sys.executable,
-            "AGENT": str(AGENT),
-            "PORT": _port(self._listener),
-        }
+        settings = {"PYTHON": sys.executable, "AGENT": str(AGENT), "PORT": _port(self._listener)}
         build_initramfs(self.kernel, settings, initramfs)
         with self.console_file.open("wb") as console:
             return subprocess.Popen(
                 self._command_line(initramfs), stdin=subprocess.DEVNULL, stdout=console, stderr=subprocess.STDOUT
             )
 
-    def _wait_until_up(self) -> None:
+    def _wait_until_up(self):
         try:
             self.check(["true"])
         except BaseException:
             self.close()
             raise
 
-    def _command_line(self, initramfs: Path) -> list[str]:
+    def _command_line(self, initramfs):
         qemu = shutil.which("qemu-system-x86_64")
         if qemu is None:
             raise GuestUnavailable("no qemu-system-x86_64: apt-get install qemu-system-x86")
@@ -213,12 +207,12 @@ class Guest:
         ]
 
 
-def _listener() -> socket.socket:
+def _listener():
     """Return a socket for the connections of an agent."""
     listener = socket.create_server(("127.0.0.1", 0))
     listener.settimeout(LOOK_PERIOD_S)
     return listener
 
 
-def _port(listener: socket.socket) -> str:
+def _port(listener):
     return str(listener.getsockname()[1])

@@ -1,7 +1,5 @@
 """A network of a test's own, with nothing but a loopback interface: searches by broadcast stay in it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 
@@ -18,7 +16,7 @@ _HOLD = "ip link set lo up && echo up && exec cat"
 class OwnNetwork:
     """A network namespace that lasts until the block ends; `inside` prefixes a command that runs in it."""
 
-    def __enter__(self) -> OwnNetwork:
+    def __enter__(self):
         unshare = ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--net"]
         self._holder = subprocess.Popen(
             [*unshare, "sh", "-c", _HOLD],
@@ -33,18 +31,18 @@ class OwnNetwork:
             pytest.skip(f"a network of a test's own cannot be made here: {trouble.strip()}")
         return self
 
-    def inside(self, *command: str) -> list[str]:
+    def inside(self, *command):
         """Return the command that runs `command` in this network."""
         user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
         return ["nsenter", "--target", str(self._holder.pid), *user, "--net", *command]
 
-    def run(self, *command: str) -> None:
+    def run(self, *command):
         """Run a command in this network; skips the test where that fails."""
         done = subprocess.run(self.inside(*command), capture_output=True, text=True)
         if done.returncode != 0:
             pytest.skip(f"{' '.join(command)}: {done.stderr.strip()}")
 
-    def join(self, other: OwnNetwork, ours: str, theirs: str) -> None:
+    def join(self, other, ours, theirs):
         """Lay a cable, for packets of 9000 octets, to another network; each end gets an address of a /24."""
         pair = ("cable", "type", "veth", "peer", "name", "cable", "netns", str(other._holder.pid))
         self.run("ip", "link", "add", *pair)
@@ -52,5 +50,5 @@ class OwnNetwork:
             end.run("ip", "address", "add", f"{address}/24", "broadcast", "+", "dev", "cable")
             end.run("ip", "link", "set", "cable", "mtu", "9000", "up")
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self._holder.communicate()

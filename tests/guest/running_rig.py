@@ -10,8 +10,6 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
 import numpy as np
 
@@ -57,13 +55,18 @@ class Delivered:
     frames: np.ndarray
     frame_resets: list[int]
 
+    @property
+    def last(self):
+        """The events since device time started anew the last time."""
+        return self.events[self.resets[-1] :]
+
     @classmethod
-    def load(cls, record: Path) -> Delivered:
+    def load(cls, record):
         """Read a record."""
         return cls(*load_record(record), *load_edges(record), *load_imu(record), *load_frames(record))
 
     @property
-    def turns(self) -> list[Delivered]:
+    def turns(self):
         """Split where device time started anew."""
         events, edges, imu, frames = (
             np.split(told, resets[1:] or [len(told)] * (len(self.resets) - 1))
@@ -79,7 +82,7 @@ class Delivered:
 
 
 class RunningRig:
-    """A rig that serves its camera until the block ends; `summary` and `delivered` are known afterwards.
+    """A rig that serves its camera until the block ends; `summary`, which must balance, and `delivered` are then known.
 
     Parameters
     ----------
@@ -98,18 +101,16 @@ class RunningRig:
     limit_s = 7200.0
     """Stream time; should the tests be killed, the run ends by itself."""
 
-    def __init__(
-        self, folder: Path, speed: str = "super", layout: str = "upright", more: str = "", text: str = CHECKERBOARD
-    ) -> None:
+    def __init__(self, folder, speed="super", layout="upright", more="", text=CHECKERBOARD):
         self._camera = {"speed": speed, "layout": layout}
         self._text = text + more
         self._record = folder / "delivered.npz"
         self._said = folder / "evstim.log"
         self._rig = folder / "guest.toml"
         self.port = _free_port()
-        self.summary: dict[str, Any] = {}
+        self.summary = {}
 
-    def __enter__(self) -> RunningRig:
+    def __enter__(self):
         self._rig.write_text(self._text.format(port=self.port, **self._camera))
         program = Path(sys.executable).with_name("evstim")
         command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json"]
@@ -124,10 +125,11 @@ class RunningRig:
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, kind, error, at):
         self.stop()
+        assert kind or self.summary["balanced"], self.summary
 
-    def stop(self) -> None:
+    def stop(self):
         """End the run as Ctrl-C does; calling it again does nothing."""
         if self._process.returncode is not None:
             return
@@ -144,16 +146,16 @@ class RunningRig:
             raise RuntimeError(f"evstim run did not end with its summary:\n{self.said}") from error
 
     @property
-    def said(self) -> str:
+    def said(self):
         """All that the program printed."""
         return self._said.read_text(errors="replace")
 
     @property
-    def delivered(self) -> Delivered:
+    def delivered(self):
         """The record; only after the end of the run."""
         return Delivered.load(self._record)
 
-    def _wait_until_served(self) -> None:
+    def _wait_until_served(self):
         deadline = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline:
             if self._process.poll() is not None:
@@ -167,7 +169,6 @@ class RunningRig:
         raise TimeoutError(f"evstim run does not serve:\n{self.said}")
 
 
-def _free_port() -> int:
+def _free_port():
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        port: int = listener.getsockname()[1]
-    return port
+        return listener.getsockname()[1]

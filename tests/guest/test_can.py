@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,12 +20,12 @@ import pytest
 from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_stream import RawReceiver
-from firmware_protocol.events import EVENT, Events, empty_events
-from firmware_protocol.packets.addresses import Message, MessageKind
+from firmware_protocol.events import Events, empty_events
+from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, RequestId, Stage, Stop, Verification
 from firmware_protocol.telemetry import as_received, decode_block
-from tests.guest.machine import Guest
+from tests.made_events import scattered
 from transports.link.deliveries import digest_of
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
@@ -37,6 +36,7 @@ PYTHON = f"NUMBA_DISABLE_JIT=1 {sys.executable}"
 LISTEN = f"{PYTHON} -c 'from emulator.cli import main; main()' listen can --interface socketcan --channel vcan0"
 TIMEOUT_S = 900.0
 SECONDS = 20
+TABLES = {name: json.dumps({"carriage": name, "heartbeat_ms": 100}) for name in ("raw", "isotp")}
 EARLY, LATE = 200, 50
 """Events before the order to stop, and after it."""
 BURST = 100
@@ -53,18 +53,14 @@ class Seen:
     heard: dict[str, Any]
 
 
-def stream() -> Events:
-    rng = np.random.default_rng(5)
-    events = np.zeros(EARLY + LATE, EVENT)
-    events["t"] = 500_000 + np.cumsum(rng.exponential(8000, len(events))).astype(np.uint64)
-    events["t"][EARLY:] += 14_000_000
-    events["x"], events["y"] = rng.integers(0, 346, len(events)), rng.integers(0, 260, len(events))
-    events["on"] = rng.integers(0, 2, len(events))
-    return events
+def stream():
+    times = 500_000 + np.cumsum(np.random.default_rng(5).exponential(8000, EARLY + LATE)).astype(np.uint64)
+    times[EARLY:] += 14_000_000
+    return scattered(times)
 
 
 @pytest.fixture(scope="module")
-def vcan(guest: Guest) -> Iterator[str]:
+def vcan(guest):
     for module in ("vcan", "can-raw", "can-isotp"):
         guest.load(module)
     guest.check(["ip", "link", "add", "dev", "vcan0", "type", "vcan"])
@@ -74,7 +70,7 @@ def vcan(guest: Guest) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def seen(guest: Guest, vcan: str) -> Seen:
+def seen(guest, vcan):
     """Run the link for some seconds; cansend says SYNC twice, then stop. Link and listener start at the same time."""
     events = stream()
     np.save(guest.results / "events.npy", events)
@@ -83,7 +79,7 @@ def seen(guest: Guest, vcan: str) -> Seen:
     dump = guest.start(["sh", "-c", f"candump -L {vcan} > {at('log')} & {until_done}"], TIMEOUT_S)
     listening = f"{LISTEN} --json > {at('heard')} 2> {at('listening')} &"
     listener = guest.start(["sh", "-c", f"{listening} {until_done}"], TIMEOUT_S)
-    run = f"{PYTHON} {CLIENT} {vcan} raw {at('events.npy')} {at('report')} {SECONDS} {at('begin')}"
+    run = f"{PYTHON} {CLIENT} {vcan} {at('events.npy')} {at('report')} '{TABLES['raw']}' {SECONDS} {at('begin')}"
     link = guest.start(["sh", "-c", f"{run} || {{ touch {at('failed')}; exit 1; }}"], TIMEOUT_S)
     is_open = f"until grep -q 'CAN bus\\|Error' {at('listening')}; do sleep 0.2; done; sleep 3; touch {at('begin')}"
     guest.check(["sh", "-c", is_open], TIMEOUT_S)
@@ -105,7 +101,7 @@ def seen(guest: Guest, vcan: str) -> Seen:
     )
 
 
-def test_candump_logs_what_the_link_says_it_sent(seen: Seen) -> None:
+def test_candump_logs_what_the_link_says_it_sent(seen):
     ours = [line for line in seen.log if int(line.split("#")[0], 16) not in (IDS.sync, IDS.nmt)]
     assert ours == seen.told["sent"]
     receiver = RawReceiver(IDS.events, IDS.epoch)
@@ -114,7 +110,7 @@ def test_candump_logs_what_the_link_says_it_sent(seen: Seen) -> None:
     assert seen.told["delivered"] == EARLY
 
 
-def test_cansend_is_obeyed(seen: Seen) -> None:
+def test_cansend_is_obeyed(seen):
     assert seen.told["syncs"] == [7, 8]
     assert 150_000 < seen.told["sync_us"][1] - seen.told["sync_us"][0] < 14_000_000
     assert seen.told["counts"]["NMT orders"] == 1
@@ -124,14 +120,14 @@ def test_cansend_is_obeyed(seen: Seen) -> None:
     assert seen.log[-1] == f"{IDS.heartbeat:03X}#04" or seen.log[-1].startswith(f"{IDS.epoch:03X}#")
 
 
-def test_our_listener_heard_every_event(seen: Seen) -> None:
+def test_our_listener_heard_every_event(seen):
     assert seen.heard["events"] == EARLY
     assert seen.heard["digest"] == digest_of(seen.events[:EARLY])
     assert seen.heard["faults"] == 0
 
 
 @pytest.mark.long
-def test_a_bus_that_is_down_is_named_with_its_cure(guest: Guest, vcan: str) -> None:
+def test_a_bus_that_is_down_is_named_with_its_cure(guest, vcan):
     guest.check(["ip", "link", "set", vcan, "down"])
     try:
         finished = guest.run(["sh", "-c", LISTEN], TIMEOUT_S)
@@ -151,26 +147,26 @@ class SeenByKernel:
     requests: list[RequestId]
 
 
-def packets_in(dump: Path) -> list[bytes]:
+def packets_in(dump):
     """Return what isotprecv has written so far: a packet a line, in hexadecimal."""
     lines = dump.read_text().splitlines(keepends=True) if dump.exists() else []
     return [bytes.fromhex(line) for line in lines if line.endswith("\n")]
 
 
-def messages_in(packets: list[bytes]) -> list[Message]:
+def messages_in(packets):
     unwrapper = Profile("ccsds").unwrapper()
     messages = [received.message for packet in packets for received in unwrapper.push(packet)]
     assert (unwrapper.counters.packets, unwrapper.counters.missing) == (len(packets), 0)
     return messages
 
 
-def events_in(packets: list[bytes]) -> Events:
+def events_in(packets):
     blocks = [decode_block(m.payload, m.t_us) for m in messages_in(packets) if m.kind is MessageKind.EVENTS]
     return np.concatenate([empty_events(), *(block.events for block in blocks)])
 
 
 @pytest.fixture(scope="module")
-def seen_by_kernel(guest: Guest, vcan: str) -> SeenByKernel:
+def seen_by_kernel(guest, vcan):
     """Run the link for some seconds; isotpsend says ping while blocks come, and stop when all have."""
     events = stream()
     events["t"][:BURST] = events["t"][BURST] - 10 * np.arange(BURST, 0, -1, dtype=np.uint64)
@@ -179,12 +175,12 @@ def seen_by_kernel(guest: Guest, vcan: str) -> SeenByKernel:
     sides = f"-s {IDS.telecommand:X} -d {IDS.telemetry:X} {vcan}"
     receive = f"stdbuf -oL isotprecv -l {sides} > {at('packets')} &"
     listens = f"until grep -q ' {IDS.telemetry:x} ' /proc/net/can/rcvlist_sff; do sleep 0.1; done"
-    run = f"{PYTHON} {CLIENT} {vcan} isotp {at('burst.npy')} {at('isotp-report')} {SECONDS}"
+    run = f"{PYTHON} {CLIENT} {vcan} {at('burst.npy')} {at('isotp-report')} '{TABLES['isotp']}' {SECONDS}"
     link = guest.start(
         ["sh", "-c", f"{receive} {listens}; {run}; code=$?; kill $!; touch {at('over')}; exit $code"], TIMEOUT_S
     )
 
-    def wait_for(count: int) -> None:
+    def wait_for(count):
         while len(events_in(packets_in(dump))) < count:
             if over.exists():
                 pytest.fail(f"{len(events_in(packets_in(dump)))} of {count} events came: {link.wait()}")
@@ -203,7 +199,7 @@ def seen_by_kernel(guest: Guest, vcan: str) -> SeenByKernel:
 
 
 @pytest.mark.long
-def test_the_kernels_isotp_takes_every_packet_byte_for_byte(seen_by_kernel: SeenByKernel) -> None:
+def test_the_kernels_isotp_takes_every_packet_byte_for_byte(seen_by_kernel):
     packets = seen_by_kernel.packets
     assert [packet.hex() for packet in packets] == seen_by_kernel.told["packets"]
     # A block tells the events of one microsecond in raster order.
@@ -213,7 +209,7 @@ def test_the_kernels_isotp_takes_every_packet_byte_for_byte(seen_by_kernel: Seen
 
 
 @pytest.mark.long
-def test_telecommands_from_the_kernels_isotp_are_obeyed_and_answered(seen_by_kernel: SeenByKernel) -> None:
+def test_telecommands_from_the_kernels_isotp_are_obeyed_and_answered(seen_by_kernel):
     messages = messages_in(seen_by_kernel.packets)
     verified = [m.payload for m in messages if m.kind is MessageKind.VERIFICATION]
     stages = (Stage.ACCEPTANCE, Stage.COMPLETION)

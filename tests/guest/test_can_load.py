@@ -11,7 +11,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,21 +18,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT, Events
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings
 from tests.firmware_protocol.telemetry.slow_decoder import decode
-from tests.guest.machine import CACHE, Guest
+from tests.guest.machine import CACHE
+from tests.made_events import scattered
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1700)]
 
-CLIENT = str(Path(__file__).with_name("clients") / "can_load.py")
+CLIENT = str(Path(__file__).with_name("clients") / "can_link.py")
 TIMEOUT_S = 1500.0
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = {
-    "NUMBA_CACHE_DIR": str(CACHE / "numba"),
-    "NUMBA_CPU_NAME": "generic",
-    "NUMBA_CPU_FEATURES": "",
-}
+ENVIRONMENT = {"NUMBA_CACHE_DIR": str(CACHE / "numba"), "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 """Of a link that makes blocks: guest and host use code for the same processor, and the host compiles it."""
 WIDTH, HEIGHT = 346, 260
 MANY, FEWER, FEW = 200_000, 50_000, 4_000
@@ -73,20 +68,15 @@ class Read:
     dropped: int = 0
 
 
-def stream(count: int) -> Events:
+def stream(count):
     """Return events, some at the same time and some after a silence longer than a frame's time can tell."""
-    rng = np.random.default_rng(11)
-    gaps = rng.exponential(7, count).astype(np.uint64)
+    gaps = np.random.default_rng(11).exponential(7, count).astype(np.uint64)
     gaps[3000::5000] += 70_000
-    events = np.zeros(count, EVENT)
-    events["t"] = 1000 + np.cumsum(gaps)
-    events["x"], events["y"] = rng.integers(0, WIDTH, count), rng.integers(0, HEIGHT, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return scattered(1000 + np.cumsum(gaps), (WIDTH, HEIGHT))
 
 
 @pytest.fixture
-def vcan(guest: Guest) -> Iterator[str]:
+def vcan(guest):
     guest.check(["modprobe", "-d", str(guest.kernel.tree), "vcan", "echo=1"])
     for module in ("can-raw", "can-isotp", "sch-tbf"):
         guest.load(module)
@@ -97,13 +87,7 @@ def vcan(guest: Guest) -> Iterator[str]:
     guest.run(["ip", "link", "del", "vcan0"])
 
 
-def run_link(
-    guest: Guest,
-    events: Events,
-    table: dict[str, Any],
-    *,
-    frames_a_second: int,
-) -> Seen:
+def run_link(guest, events, table, *, frames_a_second):
     """Run the link on a bus of so many frames a second, while another node sends too."""
     np.save(guest.results / "load.npy", events)
     at, fd = guest.path_in_guest, table.get("fd", False)
@@ -123,7 +107,7 @@ def run_link(
         "until grep -q vcan0 /proc/net/can/rcvlist_all; do sleep 0.1; done",
         f"until grep -q ' {TELEMETRY:x} ' /proc/net/can/rcvlist_sff; do sleep 0.1; done" if isotp else "true",
         f"taskset 1 sh -c '{OTHER_NODE}' & other=$!",
-        f"{variables} taskset 1 {sys.executable} {CLIENT} vcan0 {at('load.npy')} report '{json.dumps(table)}'",
+        f"{variables} taskset 1 {sys.executable} {CLIENT} vcan0 {at('load.npy')} report '{json.dumps(table)}' 0",
         "code=$?; sleep 1; kill $other $peer; sleep 1; kill $dump; wait",
         f"touch packets; cp log packets report {at('')}; rm -f packets; exit $code",
     ]
@@ -137,7 +121,7 @@ def run_link(
     )
 
 
-def parsed(line: str) -> Line:
+def parsed(line):
     """Read "(1700000000.123456) vcan0 1A2#0011" or "... 1A2##10011", as `candump -L` writes them."""
     time, _, frame = line.split()
     seconds, _, micros = time.strip("()").partition(".")
@@ -146,13 +130,13 @@ def parsed(line: str) -> Line:
     return Line(int(seconds) * 1_000_000 + int(micros), int(identifier, 16), bytes.fromhex(data))
 
 
-def near(low: int, bits: int, reference: int) -> int:
+def near(low, bits, reference):
     """Return the number with these low bits that is nearest to a reference."""
     base = reference - (reference & (1 << bits) - 1) + low
     return min((base - (1 << bits), base, base + (1 << bits)), key=lambda n: abs(n - reference))
 
 
-def read_raw(log: list[Line]) -> Read:
+def read_raw(log):
     """Read events, epoch and clock frames; a tick is 1 us here."""
     read, reference, seq = Read(), 0, -1
     for line in log:
@@ -171,7 +155,7 @@ def read_raw(log: list[Line]) -> Read:
     return read
 
 
-def fd_events(data: bytes, reference: int) -> tuple[list[tuple[int, int, int, int]], int]:
+def fd_events(data, reference):
     t, seq, n = near(int.from_bytes(data[:4], "little"), 32, reference), data[4], data[5]
     events = []
     for k in range(n):
@@ -184,7 +168,7 @@ def fd_events(data: bytes, reference: int) -> tuple[list[tuple[int, int, int, in
     return events, seq
 
 
-def read_packets(packets: list[bytes]) -> list[tuple[int, int, int, int]]:
+def read_packets(packets):
     """Read space packets of profile `ccsds`, each with a block of events behind 20 octets of headers."""
     events = []
     for number, packet in enumerate(packets):
@@ -195,7 +179,7 @@ def read_packets(packets: list[bytes]) -> list[tuple[int, int, int, int]]:
     return events
 
 
-def in_order(events: Events | list[tuple[int, int, int, int]]) -> np.ndarray[Any, Any]:
+def in_order(events):
     """Return events as rows t, x, y, on; those of one microsecond in raster order, as blocks have them."""
     rows = np.array([tuple(event) for event in events], np.int64).reshape(-1, 4)
     return rows[np.lexsort((rows[:, 2] * WIDTH + rows[:, 1], rows[:, 0]))]
@@ -212,24 +196,24 @@ OTHER_NODE = f"exec cangen -g 40 -I {LOAD:X} -L 8 -D r -p 1000 vcan0"
 
 
 @pytest.fixture
-def compiled() -> None:
+def compiled():
     """Compile the encoder of blocks here; it would take minutes in the guest."""
     program = "from tests.guest.test_can_load import compile_blocks; compile_blocks()"
     subprocess.run([sys.executable, "-c", program], env=os.environ | ENVIRONMENT, cwd=ROOT, check=True)
 
 
-def compile_blocks() -> None:
+def compile_blocks():
     BlockEncoder((WIDTH, HEIGHT), BlockSettings()).encode(stream(2))
 
 
-def check_all_came(seen: Seen, got: list[tuple[int, int, int, int]], events: Events) -> None:
+def check_all_came(seen, got, events):
     assert np.array_equal(in_order(got), in_order(events))
     assert (seen.told["delivered"], sum(seen.told["lost"].values())) == (len(events), 0)
     assert seen.told["counts"].get("bus had no room", 0) > 0, "the bus was never full"
 
 
 @pytest.mark.parametrize(("count", "rate"), [(FEW, 40), pytest.param(MANY, 100, marks=pytest.mark.long)])
-def test_a_full_fd_bus_with_another_sender_loses_no_event(guest: Guest, vcan: str, count: int, rate: int) -> None:
+def test_a_full_fd_bus_with_another_sender_loses_no_event(guest, vcan, count, rate):
     events = stream(count)
     seen = run_link(guest, events, CARRIAGES["raw-fd"], frames_a_second=rate)
     read = read_raw(seen.log)
@@ -240,7 +224,7 @@ def test_a_full_fd_bus_with_another_sender_loses_no_event(guest: Guest, vcan: st
 
 @pytest.mark.long
 @pytest.mark.parametrize("carriage", ["isotp", "isotp-fd"])
-def test_blocks_on_a_full_bus_lose_no_event(guest: Guest, vcan: str, compiled: None, carriage: str) -> None:
+def test_blocks_on_a_full_bus_lose_no_event(guest, vcan, compiled, carriage):
     events = stream(MANY if carriage == "isotp-fd" else FEWER)
     seen = run_link(guest, events, CARRIAGES[carriage], frames_a_second=100)
     check_all_came(seen, read_packets(seen.packets), events)

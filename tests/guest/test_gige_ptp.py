@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 
 from tests.guest.conftest import cannot
-from tests.guest.gige_run import GigeRun, looped_1280x720
 from tests.guest.image import GuestUnavailable
 from tests.guest.own_network import CAMERA, HOST
 
@@ -52,12 +51,8 @@ def master(tmp_path, ends):
 
 
 @pytest.fixture
-def camera(tmp_path, ends):
-    looped = looped_1280x720(500_000)
-    looped.events["t"] *= 10
-    made = GigeRun(tmp_path, looped, LINK, ends[0].inside)
-    yield made
-    made.kill()
+def camera(ends, start_gige):
+    return start_gige(LINK, inside=ends[0].inside)
 
 
 def _mac(network):
@@ -95,5 +90,4 @@ def test_aravis_has_the_camera_follow_ptp4l(ends, master, camera):
     assert all(-GENEROUS_NS < age_ns < 100e9 for age_ns in seen["ages_ns"]), seen["ages_ns"]
     assert len(seen["ages_ns"]) > 0
     summary, _ = camera.stop()
-    assert summary["balanced"]
     assert summary["links"]["gige"]["counts"]["ptp syncs measured"] > READINGS // 2

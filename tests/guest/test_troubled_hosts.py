@@ -1,18 +1,13 @@
 """Hosts that do what they should not: two drivers at once, and a machine that stands still while it streams."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from emulator.run.control import send_request, sockets
 from tests.guest.attachment import Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS
-from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
-from tests.guest.streaming import Seen, Streaming
+from tests.guest.streaming import Streaming
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
@@ -21,21 +16,18 @@ EVENTS = 900_000
 SUSPENDED_S = 12.0  # of stream time: the events of that are more than the FIFO and all buffers of both machines hold
 
 
-def assert_all_seen(seen: Seen, rig: RunningRig) -> None:
+def assert_all_seen(seen, rig):
     delivered = rig.delivered
-    events = delivered.events[delivered.resets[-1] :]
+    events = delivered.last
     assert_same(seen.events, events, offset_us=int(seen.events["t"][0]) - int(events["t"][0]))
-    assert rig.summary["balanced"], rig.summary
 
 
-def stream_time_s() -> float:
+def stream_time_s():
     return float(send_request(sockets()[0], {"request": "faults"})["t_s"])
 
 
 @pytest.mark.long
-def test_two_drivers_at_once_do_no_harm_to_the_next(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
-) -> None:
+def test_two_drivers_at_once_do_no_harm_to_the_next(guest, driver_pythons, tmp_path):
     # neuromorphic_drivers takes the camera from a driver that streams, and starts its clock anew: that is the host's
     # affair, and both see a part of the events.
     over = guest.results / "second-driver-is-done"
@@ -54,9 +46,7 @@ def test_two_drivers_at_once_do_no_harm_to_the_next(
 
 
 @pytest.mark.long
-def test_a_host_that_stood_still_goes_on_with_all_that_was_delivered(
-    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_host_that_stood_still_goes_on_with_all_that_was_delivered(guest, driver_pythons, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
         # After it has stood still, a machine of QEMU lets a sleeping client wait for seconds while its USB goes on:

@@ -6,23 +6,18 @@ Each fault alone with each driver:
     EVSTIM_EVERY_FAULT=1 python -m pytest tests/guest/test_usb_faults.py
 """
 
-from __future__ import annotations
-
 import json
 import os
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from emulator.run.control import send_request, sockets
-from firmware_protocol.events import Events
 from tests.guest.attachment import Attachment
-from tests.guest.environments import DRIVERS, Driver
-from tests.guest.machine import Guest
+from tests.guest.environments import DRIVERS
 from tests.guest.running_rig import RunningRig
-from tests.guest.streaming import Seen, Streaming
+from tests.guest.streaming import Streaming
 from tests.guest.turns import Turns, long_but, selected
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(3600)]  # the first test waits for all turns
@@ -51,7 +46,7 @@ ENDS = {("dv2", "missed_wraps"), ("dv2", "time_back"), *((driver.name, "usb_stal
 UNSETTLED = {("dv2", "odd_bytes_missing"), ("dv2", "odd_bytes_extra")}
 
 
-def outcome(driver: Driver, seen: Seen, delivered: Events, fault: dict[str, object]) -> dict[str, object]:
+def outcome(driver, seen, delivered, fault):
     """What a driver saw beside what a sound receiver must have seen."""
     if not len(seen.events):
         return {"seen": 0, "running": seen.about.get("running")}
@@ -67,7 +62,7 @@ def outcome(driver: Driver, seen: Seen, delivered: Events, fault: dict[str, obje
     }  # fmt: skip
 
 
-def inject(name: str) -> None:
+def inject(name):
     """Ask the only run to let the fault begin."""
     answer = send_request(sockets()[0], {"request": "inject", "fault": FAULTS[name]})
     assert answer.get("link") == "usbip", answer
@@ -89,13 +84,13 @@ ALONE = [(who, (name,)) for who, name in (ALL if os.environ.get("EVSTIM_EVERY_FA
 class Exposed:
     """Drivers that stream on one run while faults begin, one driver after another."""
 
-    def __init__(self, guest: Guest, pythons: dict[str, Path], rig: RunningRig, exposures: Sequence[Exposure]) -> None:
+    def __init__(self, guest, pythons, rig, exposures):
         self._guest, self._pythons, self._rig = guest, pythons, rig
         self._injected = 0
-        self._faults: dict[Exposure, slice] = {}
+        self._faults = {}
         self._turns = Turns(rig, exposures, self._expose)
 
-    def faults(self, exposure: Exposure) -> dict[str, dict[str, object]]:
+    def faults(self, exposure):
         """Return what the run reports of each fault, by kind."""
         reported = self._rig.summary["links"]["usbip"]["faults"][self._faults[exposure]]
         faults = {fault["kind"]: fault for fault in reported}
@@ -103,14 +98,13 @@ class Exposed:
         assert min(fault["hits"] for fault in reported) > 0, faults
         return faults
 
-    def outcome(self, exposure: Exposure) -> dict[str, object]:
+    def outcome(self, exposure):
         """Return what the driver saw beside what it must have seen; see `outcome`."""
-        assert self._rig.summary["balanced"], self._rig.summary
         who, names = exposure
         seen, fault = self._turns.result(exposure), self.faults(exposure)[FAULTS[names[0]]["kind"]]
         return outcome(NAMED[who], seen, self._turns.delivered(exposure).events, fault)
 
-    def _expose(self, exposure: Exposure) -> Seen:
+    def _expose(self, exposure):
         who, names = exposure
         self._faults[exposure] = slice(self._injected, self._injected + len(names))
         self._inject(name for name in names if name in AT_NEXT_START)
@@ -120,26 +114,21 @@ class Exposed:
             self._inject(name for name in names if name not in AT_NEXT_START)
             return streaming.wait()
 
-    def _inject(self, names: Iterable[str]) -> None:
+    def _inject(self, names):
         for name in names:
             inject(name)
             self._injected += 1
 
 
 @pytest.fixture(scope="module")
-def exposed(
-    request: pytest.FixtureRequest,
-    guest: Guest,
-    driver_pythons: dict[str, Path],
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Exposed:
+def exposed(request, guest, driver_pythons, tmp_path_factory):
     folder = tmp_path_factory.mktemp("faults")
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("XDG_RUNTIME_DIR", str(folder))
         return Exposed(guest, driver_pythons, RunningRig(folder), selected(request, "exposure"))
 
 
-def name_of(exposure: Exposure) -> str:
+def name_of(exposure):
     who, names = exposure
     return who if len(names) > 1 else f"{who}-{names[0]}"
 
@@ -147,7 +136,7 @@ def name_of(exposure: Exposure) -> str:
 @pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize("exposure", TOGETHER, ids=name_of)
-def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(exposed: Exposed, exposure: Exposure) -> None:
+def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(exposed, exposure):
     found = exposed.outcome(exposure)
     assert (found["missing"], found["others"], found["running"]) == (0, 0, True), found
     assert found["seen"] - found["delivered"] == exposed.faults(exposure)["repeated_events"]["hits"], found
@@ -155,7 +144,7 @@ def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(exposed: Expo
 
 @pytest.mark.long
 @pytest.mark.parametrize("exposure", long_but(SHORT, ALONE), ids=name_of)
-def test_a_driver_meets_a_fault(exposed: Exposed, exposure: Exposure) -> None:
+def test_a_driver_meets_a_fault(exposed, exposure):
     who, (name,) = exposure
     found = exposed.outcome(exposure)
     if log := os.environ.get("EVSTIM_FAULT_OUTCOMES"):

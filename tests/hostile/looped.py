@@ -4,13 +4,9 @@ The truth is arithmetic on the recording alone: event k of an endless loop over 
 (n - 1) * gap_us, is event k mod n, later by (k // n) * n * gap_us.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 
-from firmware_protocol.events import EVENT, Events, copy_events, join_events
+from firmware_protocol.events import EVENT, copy_events, join_events
 from tests.npz_records import save_record
 
 __all__ = ["Follower", "Looped"]
@@ -20,7 +16,7 @@ _ALIKE = 64
 
 
 class Looped:
-    """`count` events at random times, `gap_us` apart on average, at random pixels of a 346 x 260 sensor.
+    """`count` events at random times, `gap_us` apart on average, at random pixels of a sensor, of 346 x 260 by default.
 
     Attributes
     ----------
@@ -28,21 +24,21 @@ class Looped:
     round_us : length of a round.
     """
 
-    def __init__(self, count: int, gap_us: int, seed: int = 1) -> None:
-        draw = np.random.default_rng(seed)
+    def __init__(self, count, gap_us, size=(346, 260)):
+        draw = np.random.default_rng(1)
         last_us = (count - 1) * gap_us
         self.round_us = count * gap_us
         self.events = np.zeros(count, EVENT)
         self.events["t"] = np.sort(draw.integers(0, last_us, count, endpoint=True))
         self.events["t"][0], self.events["t"][-1] = 0, last_us
-        self.events["x"], self.events["y"] = draw.integers(0, 346, count), draw.integers(0, 260, count)
+        self.events["x"], self.events["y"] = draw.integers(0, size[0], count), draw.integers(0, size[1], count)
         self.events["on"] = draw.integers(0, 2, count)
 
-    def save(self, path: Path) -> None:
+    def save(self, path):
         """Write it as `--record` does."""
         save_record(path, self.events, [])
 
-    def stretch(self, first: int, count: int) -> Events:
+    def stretch(self, first, count):
         """Return `count` events of the endless loop from number `first` on, in time since its beginning."""
         pieces = []
         while count:
@@ -53,7 +49,7 @@ class Looped:
             first, count = first + len(piece), count - len(piece)
         return join_events(pieces)
 
-    def place_of(self, seen: Events) -> int:
+    def place_of(self, seen):
         """Return the number, in the first round, of the event that `seen` (n,) begins with; n is at least 64."""
         head = seen[:_ALIKE]
         alike = (self.events["x"] == head["x"][0]) & (self.events["y"] == head["y"][0])
@@ -71,14 +67,14 @@ class Follower:
     last_us : time of the last in the reader's time.
     """
 
-    def __init__(self, looped: Looped) -> None:
+    def __init__(self, looped):
         self._looped = looped
         self._held = np.zeros(0, EVENT)
-        self._first: int | None = None
+        self._first = None
         self._offset_us = 0
         self.seen = self.last_us = 0
 
-    def take(self, events: Events) -> None:
+    def take(self, events):
         """Compare the next events, (n,) EVENT in the reader's time."""
         if self._first is None:
             self._held = events = np.concatenate([self._held, events])
@@ -98,7 +94,7 @@ class Follower:
         self.last_us = int(events["t"][-1])
 
 
-def _same(some: Events, others: Events) -> bool:
+def _same(some, others):
     """Tell whether events are alike in all but when the first came."""
     gaps = np.array_equal(np.diff(some["t"]), np.diff(others["t"]))
     return gaps and np.array_equal(some[["x", "y", "on"]], others[["x", "y", "on"]])

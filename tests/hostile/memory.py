@@ -1,7 +1,5 @@
 """Resident memory of processes over a long run, and how it grows."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
@@ -12,7 +10,7 @@ __all__ = ["MemoryLog", "resident_bytes"]
 MIB = 1 << 20
 
 
-def resident_bytes(pid: int | None) -> int:
+def resident_bytes(pid):
     """Return the resident memory of a process, of this one for None (VmRSS of /proc/PID/status)."""
     status = Path(f"/proc/{'self' if pid is None else pid}/status").read_text()
     return next(int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmRSS"))
@@ -21,46 +19,23 @@ def resident_bytes(pid: int | None) -> int:
 class MemoryLog:
     """Samples of the resident memory of `processes` (name to process number), at most one each `period_s`."""
 
-    def __init__(self, processes: dict[str, int | None], period_s: float = 1.0) -> None:
+    def __init__(self, processes, period_s=1.0):
         self._processes = processes
         self._period_s = period_s
         self._next_s = time.monotonic()
-        self._rows: list[tuple[float, ...]] = []
+        self._rows = []
 
-    @property
-    def newest(self) -> str:
-        """The last sample in MiB."""
-        row = zip(self._processes, self._rows[-1][1:], strict=True)
-        return ", ".join(f"{name} {value / 2**20:.1f} MiB" for name, value in row)
-
-    def due(self) -> bool:
+    def due(self):
         """Tell whether a sample is due."""
         return time.monotonic() >= self._next_s
 
-    def sample(self, progress: float) -> None:
+    def sample(self, progress):
         """Take one at `progress`, such as the number of events so far."""
         self._next_s = time.monotonic() + self._period_s
         self._rows.append((float(progress), *(float(resident_bytes(pid)) for pid in self._processes.values())))
 
-    def slopes(self) -> dict[str, float]:
-        """Return bytes per unit of progress of each process over the second half of the run, by least squares."""
-        rows = np.array(self._rows)
-        late = rows[rows[:, 0] >= rows[-1, 0] / 2]
-        if len(late) < 2:
-            return dict.fromkeys(self._processes, 0.0)
-        return {name: float(np.polyfit(late[:, 0], late[:, k], 1)[0]) for k, name in enumerate(self._processes, 1)}
-
-    def grown(self) -> dict[str, float]:
+    def grown(self):
         """Return by how many bytes the largest sample of the second half exceeds the smallest of it."""
         rows = np.array(self._rows)
         late = rows[rows[:, 0] >= rows[-1, 0] / 2]
         return {name: float(np.ptp(late[:, k])) for k, name in enumerate(self._processes, 1)}
-
-    def told(self) -> list[str]:
-        """Return a line for each process."""
-        last, grown = np.array(self._rows)[-1], self.grown()
-        return [
-            f"{name:8} {last[k] / MIB:.1f} MiB at the end; over the second half {slope * 1e9 / MIB:+.3f} MiB for each "
-            f"1e9 of progress, {grown[name] / MIB:.2f} MiB between least and most"
-            for k, (name, slope) in enumerate(self.slopes().items(), 1)
-        ]

@@ -1,7 +1,5 @@
 """A DAVIS346 whose host writes anything to its registers while events, frames, samples and edges come.
 
-    python -m tests.hostile.register_writes 1e6
-
 The registers are written one by one or many at once, with 0, all ones and random values; a part of the writes go to
 registers that can only be read or do not exist. Beside them the host flushes, asks for a log level, and sends requests
 that are refused. After each batch the run bits are set in two cases of three, and in half of these all filters, regions
@@ -13,8 +11,6 @@ read every event, frame, sample and edge.
 
 from __future__ import annotations
 
-import sys
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,7 +24,7 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.davis346.registers import registers
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.events import EDGE, EdgeKind
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.frames import LineKind
 from firmware_protocol.fx3.registers import Access, SystemInfo
 from firmware_protocol.usb.device import Stall
@@ -67,7 +63,7 @@ class _FrameInTransit:
 
     lines: list[np.ndarray] = field(default_factory=list)
 
-    def take(self, record: np.ndarray) -> np.ndarray | None:
+    def take(self, record):
         """Take a line, (1,) of `line_record`; return all lines of a frame that is whole with it."""
         if int(record["kind"][0]) == LineKind.START:
             self.lines = []
@@ -83,7 +79,7 @@ class _FrameInTransit:
 class Campaign:
     """A camera, its sensor's parts, and a host that knows no manners."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed):
         self.camera = Davis346(Davis346Settings(frames=True, imu_unit=2, start_delay_us=50))
         self.host = Host(self.camera)
         self.counts = Counts()
@@ -99,7 +95,7 @@ class Campaign:
 
     # --- the host
 
-    def batch(self, count: int) -> None:
+    def batch(self, count):
         """Write `count` registers, send other requests, let time pass and read."""
         writes = [self._any_write() for _ in range(count)]
         setting = self._draw.random()
@@ -118,12 +114,12 @@ class Campaign:
         self._read_back(writes)
         self.step(int(self._draw.choice([50, 2000, 40_000, 40_000])), reads=self._draw.random() < 0.9)
 
-    def _any_write(self) -> tuple[int, int, int]:
+    def _any_write(self):
         kinds = (0, 0xFFFFFFFF, int(self._draw.integers(1 << 32)), int(self._draw.integers(512)))
         keys = KEYS if self._draw.random() < 0.98 else ABSENT
         return (*keys[int(self._draw.integers(len(keys)))], kinds[int(self._draw.integers(4))])
 
-    def _expect(self, module: int, address: int, value: int) -> None:
+    def _expect(self, module, address, value):
         """Note what the register must read now; a reader of the stream begins anew where time does."""
         key = module, address
         if key not in WRITABLE:
@@ -132,7 +128,7 @@ class Campaign:
         if key == TIMESTAMP_RUN and self._expected[key] > before:
             self.host.decoder, self._transit = Decoder(SIZE), _FrameInTransit()
 
-    def _any_requests(self) -> None:
+    def _any_requests(self):
         wrong = ((0xBF, 0, 0, b"\0"), (0xC2, 3, 0, b"\0" * 6), (0xB9, 0, 0, b""), (0xBE, 1, 0, b"\0" * 64))
         for request in ((0xC6, 0, 0, b""), (0xB1, 4, 0, b""), *wrong):
             if self._draw.random() < 0.1:
@@ -142,7 +138,7 @@ class Campaign:
                     self.counts.refused += 1
                     assert request in wrong, request
 
-    def _read_back(self, writes: list[tuple[int, int, int]]) -> None:
+    def _read_back(self, writes):
         """Every register that was written, and every one in one case of fifty."""
         asked = {(module, address) for module, address, _ in writes}
         for key in KEYS + ABSENT if self._draw.random() < 0.02 else asked:
@@ -152,16 +148,17 @@ class Campaign:
 
     # --- what the camera sees and sends
 
-    def step(self, step_us: int, *, reads: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, step_us, *, reads=True):
         """Let time pass with everything going on; return the events and edges that were offered."""
         now_us = self.camera.now_us
         until_us = now_us + step_us
         for source in self._sources:
             settings = self.camera.reading_settings(source.kind)
             self.camera.offer_readings(source.kind, source.read(LightFrame(until_us * 1000, self._light), settings))
-        edges = np.zeros(4, EDGE)
-        edges["t"] = np.linspace(now_us + 1, until_us, 4).astype(np.uint64)
-        edges["kind"] = EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.FALLING
+        edges = make_edges(
+            np.linspace(now_us + 1, until_us, 4).astype(np.uint64),
+            (EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.FALLING),
+        )
         self.camera.offer_edges(edges)
         events = steady(25, now_us + 1, max(1, step_us // 26), int(self._draw.integers(1000)))
         self.camera.offer(events)
@@ -172,7 +169,7 @@ class Campaign:
         self.check_ledgers()
         return events, edges
 
-    def read(self) -> None:
+    def read(self):
         """Read all there is; what is decoded must be what the camera says."""
         while (transfer := self.camera.read(2, int(self._draw.choice([62, 512, 8192, 131072])))) is not None:
             self.camera.sent(transfer)
@@ -189,7 +186,7 @@ class Campaign:
             self.counts.samples += len(told)
         assert self.host.decoder.faults.total == 0, self.host.decoder.faults
 
-    def _check_frames(self, seen: tuple, lines: list[np.ndarray]) -> None:
+    def _check_frames(self, seen, lines):
         whole = [frame for frame in map(self._transit.take, lines) if frame is not None]
         assert len(seen) == len(whole)
         for read, told in zip(seen, whole, strict=True):
@@ -197,11 +194,10 @@ class Campaign:
             assert (read.exposure_cycles, read.end_us) == (int(head["exposure"]), end_us)
             assert read.roi == tuple(head["roi"].tolist())
             for kind, got in ((LineKind.RESET, read.reset), (LineKind.SIGNAL, read.signal)):
-                of_kind = told[told["kind"] == kind]
-                assert np.array_equal(of_kind["samples"][:, : got.shape[0]].T, got)
+                assert np.array_equal(told[told["kind"] == kind]["samples"][:, : got.shape[0]].T, got)
         self.counts.frames += len(seen)
 
-    def check_ledgers(self) -> None:
+    def check_ledgers(self):
         """Everything that was offered has exactly one fate, and the sensor's figures stay figures."""
         counters = self.camera.counters
         assert counters.offered == counters.accounted, counters
@@ -212,7 +208,7 @@ class Campaign:
 
     # --- afterwards
 
-    def assert_exact_again(self, steps: int = 120) -> None:
+    def assert_exact_again(self, steps=120):
         """Start the camera as drivers do; it must then send everything that comes in `steps` of 1 ms, and no more."""
         self.start_anew()
         dropped = self.camera.counters.dropped_fifo
@@ -225,7 +221,7 @@ class Campaign:
         assert self.camera.counters.dropped_fifo == dropped
         assert self.host.decoder.frames_incomplete == 0
 
-    def start_anew(self) -> None:
+    def start_anew(self):
         """Do what drivers do when they open a camera in any state."""
         self.host.write_all(STOP)
         self.step(10_000)  # as libcaer waits; the sensor's parts hear of registers once a step
@@ -236,21 +232,3 @@ class Campaign:
         self.host.decoder, self._transit = Decoder(SIZE), _FrameInTransit()
         self.step(1000)  # through the silence after the start
         self.counts = Counts()
-
-
-def main() -> None:
-    """Run one campaign and print what happened after each 50 000 writes, and that the camera is exact then."""
-    wanted, done = int(float(sys.argv[1])), 0
-    campaign = Campaign(seed=1)
-    while done < wanted:
-        while campaign.counts.writes < 50_000:
-            campaign.batch(256)
-        done += campaign.counts.writes
-        reached = campaign.counts
-        campaign.assert_exact_again()
-        print(f"{done} writes in {time.process_time():.0f} s of processor time; of the last: {reached}", flush=True)
-        campaign.counts = Counts()
-
-
-if __name__ == "__main__":
-    main()

@@ -29,6 +29,7 @@ from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import EVENT
 from tests.forked_reader import Fork
 from tests.hostile.mutation import damaged_archive, damaged_array, damaged_bytes, damaged_text
+from tests.made_events import events_at
 from tests.npz_records import save_record
 from transports import guarded_reader
 
@@ -48,9 +49,7 @@ def npy(array):
 
 
 def events(count=500):
-    out = np.zeros(count, EVENT)
-    out["t"], out["x"], out["y"], out["on"] = np.arange(count) * 7, np.arange(count) % 346, 5, np.arange(count) % 2
-    return out
+    return events_at(np.arange(count) * 7, x=np.arange(count) % 346, y=5, on=np.arange(count) % 2)
 
 
 def record(folder):

@@ -77,7 +77,7 @@ def read(sock, size):
     return data
 
 
-def test_a_served_bus_and_its_listener():
+async def test_a_served_bus_and_its_listener():
     """Frames go on during the flood; the listener, which joined before, gets each of them in order."""
     got = []
 
@@ -89,58 +89,51 @@ def test_a_served_bus_and_its_listener():
             data += more
         got.extend(int(part.split()[1], 16) for part in data.split(b"< frame 1A2")[1:])
 
-    async def run():
-        bus = ServedBus(CanLink(port=0), MonotonicClock())
-        await bus.open()
-        port = int(bus.address.rpartition(":")[2])
-        with socket.create_connection(("127.0.0.1", port), 60) as sock:
-            sock.sendall(b"< open can0 >< rawmode >")
-            while not bus.has_listeners:
-                await asyncio.sleep(0.001)
-            listener = threading.Thread(target=listen, args=(sock,))
-            listener.start()
-            sent = 0
-            with Flood(lambda: socket.create_connection(("127.0.0.1", port), 60)) as flood:
-                while not flood.over:
-                    bus.take()
-                    while bus.send(Frame(0x1A2, sent.to_bytes(4, "big"))):
-                        sent += 1
-                    await asyncio.sleep(0.0005)
-            while not bus.send(Frame(0x7FF)):
-                await asyncio.sleep(0.001)
+    bus = ServedBus(CanLink(port=0), MonotonicClock())
+    await bus.open()
+    port = int(bus.address.rpartition(":")[2])
+    with socket.create_connection(("127.0.0.1", port), 60) as sock:
+        sock.sendall(b"< open can0 >< rawmode >")
+        while not bus.has_listeners:
+            await asyncio.sleep(0.001)
+        listener = threading.Thread(target=listen, args=(sock,))
+        listener.start()
+        sent = 0
+        with Flood(lambda: socket.create_connection(("127.0.0.1", port), 60)) as flood:
+            while not flood.over:
                 bus.take()
-            while listener.is_alive():
-                bus.take()
-                await asyncio.sleep(0.001)
-        await bus.close()
-        return sent, bus.missed, flood.done
-
-    sent, missed, done = asyncio.run(run())
+                while bus.send(Frame(0x1A2, sent.to_bytes(4, "big"))):
+                    sent += 1
+                await asyncio.sleep(0.0005)
+        while not bus.send(Frame(0x7FF)):
+            await asyncio.sleep(0.001)
+            bus.take()
+        while listener.is_alive():
+            bus.take()
+            await asyncio.sleep(0.001)
+    await bus.close()
+    missed, done = bus.missed, flood.done
     assert done == FLOOD
     assert missed == 0
     assert got == list(range(sent))
 
 
-def test_the_device_list_of_a_usbip_server():
+async def test_the_device_list_of_a_usbip_server():
     answered = []
+    server = UsbipServer({})
+    await server.start("127.0.0.1", 0)
+    port = server.port
 
-    async def run():
-        server = UsbipServer({})
-        await server.start("127.0.0.1", 0)
-        port = server.port
+    def ask_again():
+        with socket.create_connection(("127.0.0.1", port), 60) as sock:
+            sock.sendall(bytes(DeviceListRequest()))
+            answered.append(read(sock, 12))
 
-        def ask_again():
-            with socket.create_connection(("127.0.0.1", port), 60) as sock:
-                sock.sendall(bytes(DeviceListRequest()))
-                answered.append(read(sock, 12))
-
-        with Flood(lambda: socket.create_connection(("127.0.0.1", port), 60)) as flood:
-            while not (flood.over and answered):
-                await asyncio.to_thread(ask_again)
-        await server.close(linger_s=0)
-        return flood.done, server.counts
-
-    done, counts = asyncio.run(run())
+    with Flood(lambda: socket.create_connection(("127.0.0.1", port), 60)) as flood:
+        while not (flood.over and answered):
+            await asyncio.to_thread(ask_again)
+    await server.close(linger_s=0)
+    done, counts = flood.done, server.counts
     assert done == FLOOD
     assert set(answered) == {bytes.fromhex("011100050000000000000000")}
     assert counts["idle connections closed for newer ones"] > 0

@@ -12,6 +12,7 @@ from emulator.cli.app import _main
 from emulator.cli.checks import check_output
 from emulator.cli.output import Failure
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.output_file import OutputFile
@@ -35,21 +36,12 @@ def full(tmp_path):
 
 
 @pytest.fixture
-def tiny(tmp_path):
-    """A disk of 256 KiB; only root can make one."""
-    folder = tmp_path / "tiny"
-    folder.mkdir()
-    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "none", folder], capture_output=True, check=False)
-    if made.returncode:
-        pytest.skip(f"this user cannot mount a tmpfs: {made.stderr.decode().strip()}")
-    yield folder
-    subprocess.run(["umount", folder], check=True)
+def tiny(disk_of):
+    return disk_of("256k")
 
 
 def events(count, start_us=0):
-    made = np.zeros(count, EVENT)
-    made["t"] = start_us + np.arange(count)
-    return made
+    return events_at(start_us + np.arange(count))
 
 
 def test_a_record_stops_and_keeps_what_it_had(tiny):

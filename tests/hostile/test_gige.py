@@ -16,7 +16,6 @@ import pytest
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
-from firmware_protocol.events import EVENT
 from firmware_protocol.gige.control import DeviceTime
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import Register
@@ -24,6 +23,7 @@ from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.imx636.triton2_control import Triton2Control
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
 from tests.hostile.gige_datagrams import answer_limit, hostile_datagram, valid_request
+from tests.made_events import steady
 from transports.gige.answering import ControlSetup
 from transports.gige.endpoint import ControlProcess
 from transports.gige.host import GigeHost
@@ -95,11 +95,7 @@ def _resident_kb(pid):
 
 
 def _part(number, count=400):
-    draw = np.random.default_rng(number)
-    events = np.zeros(count, EVENT)
-    events["t"] = 1 + number * 5000 + np.arange(count) * 10
-    events["x"], events["y"] = draw.integers(0, 1280, count), draw.integers(0, 720, count)
-    return events
+    return steady(count, 1 + number * 5000, 10, number, (1280, 720))
 
 
 @pytest.fixture
@@ -140,7 +136,7 @@ def test_the_stream_is_exact_whatever_strangers_send(link):
     assert (report.error, report.delivered) == (None, 400 * PARTS)
 
 
-def _answer(owner: socket.socket, asked: bytes) -> bytes:
+def _answer(owner, asked):
     """Return the answer to a request, which is sent again as a host does: a flood may fill the camera's buffer."""
     for _ in range(60):
         owner.send(asked)

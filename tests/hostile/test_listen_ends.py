@@ -6,9 +6,10 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 
 import pytest
+
+from tests.waiting import until
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
@@ -28,13 +29,6 @@ PATIENT = "answer_ms = 20_000"  # ISO-TP gives up a message for which a busy mac
 KINDS = {"usbip": "port = 0", "serial": 'port = "pty"', "can": "port = {port}\n" + PATIENT}
 SMALL = "[camera.sensor]\nwidth = 64\nheight = 48"  # fewer events than the narrow links can carry
 RATES = [{"speed": 2.0, "sensor": SMALL}, {"speed": 10.0, "sensor": ""}]
-
-
-def until(condition, timeout_s=60.0):
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
 
 
 class Bench:

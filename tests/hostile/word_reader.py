@@ -4,8 +4,6 @@ It is strict where drivers are: times of timestamps and wraps must increase, a r
 blocks (samples, frames) have no holes. What comes before the first timestamp reset is passed over.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["FrameWords", "WordReader"]
@@ -18,16 +16,16 @@ FRAME_STARTS, FRAME_END, LINES, LINE_END, EXPOSURE_START, EXPOSURE_END = (8, 9),
 class FrameWords:
     """One frame: its moments in us, the exposure words' number, the region, and (kind, samples) of each line."""
 
-    def __init__(self, start_us: int) -> None:
+    def __init__(self, start_us):
         self.start_us = start_us
-        self.exposure_us: dict[int, int] = {}
+        self.exposure_us = {}
         self.end_us = -1
-        self.tens: list[int] = []
-        self.bytes: list[int] = []
-        self.lines: list[tuple[int, list[int]]] = []
+        self.tens = []
+        self.bytes = []
+        self.lines = []
 
     @property
-    def exposure_cycles(self) -> int:
+    def exposure_cycles(self):
         """The three words of ten bits, the lowest first."""
         low, middle, high = self.tens
         return low | middle << 10 | high << 20
@@ -44,17 +42,17 @@ class WordReader:
     frames : those that have ended.
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.time_us = self._base_us = -1
         self._row = -1
-        self.edges: list[tuple[int, int]] = []
-        self.samples: list[tuple[int, int, bytes]] = []
-        self.frames: list[FrameWords] = []
-        self._sample: list[int] | None = None
-        self._frame: FrameWords | None = None
+        self.edges = []
+        self.samples = []
+        self.frames = []
+        self._sample = None
+        self._frame = None
         self._begun = False
 
-    def feed(self, data: bytes) -> np.ndarray:
+    def feed(self, data):
         """Return the events of `data`, (n,) EVENT in device time since the reset."""
         words = np.frombuffer(data, "<u2").astype(np.int64)
         if not self._begun:
@@ -68,7 +66,7 @@ class WordReader:
         self._others(words, times, np.flatnonzero((kinds == 0) | ((kinds >= 4) & (kinds <= 6))))
         return self._events(words, times, kinds)
 
-    def _times(self, words: np.ndarray) -> np.ndarray:
+    def _times(self, words):
         """Device time in force at each word."""
         wrap, stamp = words >> 12 == 7, words >= 0x8000
         base = self._base_us + np.cumsum(np.where(wrap, (words & 0xFFF) << 15, 0))
@@ -81,7 +79,7 @@ class WordReader:
             self._base_us, self.time_us = int(base[-1]), int(times[-1])
         return times
 
-    def _events(self, words: np.ndarray, times: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    def _events(self, words, times, kinds):
         is_row = kinds == 1
         rows = np.concatenate([[self._row], (words & 0xFFF)[is_row]])[np.cumsum(is_row)]
         self._row = int(rows[-1]) if len(rows) else self._row
@@ -92,7 +90,7 @@ class WordReader:
         events["on"] = kinds[column] == 3
         return events
 
-    def _others(self, words: np.ndarray, times: np.ndarray, at: np.ndarray) -> None:
+    def _others(self, words, times, at):
         for word, t_us in zip(words[at].tolist(), times[at].tolist(), strict=True):
             if word < 0x1000:
                 self._special(word, t_us)
@@ -101,7 +99,7 @@ class WordReader:
             else:
                 self._of_frame(word)
 
-    def _special(self, code: int, t_us: int) -> None:
+    def _special(self, code, t_us):
         if code in (RISING, FALLING, PULSE):
             self.edges.append((t_us, code))
         elif code == IMU_START:
@@ -117,7 +115,7 @@ class WordReader:
         else:
             self._frame_special(code, t_us)
 
-    def _frame_special(self, code: int, t_us: int) -> None:
+    def _frame_special(self, code, t_us):
         if code in FRAME_STARTS:
             assert self._frame is None
             self._frame = FrameWords(t_us)
@@ -134,7 +132,7 @@ class WordReader:
         else:
             assert code == LINE_END, f"special {code}"
 
-    def _of_frame(self, word: int) -> None:
+    def _of_frame(self, word):
         assert self._frame is not None, f"word {word:04x} outside a frame"
         if word >> 12 == 4:
             self._frame.lines[-1][1].append(word & 0xFFF)

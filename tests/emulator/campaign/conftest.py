@@ -1,7 +1,5 @@
 """Small campaigns: a checkerboard before 16 x 16 pixels, no link, a twentieth of a second."""
 
-from pathlib import Path
-
 import pytest
 
 from emulator.campaign.campaign import Campaign
@@ -35,7 +33,7 @@ high = 600
 def campaign_file(tmp_path):
     """Write a small campaign; `top` are keys of the file, `more` are tables."""
 
-    def write(count=4, top="", more="", name="small.toml") -> Path:
+    def write(count=4, top="", more="", name="small.toml"):
         path = tmp_path / name
         path.write_text(SMALL.format(count=count, top=top, more=more))
         return path

@@ -313,22 +313,20 @@ def test_the_same_sequence_has_the_same_bytes(rig, tmp_path, form):
         (["--count", "4"], "--count: campaign.count was 3, is 4"),
     ],
 )
-def test_a_changed_option_is_named_and_no_file_that_nobody_wrote(rig, tmp_path, capsys, options, differs):
+def test_a_changed_option_is_named_and_no_file_that_nobody_wrote(rig, tmp_path, json_of, options, differs):
     folder = tmp_path / "data"
     begin_folder(Campaign(dataset_source(rig, folder / "dataset.toml", Sequences(3, 0.2, SequenceTruth()))), folder)
     given = {"--count": "3", "--seconds": "0.2", options[0]: options[1]}
     words = [word for option in given.items() for word in option]
-    assert _main(["dataset", str(rig), "--out", str(folder), "--json", *words]) == 2
-    error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    error = json_of(2, "dataset", rig, "--out", folder, *words)["error"]
     assert f"has the sequences of another data set: {differs}. Give the options" in error
     assert "dataset.toml" not in error
     assert "--folder" not in error
 
 
-def test_the_folder_of_a_data_set_that_cannot_be_is_its_option(rig, tmp_path, capsys):
+def test_the_folder_of_a_data_set_that_cannot_be_is_its_option(rig, tmp_path, json_of):
     (tmp_path / "file").write_text("x")
-    assert _main(["dataset", str(rig), "--out", str(tmp_path / "file" / "data"), "--json"]) == 2
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["error"].startswith("--out: ")
+    assert json_of(2, "dataset", rig, "--out", tmp_path / "file" / "data")["error"].startswith("--out: ")
 
 
 @pytest.mark.parametrize(
@@ -350,9 +348,8 @@ def test_the_folder_of_a_data_set_that_cannot_be_is_its_option(rig, tmp_path, ca
         (("--workers", "0"), "--workers"),
     ],
 )
-def test_mistakes_are_refused_with_their_reason(rig, tmp_path, capsys, options, message):
-    assert _main(["dataset", str(rig), "--out", str(tmp_path / "data"), "--json", *options]) == 2
-    assert message in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+def test_mistakes_are_refused_with_their_reason(rig, tmp_path, json_of, options, message):
+    assert message in json_of(2, "dataset", rig, "--out", tmp_path / "data", *options)["error"]
     assert not (tmp_path / "data").exists()
 
 
@@ -390,10 +387,9 @@ def test_a_file_that_cannot_be_written_ends_the_data_set_without_a_row(rig, tmp_
     assert list((tmp_path / "sequences").iterdir()) == []
 
 
-def test_files_of_others_stay_as_they_are(rig, tmp_path, capsys):
+def test_files_of_others_stay_as_they_are(rig, tmp_path, json_of):
     (tmp_path / "README.md").write_text("mine")
-    assert _main(["dataset", str(rig), "--out", str(tmp_path), "--json"]) == 2
-    assert "has other files" in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert "has other files" in json_of(2, "dataset", rig, "--out", tmp_path)["error"]
     assert [path.name for path in tmp_path.iterdir()] == ["README.md"]
 
 

@@ -68,17 +68,17 @@ def test_a_value_out_of_a_rigs_bounds_is_found_before_the_first_run(campaign_fil
         made.check_all(range(16))
 
 
-def test_a_mistake_in_set_is_told_there(campaign_file):
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [
+        ("width = 16", "widht = 16", r"line 9: .*'widht' is not known here; did you mean 'width'"),
+        ("seconds = 0.02", "seed = 3, seconds = 0.02", r"line 7: set\.run\.seed: each run has a seed of its own"),
+    ],
+)
+def test_a_mistake_in_set_is_told_there(campaign_file, right, wrong, told):
     file = campaign_file()
-    file.write_text(file.read_text().replace("width = 16", "widht = 16"))
-    with pytest.raises(CampaignError, match=r"line 9: .*'widht' is not known here; did you mean 'width'"):
-        Campaign(load_source(file))
-
-
-def test_a_seed_in_set_has_no_effect_and_is_refused(campaign_file):
-    file = campaign_file()
-    file.write_text(file.read_text().replace("seconds = 0.02", "seed = 3, seconds = 0.02"))
-    with pytest.raises(CampaignError, match=r"line 7: set\.run\.seed: each run has a seed of its own"):
+    file.write_text(file.read_text().replace(right, wrong))
+    with pytest.raises(CampaignError, match=told):
         Campaign(load_source(file))
 
 

@@ -71,8 +71,7 @@ def test_a_campaign_its_parts_and_its_completion(file, campaign):
     assert (folder / "rows.parquet").exists()
     assert summary(campaign(path, "--json"))["came"] == 0
     path.write_text(path.read_text().replace("100", "101"))
-    done = campaign(path, "--json", code=2)
-    assert "campaign.parameters[0].high was 100, is 101" in summary(done)["error"]
+    assert "campaign.parameters[0].high was 100, is 101" in summary(campaign(path, "--json", code=2))["error"]
 
 
 @pytest.mark.long

@@ -1,7 +1,6 @@
 """`evstim check` and the files that a rig names: their status first, what was read, and what was only opened."""
 
 import io
-import json
 import os
 import zipfile
 
@@ -9,18 +8,13 @@ import numpy as np
 import pytest
 
 from emulator.cli.app import _main
-from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 
 
 def rig_of(tmp_path, file, kind="recording"):
     path = tmp_path / "r.toml"
     path.write_text(f'[scene]\nkind = "{kind}"\npath = "{file}"\n')
     return path
-
-
-def check(capsys, *arguments):
-    code = _main(["check", *map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
 def pickled(path):
@@ -37,10 +31,9 @@ def bomb(path):
 @pytest.mark.timeout(120)  # a FIFO without a writer is waited for without end
 @pytest.mark.parametrize("kind", ["recording", "video"])
 @pytest.mark.parametrize("options", [[], ["--draw"]])
-def test_a_fifo_is_no_regular_file(kind, options, tmp_path, capsys):
+def test_a_fifo_is_no_regular_file(kind, options, tmp_path, json_of):
     os.mkfifo(tmp_path / "pipe.npz")
-    code, told = check(capsys, rig_of(tmp_path, tmp_path / "pipe.npz", kind), *options)
-    assert code == 2
+    told = json_of(2, "check", rig_of(tmp_path, tmp_path / "pipe.npz", kind), *options)
     assert "scene.path" in told["error"]
     assert "pipe.npz is no regular file" in told["error"]
 
@@ -49,47 +42,39 @@ def test_a_fifo_is_no_regular_file(kind, options, tmp_path, capsys):
     ("file", "words"),
     [("/dev/zero", "is no regular file"), ("empty.npz", "is empty"), ("gone.npz", "cannot be opened")],
 )
-def test_a_device_and_an_empty_file_are_refused(file, words, tmp_path, capsys):
+def test_a_device_and_an_empty_file_are_refused(file, words, tmp_path, json_of):
     (tmp_path / "empty.npz").touch()
-    code, told = check(capsys, rig_of(tmp_path, tmp_path / file))
-    assert code == 2
-    assert words in told["error"]
+    assert words in json_of(2, "check", rig_of(tmp_path, tmp_path / file))["error"]
 
 
 @pytest.mark.parametrize("make", [pickled, bomb])
-def test_a_recording_that_is_only_opened_is_named_and_read_with_draw(make, tmp_path, capsys):
+def test_a_recording_that_is_only_opened_is_named_and_read_with_draw(make, tmp_path, capsys, json_of):
     file = tmp_path / "r.npz"
     make(file)
     rig = rig_of(tmp_path, "r.npz")
-    code, told = check(capsys, rig)
-    assert code == 0
+    told = json_of(0, "check", rig)
     assert told["files"] == [{"key": "scene.path", "path": str(file), "bytes": file.stat().st_size, "is_read": False}]
     assert _main(["check", str(rig)]) == 0
     out = capsys.readouterr().out
     assert f"opened, not read: scene.path ({file}, {file.stat().st_size} bytes)" in out
     assert "--draw" in out
-    code, told = check(capsys, rig, "--draw")
-    assert code == 2
-    assert "r.npz" in told["error"]
+    assert "r.npz" in json_of(2, "check", rig, "--draw")["error"]
 
 
-def test_a_sound_recording_is_read_with_draw(tmp_path, capsys):
-    events = np.zeros(5, EVENT)
-    events["t"] = np.arange(5)
+def test_a_sound_recording_is_read_with_draw(tmp_path, json_of):
+    events = events_at(np.arange(5))
     np.savez(tmp_path / "r.npz", events=events, resets=np.zeros(0, np.int64))
-    code, told = check(capsys, rig_of(tmp_path, "r.npz"), "--draw")
-    assert code == 0
+    told = json_of(0, "check", rig_of(tmp_path, "r.npz"), "--draw")
     assert [file["is_read"] for file in told["files"]] == [True]
 
 
-def test_a_trajectory_is_read_always(tmp_path, capsys):
+def test_a_trajectory_is_read_always(tmp_path, json_of):
     (tmp_path / "t.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,-9000\n1,0,5,-9000\n")
     (tmp_path / "r.toml").write_text(
         '[scene]\nkind = "bodies"\n[scene.camera]\nkind = "file"\npath = "t.csv"\nlook_at_m = [0, 0, 0]\n'
         '[[scene.bodies]]\nshape = "eros007790"\n'
     )
-    code, told = check(capsys, tmp_path / "r.toml")
-    assert code == 0
+    told = json_of(0, "check", tmp_path / "r.toml")
     assert {file["key"]: file["is_read"] for file in told["files"]} == {
         "scene.camera.path": True, "scene.bodies[0].shape": False,
     }  # fmt: skip

@@ -76,16 +76,14 @@ def test_without_arguments_five_tasks_are_shown_and_each_is_a_command(capsys):
     assert "evstim --help" in shown
 
 
-def test_rigs_and_their_json(capsys):
-    assert _main(["rigs", "--json"]) == 0
-    rigs = last_json(capsys.readouterr().out)["rigs"]
+def test_rigs_and_their_json(json_of):
+    rigs = json_of(0, "rigs")["rigs"]
     assert {"checkerboard", "eros", "loopback"} <= {rig["name"] for rig in rigs}
 
 
 @pytest.mark.parametrize("name", ["checkerboard", "eros", "loopback"])
-def test_shipped_rigs_are_good(name, capsys):
-    assert _main(["check", name, "--json"]) == 0
-    assert last_json(capsys.readouterr().out)["good"] is True
+def test_shipped_rigs_are_good(name, json_of):
+    assert json_of(0, "check", name)["good"] is True
 
 
 def test_the_schema_is_json(capsys):
@@ -93,9 +91,8 @@ def test_the_schema_is_json(capsys):
     assert last_json(capsys.readouterr().out)["title"] == "evstim rig"
 
 
-def test_doctor_names_a_fix_for_everything_that_is_missing(capsys):
-    assert _main(["doctor", "--json"]) == 0
-    findings = last_json(capsys.readouterr().out)["findings"]
+def test_doctor_names_a_fix_for_everything_that_is_missing(json_of):
+    findings = json_of(0, "doctor")["findings"]
     assert {"EGL", "usbip", "vhci-hcd", "UDC", "vcan", "USB permission"} <= {f["name"] for f in findings}
     assert {"pillow", "av", "faery", "matplotlib"} <= {f["name"] for f in findings}
     assert all(f["good"] or f["fix"] for f in findings)
@@ -185,59 +182,52 @@ def test_an_interrupt_within_a_kernel_is_one(rig, monkeypatch, capsys):
         ["listen", "--usbip", "here"],
     ],
 )
-def test_wrong_use_is_exit_code_2_and_one_json_object(arguments, capsys):
-    assert _main([*arguments, "--json"]) == 2
-    told = last_json(capsys.readouterr().out)
+def test_wrong_use_is_exit_code_2_and_one_json_object(arguments, json_of):
+    told = json_of(2, *arguments)
     assert told["exit_code"] == 2
     assert told["error"]
 
 
 @pytest.mark.parametrize("shape", ["nosuch", "broken.tab"])
-def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, capsys):
+def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, json_of):
     (tmp_path / "broken.tab").write_text("v 0 0 0\nv 1 0 0\nv nan 1 0\nf 0 1 2\n")
     path = tmp_path / "rock.toml"
     path.write_text(f'[scene]\nkind = "bodies"\n[[scene.bodies]]\nshape = "{shape}"\n')
-    assert _main(["check", str(path), "--draw", "--json"]) == 2
-    assert shape in last_json(capsys.readouterr().out)["error"]
+    assert shape in json_of(2, "check", path, "--draw")["error"]
 
 
-def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, capsys):
+def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, json_of):
     text = rig.read_text().replace("[run]", '[camera.sensor.defects]\nhot_share = 0.01\n[run]\nmethod = "pangu"')
     rig.write_text(text)
-    assert _main(["run", str(rig), "--json"]) == 2
-    assert "pangu" in last_json(capsys.readouterr().out)["error"]
+    assert "pangu" in json_of(2, "run", rig)["error"]
 
 
-def test_a_picture_shows_what_the_rig_models(rig, tmp_path, capsys):
+def test_a_picture_shows_what_the_rig_models(rig, tmp_path, json_of):
     noisy = tmp_path / "noisy.toml"
     noisy.write_text(rig.read_text().replace("height = 48\n", "height = 48\nleak_hz = 50.0\n"))
     counts = []
     for path in (rig, noisy):
-        assert _main(["picture", str(path), str(tmp_path / "a.png"), "--at-s", "0.1", "--json"]) == 0
-        counts.append(last_json(capsys.readouterr().out)["events"])
+        counts.append(json_of(0, "picture", path, tmp_path / "a.png", "--at-s", "0.1")["events"])
     assert counts[1] > 2 * counts[0]
 
 
 @pytest.mark.system
-def test_without_gl_everything_runs_and_who_asks_for_gl_is_told_the_packages(rig, capsys, monkeypatch):
+def test_without_gl_everything_runs_and_who_asks_for_gl_is_told_the_packages(rig, json_of, monkeypatch):
     monkeypatch.setenv("GLCONTEXT_LINUX_LIBEGL", "libEGL_absent.so.1")
     assert _main(["check", "eros", "--draw", "--json"]) == 0
     assert _main(["run", str(rig), "--pace", "free"]) == 0
     monkeypatch.setenv("EVSTIM_RENDERER", "llvmpipe")
-    assert _main(["check", "eros", "--draw", "--json"]) == 3
-    assert "apt install libegl1 libgl1 libgl1-mesa-dri" in last_json(capsys.readouterr().out)["error"]
+    assert "apt install libegl1 libgl1 libgl1-mesa-dri" in json_of(3, "check", "eros", "--draw")["error"]
 
 
-def test_a_camera_that_is_not_there_is_exit_code_3(capsys):
-    assert _main(["listen", "--usbip", "127.0.0.1:9", "--json"]) == 3
-    assert last_json(capsys.readouterr().out)["exit_code"] == 3
+def test_a_camera_that_is_not_there_is_exit_code_3(json_of):
+    assert json_of(3, "listen", "--usbip", "127.0.0.1:9")["exit_code"] == 3
 
 
 @pytest.mark.system
-def test_a_run_tells_where_every_event_went(rig, tmp_path, capsys):
+def test_a_run_tells_where_every_event_went(rig, tmp_path, json_of):
     record = tmp_path / "delivered.npz"
-    assert _main(["run", str(rig), "--json", "--record", str(record), "--pace", "free"]) == 0
-    told = last_json(capsys.readouterr().out)
+    told = json_of(0, "run", rig, "--record", record, "--pace", "free")
     assert {
         "rig", "sim_seconds", "wall_seconds", "frames", "steps", "events", "balanced", "latency_us", "lateness",
     } <= set(told)  # fmt: skip

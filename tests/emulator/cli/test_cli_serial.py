@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from emulator.cli.app import _main
-from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from tests.made_events import steady
 from transports.link.deliveries import digest_of
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
@@ -22,11 +22,7 @@ from transports.serial_line.kind import SerialLink
 
 
 def stream(count):
-    rng = np.random.default_rng(3)
-    events = np.zeros(count, EVENT)
-    events["t"] = np.arange(count) * 10
-    events["x"], events["y"] = rng.integers(0, 346, count), rng.integers(0, 260, count)
-    return events
+    return steady(count, step_us=10)
 
 
 class Camera:
@@ -67,16 +63,13 @@ class Camera:
 
 
 @pytest.fixture
-def camera_after():
-    made = []
-
+def camera_after(at_end):
     def make(telecommands):
-        made.append(Camera(stream(3000), telecommands))
-        return made[-1]
+        made = Camera(stream(3000), telecommands)
+        at_end.callback(made.stop)
+        return made
 
-    yield make
-    for one in made:
-        one.stop()
+    return make
 
 
 def test_a_camera_is_started_read_and_recorded(camera_after, tmp_path, capsys):
@@ -93,8 +86,7 @@ def test_a_camera_is_started_read_and_recorded(camera_after, tmp_path, capsys):
 
 
 def test_people_are_told_in_words(camera_after, capsys):
-    camera = camera_after(telecommands=1)
-    assert _main(["listen", "serial", camera.path, "--start", "--events", "3000"]) == 0
+    assert _main(["listen", "serial", camera_after(telecommands=1).path, "--start", "--events", "3000"]) == 0
     out = capsys.readouterr().out
     assert "3000 events and 0 edges" in out
     assert "no fault" in out
@@ -111,6 +103,5 @@ def test_people_are_told_in_words(camera_after, capsys):
         (["/dev/x", "--record", "/nowhere/at/all.npz"], 2, "does not exist"),
     ],
 )
-def test_mistakes_are_told(arguments, code, message, capsys):
-    assert _main(["listen", "serial", *arguments, "--json"]) == code
-    assert message in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+def test_mistakes_are_told(arguments, code, message, json_of):
+    assert message in json_of(code, "listen", "serial", *arguments)["error"]

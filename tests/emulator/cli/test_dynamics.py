@@ -117,8 +117,7 @@ def test_in_lockstep_the_same_flight_gives_the_same_events(falling, evstim, tmp_
 
 
 @pytest.mark.parametrize(
-    ("trouble", "why", "as_json"),
-    [(1, "crashed", True), (2, "height_m = nan", True), (3, "failed in its step", False)],
+    ("trouble", "why", "as_json"), [(1, "crashed", True), (2, "height_m = nan", True), (3, "failed in its step", False)]
 )
 def test_in_lockstep_the_ledger_is_printed_when_the_fmu_fails(falling, evstim, tmp_path, trouble, why, as_json):
     (tmp_path / "in.csv").write_text(f"time_s,trouble\n0,0\n0.1,{trouble}\n")

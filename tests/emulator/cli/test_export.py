@@ -9,11 +9,10 @@ from emulator.cli.app import _main
 from firmware_protocol.ground.description import instrument_packets
 
 
-def test_each_kind_writes_its_files(tmp_path, capsys):
+def test_each_kind_writes_its_files(tmp_path, json_of):
     told = {}
     for kind in ("xtce", "cosmos", "fprime", "wireshark"):
-        assert _main(["export", kind, "--out", str(tmp_path / "new"), "--json"]) == 0
-        told[kind] = json.loads(capsys.readouterr().out.strip().splitlines()[-1])["files"]
+        told[kind] = json_of(0, "export", kind, "--out", tmp_path / "new")["files"]
     packets = instrument_packets()
     root = Xml.parse(told["xtce"][0]).getroot()
     ns = "{http://www.omg.org/spec/XTCE/20180204}"
@@ -62,6 +61,5 @@ def test_the_ports_and_identifiers_are_those_of_the_rig(tmp_path):
         (["listen", "udp", "127.0.0.1:10015", "--tick", "7"], 2, "tick 7 us"),
     ],
 )
-def test_mistakes_are_told(arguments, code, told, capsys):
-    assert _main([*arguments, "--json"]) == code
-    assert told in json.loads(capsys.readouterr().out.strip().splitlines()[-1])["error"]
+def test_mistakes_are_told(arguments, code, told, json_of):
+    assert told in json_of(code, *arguments)["error"]

@@ -99,8 +99,7 @@ def test_both_carriers_give_the_same_events(tmp_path):
 @pytest.mark.long
 @pytest.mark.sampled
 @pytest.mark.parametrize(
-    ("end", "reason"),
-    [("end", "its scene has ended after 0.38 of 5 s"), ("exit", "closed the connection")],
+    ("end", "reason"), [("end", "its scene has ended after 0.38 of 5 s"), ("exit", "closed the connection")]
 )
 def test_a_renderer_that_ends_early_ends_the_run_and_nothing_is_lost(tmp_path, end, reason):
     code, summary = ended(tmp_path, 5.0, end)

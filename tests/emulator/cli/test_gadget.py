@@ -1,10 +1,7 @@
 """`evstim gadget` on a machine that cannot have one: what is said, and the exit codes."""
 
-import json
-
 import pytest
 
-from emulator.cli.app import _main
 from transports.usb.functionfs import gadget as gadgets
 from transports.usb.functionfs.gadget import Places
 
@@ -19,22 +16,15 @@ def machine(tmp_path, monkeypatch):
     return places
 
 
-def told(capsys, *tokens):
-    code = _main(["gadget", *tokens, "--json"])
-    return code, json.loads(capsys.readouterr().out.splitlines()[-1])
-
-
-def test_a_machine_without_configfs_lacks_a_module(machine, capsys):
-    code, said = told(capsys, "up")
-    assert code == said["exit_code"] == 3
+def test_a_machine_without_configfs_lacks_a_module(machine, json_of):
+    said = json_of(3, "gadget", "up")
+    assert said["exit_code"] == 3
     assert "modprobe libcomposite" in said["error"]
 
 
-def test_a_machine_without_a_controller_lacks_that(machine, capsys):
+def test_a_machine_without_a_controller_lacks_that(machine, json_of):
     (machine.controllers / "dummy_udc.0").rmdir()
-    code, said = told(capsys, "up")
-    assert code == 3
-    assert "no USB device controller" in said["error"]
+    assert "no USB device controller" in json_of(3, "gadget", "up")["error"]
 
 
 @pytest.mark.parametrize(
@@ -49,18 +39,16 @@ def test_a_machine_without_a_controller_lacks_that(machine, capsys):
         (("--user", "nobody-of-this-name"), "no user"),
     ],
 )
-def test_wrong_use_is_told(machine, capsys, tokens, error):
-    code, said = told(capsys, "up", *tokens)
-    assert code == 2
-    assert error in said["error"]
+def test_wrong_use_is_told(machine, json_of, tokens, error):
+    assert error in json_of(2, "gadget", "up", *tokens)["error"]
 
 
-def test_a_gadget_is_made_for_the_camera_and_removed(machine, capsys, monkeypatch):
+def test_a_gadget_is_made_for_the_camera_and_removed(machine, json_of, monkeypatch):
     made = []
     monkeypatch.setattr(gadgets.Gadget, "make", lambda self, descriptors, owner: made.append((descriptors, owner)))
-    assert told(capsys, "up", "--serial", "00000007", "--speed", "high")[0] == 0
+    json_of(0, "gadget", "up", "--serial", "00000007", "--speed", "high")
     ((descriptors, owner),) = made
     assert descriptors.strings[3] == "00000007"
     assert descriptors.device.speed.name == "HIGH"
     assert owner is None
-    assert told(capsys, "down") == (0, {"gadget": "evstim", "removed": False})
+    assert json_of(0, "gadget", "down") == {"gadget": "evstim", "removed": False}

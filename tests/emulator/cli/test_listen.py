@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import signal
 
 import pytest
 
@@ -11,14 +10,6 @@ from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, failing
 from transports.usb.cameras import CameraReception
 
 NO_LIMITS = Limits()
-
-
-@pytest.fixture(autouse=True)
-def _same_signal_handlers():
-    handlers = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for each, handler in handlers.items():
-        signal.signal(each, handler)
 
 
 @pytest.fixture

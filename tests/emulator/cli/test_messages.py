@@ -1,7 +1,6 @@
 """Messages of the command line: the value at fault, its place, and what to do."""
 
 import dataclasses
-import json
 import sys
 
 import numpy as np
@@ -18,11 +17,6 @@ BOARD = '[scene]\nkind = "checkerboard"\n'
 NO_NOISE = '[camera]\nmodel = "ideal"\n'
 
 
-def error_of(arguments, capsys):
-    code = _main([*map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -33,47 +27,44 @@ def error_of(arguments, capsys):
         ("[run]\n[scene]\n", ["line 4: [scene] is given twice, first in line 1: put its keys under one header"]),
     ],
 )
-def test_a_wrong_value_is_shown(text, words, tmp_path, capsys):
+def test_a_wrong_value_is_shown(text, words, tmp_path, json_of):
     path = tmp_path / "wrong.toml"
     path.write_text(BOARD + text)
-    code, error = error_of(["check", path], capsys)
-    assert code == 2
+    error = json_of(2, "check", path)["error"]
     assert [word for word in words if word not in error] == []
 
 
-def test_a_rig_that_is_not_utf8_is_told_by_line(tmp_path, capsys):
+def test_a_rig_that_is_not_utf8_is_told_by_line(tmp_path, json_of):
     path = tmp_path / "latin.toml"
     path.write_bytes(BOARD.encode() + b"# caf\xe9\n")
-    code, error = error_of(["check", path], capsys)
-    assert code == 2
+    error = json_of(2, "check", path)["error"]
     assert "line 3" in error
     assert "0xe9" in error
     assert "save the file as UTF-8" in error
 
 
 @pytest.mark.parametrize("verb", [[], ["report"], ["again"]])
-def test_a_campaign_file_that_is_not_there_is_told_before_a_package_that_is_not(verb, tmp_path, capsys, monkeypatch):
+def test_a_campaign_file_that_is_not_there_is_told_before_a_package_that_is_not(verb, tmp_path, json_of, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)  # importing it raises ImportError
     missing = tmp_path / "speed.toml"
-    code, error = error_of(["campaign", *verb, missing, *(["0"] if verb == ["again"] else [])], capsys)
-    assert code == 2
+    error = json_of(2, "campaign", *verb, missing, *(["0"] if verb == ["again"] else []))["error"]
     assert error == f"{missing}: no such file: give the path of a campaign file (docs/campaigns.md has one)"
     missing.write_text('rig = "loopback"\ncount = 1\n')
-    code, error = error_of(["campaign", *verb, missing, *(["0"] if verb == ["again"] else [])], capsys)
-    assert code == 3
-    assert "campaigns need pyarrow" in error
+    assert (
+        "campaigns need pyarrow"
+        in json_of(3, "campaign", *verb, missing, *(["0"] if verb == ["again"] else []))["error"]
+    )
 
 
-def test_a_folder_is_no_rig(tmp_path, capsys):
-    code, error = error_of(["check", tmp_path], capsys)
-    assert code == 2
-    assert "is a folder" in error
+def test_a_folder_is_no_rig(tmp_path, json_of):
+    assert "is a folder" in json_of(2, "check", tmp_path)["error"]
 
 
-def test_an_unknown_camera_is_answered_with_the_presets(tmp_path, capsys):
-    code, error = error_of(["characterise", "nope", "--out", tmp_path / "out"], capsys)
-    assert code == 2
-    assert "davis346, davis346_noisy, davis240c, dvxplorer_micro, imx636" in error
+def test_an_unknown_camera_is_answered_with_the_presets(tmp_path, json_of):
+    assert (
+        "davis346, davis346_noisy, davis240c, dvxplorer_micro, imx636"
+        in json_of(2, "characterise", "nope", "--out", tmp_path / "out")["error"]
+    )
 
 
 @pytest.mark.parametrize(("threshold", "count"), [(0.3, 0), (2.0, 0), (2.5, 1)])
@@ -93,23 +84,19 @@ def flight(tmp_path, seconds, table="t.csv"):
 
 
 @pytest.mark.parametrize(("seconds", "notes"), [(1.0, 0), (5.0, 1)])
-def test_a_trajectory_shorter_than_the_run_is_told(seconds, notes, tmp_path, capsys):
-    assert _main(["check", str(flight(tmp_path, seconds)), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out.splitlines()[-1])["notes"]
+def test_a_trajectory_shorter_than_the_run_is_told(seconds, notes, tmp_path, json_of):
+    told = json_of(0, "check", flight(tmp_path, seconds))["notes"]
     assert len(told) == notes
     assert all("ends after 1 s" in note for note in told)
 
 
-def test_check_opens_the_files_that_a_rig_names(tmp_path, capsys):
-    code, error = error_of(["check", flight(tmp_path, 1.0, "gone.csv")], capsys)
-    assert code == 2
+def test_check_opens_the_files_that_a_rig_names(tmp_path, json_of):
+    error = json_of(2, "check", flight(tmp_path, 1.0, "gone.csv"))["error"]
     assert "scene.camera.path: gone.csv cannot be opened" in error
     (tmp_path / "t.csv").write_text("nonsense\n")
     path = flight(tmp_path, 1.0)
     (tmp_path / "t.csv").write_text("t_s,x_m\n0,0\n")
-    code, error = error_of(["check", path], capsys)
-    assert code == 2
-    assert "y_m, z_m is missing" in error
+    assert "y_m, z_m is missing" in json_of(2, "check", path)["error"]
 
 
 def test_the_plan_of_a_recording_has_no_nan(tmp_path, capsys):
@@ -145,32 +132,28 @@ def board(tmp_path):
     return path
 
 
-def test_a_picture_looks_back_until_there_is_something_to_see(board, tmp_path, capsys):
+def test_a_picture_looks_back_until_there_is_something_to_see(board, tmp_path, json_of):
     slow = tmp_path / "slow.toml"
     slow.write_text(board.read_text().replace("20.0", "0.1").replace("[camera.sensor]", NO_NOISE + "[camera.sensor]"))
     counts = []
     for options in (["--window-ms", "20"], []):
-        assert _main(["picture", str(slow), str(tmp_path / "a.png"), "--at-s", "1.0", *options, "--json"]) == 0
-        counts.append(json.loads(capsys.readouterr().out.splitlines()[-1])["events"])
+        counts.append(json_of(0, "picture", slow, tmp_path / "a.png", "--at-s", "1.0", *options)["events"])
     assert counts[1] > counts[0]
     assert counts[1] >= 0.005 * 64 * 48
 
 
-def test_a_movie_has_25_pictures_a_second(board, tmp_path, capsys):
+def test_a_movie_has_25_pictures_a_second(board, tmp_path, json_of):
     from PIL import Image
 
     path = tmp_path / "a.gif"
-    assert _main(["picture", str(board), str(path), "--at-s", "0.1", "--seconds", "0.4", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["events"] > 0
+    assert json_of(0, "picture", board, path, "--at-s", "0.1", "--seconds", "0.4")["events"] > 0
     with Image.open(path) as image:
         assert image.n_frames == 11  # both ends
         assert image.size == (128, 48 * 2 + 18)
 
 
-def test_a_picture_of_another_format_is_refused(board, tmp_path, capsys):
-    code, error = error_of(["picture", board, tmp_path / "a.jpg"], capsys)
-    assert code == 2
-    assert ".png, .gif or .mp4" in error
+def test_a_picture_of_another_format_is_refused(board, tmp_path, json_of):
+    assert ".png, .gif or .mp4" in json_of(2, "picture", board, tmp_path / "a.jpg")["error"]
 
 
 def test_a_window_shorter_than_a_step_has_its_events():

@@ -1,7 +1,5 @@
 """`evstim picture` of recordings: the events of the window and the light of the frames, where they belong."""
 
-import json
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -28,11 +26,9 @@ def written(path, form, frames=()):
     return path
 
 
-def drawn(capsys, *arguments):
+def drawn(json_of, *arguments):
     """The answer of the command, and the first picture; small sensors are drawn twice as large."""
-    code = _main(["picture", *map(str, arguments), "--json"])
-    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert code == 0, answer
+    answer = json_of(0, "picture", *arguments)
     with Image.open(arguments[1]) as image:
         return answer, np.asarray(image.convert("RGB"))[::2, ::2], getattr(image, "n_frames", 1)
 
@@ -43,32 +39,32 @@ def colours(picture):
 
 @pytest.mark.sampled
 @pytest.mark.parametrize("form", FORMATS)
-def test_a_picture_has_the_events_of_its_window(form, tmp_path, capsys):
+def test_a_picture_has_the_events_of_its_window(form, tmp_path, json_of):
     path = written(tmp_path / f"a{FORMATS[form].suffixes[0]}", form)
-    answer, picture, _ = drawn(capsys, path, tmp_path / "a.png", "--window-ms", "50", "--size", "346x260")
+    answer, picture, _ = drawn(json_of, path, tmp_path / "a.png", "--window-ms", "50", "--size", "346x260")
     assert answer["events"] == 2
     assert colours(picture) == [BLACK, ON, OFF, BLACK]
 
 
-def test_the_light_is_that_of_the_last_frame_before(tmp_path, capsys):
+def test_the_light_is_that_of_the_last_frame_before(tmp_path, json_of):
     grey = [np.full(SIZE[::-1], level, np.uint8) for level in (100, 200)]
     grey[0][:, :173] = 0
     frames = tuple(Frame(t, t, t + 10, grey[k]) for k, t in enumerate((START_US + 400_000, START_US + 600_000)))
     path = written(tmp_path / "a.aedat4", "aedat4", frames)
-    picture = drawn(capsys, path, tmp_path / "a.png")[1]
+    picture = drawn(json_of, path, tmp_path / "a.png")[1]
     assert picture[100, 100].max() == 0
     assert picture[100, 300].min() > 50
 
 
-def test_a_picture_beyond_the_end_is_of_the_end(tmp_path, capsys):
+def test_a_picture_beyond_the_end_is_of_the_end(tmp_path, json_of):
     path = written(tmp_path / "a.npz", "npz")
-    picture = drawn(capsys, path, tmp_path / "a.png", "--at-s", "60", "--window-ms", "50")[1]
+    picture = drawn(json_of, path, tmp_path / "a.png", "--at-s", "60", "--window-ms", "50")[1]
     assert colours(picture) == [BLACK, BLACK, BLACK, ON]
 
 
-def test_a_movie_ends_with_the_recording(tmp_path, capsys):
+def test_a_movie_ends_with_the_recording(tmp_path, json_of):
     path = written(tmp_path / "a.raw", "evt3")
-    answer, _, count = drawn(capsys, path, tmp_path / "a.gif", "--at-s", "0", "--seconds", "60")
+    answer, _, count = drawn(json_of, path, tmp_path / "a.gif", "--at-s", "0", "--seconds", "60")
     assert (answer["events"], count) == (len(EVENTS), 24)  # 0.9 s in steps of 40 ms, and the end
 
 

@@ -63,13 +63,7 @@ def test_a_graphics_card_changes_neither_the_painter_nor_the_light(request, name
 @pytest.mark.gl
 @pytest.mark.parametrize(
     ("of_rig", "of_environment", "painter"),
-    [
-        ("cpu", "", "cpu"),
-        ("gl", "", "gl"),
-        ("cpu", " GL ", "gl"),
-        ("cpu", "llvmpipe", "gl"),
-        ("gl", "CPU", "cpu"),
-    ],
+    [("cpu", "", "cpu"), ("gl", "", "gl"), ("cpu", " GL ", "gl"), ("cpu", "llvmpipe", "gl"), ("gl", "CPU", "cpu")],
 )
 def test_the_environment_goes_before_the_rig(gl, monkeypatch, of_rig, of_environment, painter):
     if of_environment == "llvmpipe":

@@ -47,8 +47,7 @@ def test_row_0_is_on_top_and_edges_are_averaged():
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_what_is_nearer_hides_what_is_farther(order):
-    both = [(EVERYWHERE, 900.0, 1.0), (EVERYWHERE, 899.0, 2.0)][::order]
-    assert np.all(draw(both) == 2.0)
+    assert np.all(draw([(EVERYWHERE, 900.0, 1.0), (EVERYWHERE, 899.0, 2.0)][::order]) == 2.0)
 
 
 def test_the_far_side_is_not_drawn():

@@ -125,8 +125,7 @@ def test_what_cannot_be_undone_has_its_reason(change, record, reason):
     commands, ended = _commands(session, ("a", () if record is None else (record,)))
     (row,) = commands.state()["changes"]
     assert (reason in row["cannot"]) if reason else row["cannot"] == ""
-    answer = _undo(commands, 0)
-    assert ("error" in answer) == bool(reason)
+    assert ("error" in _undo(commands, 0)) == bool(reason)
     assert ended == ([] if reason else [("a", 1)])
     assert len(session.changes) == 1
 
@@ -149,8 +148,7 @@ def test_a_run_starts_again_with_one_seed_whoever_else_sends_one():
 
 def test_a_run_whose_files_would_be_written_over_is_not_started_again():
     session, repeats = Session(), Repeats("--record")
-    commands = ViewerCommands(session, lambda *_: {}, repeats=repeats)
-    assert "--record" in _again(commands, 7)["error"]
+    assert "--record" in _again(ViewerCommands(session, lambda *_: {}, repeats=repeats), 7)["error"]
     assert not session.stopping
     assert repeats.take(None, None) is None
 

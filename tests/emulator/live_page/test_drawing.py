@@ -6,6 +6,7 @@ import pytest
 from emulator.live_page.process import Canvas, SharedView, reduction
 from firmware_protocol.events import EVENT
 from tests.emulator.live_page.pictures import light_of_codes
+from tests.made_events import events_at
 
 
 def _events(rows):
@@ -26,12 +27,11 @@ def test_planes_hold_the_last_event_and_the_counts_of_each_pixel():
 @pytest.mark.parametrize("size", [(346, 260), (1280, 720), (33, 17), (2048, 64)])
 def test_counts_are_those_of_a_loop(size):
     rng, n = np.random.default_rng(1), 3000
-    events = np.zeros(n, EVENT)
-    events["t"] = np.sort(rng.integers(0, 40_000, n))
-    events["x"], events["y"], events["on"] = (
-        rng.integers(0, size[0], n),
-        rng.integers(0, size[1], n),
-        rng.random(n) < 0.5,
+    events = events_at(
+        np.sort(rng.integers(0, 40_000, n)),
+        x=rng.integers(0, size[0], n),
+        y=rng.integers(0, size[1], n),
+        on=rng.random(n) < 0.5,
     )
     canvas, by = Canvas(size), reduction(size)
     expected, last = np.zeros((2, *canvas.shape), int), np.zeros(canvas.shape, int)
@@ -62,9 +62,7 @@ def test_light_is_sent_with_its_value():
 
 def _every(count, until_us):
     """Return `count` events, the last at `until_us`."""
-    events = np.zeros(count, EVENT)
-    events["t"] = until_us - count + 1 + np.arange(count)
-    return events
+    return events_at(until_us - count + 1 + np.arange(count))
 
 
 def test_the_shown_time_is_that_of_the_events_when_they_are_not_taken():

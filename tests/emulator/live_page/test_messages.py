@@ -9,13 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.live_page.messages import (
-    BadMessage,
-    Picture,
-    encode_picture,
-    light_codes,
-    parse_command,
-)
+from emulator.live_page.messages import BadMessage, Picture, encode_picture, light_codes, parse_command
 from tests.emulator.live_page.pictures import decode_picture, light_of_codes
 
 _COMMANDS = [

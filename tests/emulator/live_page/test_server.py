@@ -18,8 +18,8 @@ from websockets.sync.client import connect
 from emulator.live_page.messages import Access
 from emulator.live_page.process import Canvas, PageProcess, PageSetup, SharedView
 from emulator.live_page.server import BAD_MESSAGE, FULL, MOST_VIEWERS, REFUSED
-from firmware_protocol.events import EVENT
 from tests.emulator.live_page.pictures import decode_picture
+from tests.made_events import events_at
 
 pytestmark = pytest.mark.socket
 
@@ -72,8 +72,7 @@ class Served:
         while not is_so():
             assert time.monotonic() < end_s
             t_us += 10_000
-            events = np.zeros(5, EVENT)
-            events["t"], events["x"], events["on"] = t_us - 1, np.arange(5), True
+            events = events_at([t_us - 1] * 5, x=np.arange(5), on=True)
             self.view.show(events, np.ones(_SIZE[::-1], np.float32), t_us)
             time.sleep(0.01)
 

@@ -7,6 +7,7 @@ from emulator.live_page.messages import BadMessage
 from emulator.live_page.process import Canvas
 from emulator.live_page.server import STALLED_S, Viewer, Viewers
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 
 
 class _Clock:
@@ -29,9 +30,12 @@ def test_a_viewer_that_missed_pictures_gets_their_events_at_their_times():
     """Events of the stretch from 10 to 40 ms, in pictures of unequal length, some of them without an event."""
     rng, viewer, canvas = np.random.default_rng(1), Viewer(1, _Clock()), Canvas((40, 30))
     canvas.draw(_NO_EVENTS, np.zeros((30, 40), np.float32), 10_000)
-    events = np.zeros(900, EVENT)
-    events["t"] = np.sort(rng.integers(10_000, 30_000, 900))
-    events["x"], events["y"], events["on"] = rng.integers(0, 40, 900), rng.integers(0, 30, 900), rng.random(900) < 0.5
+    events = events_at(
+        np.sort(rng.integers(10_000, 30_000, 900)),
+        x=rng.integers(0, 40, 900),
+        y=rng.integers(0, 30, 900),
+        on=rng.random(900) < 0.5,
+    )
     light = np.zeros((30, 40), np.float32)
     for _ in range(3):
         viewer.put(_PICTURE)

@@ -77,8 +77,7 @@ def test_the_light_of_a_cone_is_summed_over_its_solid_angle(f_number):
     edge = math.asin(1 / (2 * f_number))
     u = (np.arange(100_000) + 0.5) * edge / 100_000
     cone = float(np.sum(2 * np.pi * np.sin(u) * np.cos(u))) * edge / 100_000
-    lens = LensParameters(f_number=f_number, transmission=0.8)
-    assert lens.chip_share == pytest.approx(0.8 * cone, rel=1e-6)
+    assert LensParameters(f_number=f_number, transmission=0.8).chip_share == pytest.approx(0.8 * cone, rel=1e-6)
 
 
 def test_light_falls_as_cos_to_the_fourth():

@@ -11,20 +11,11 @@ from emulator.playback.replay import Replay
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import build_sensor
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.events import EVENT
+from tests.made_events import scattered
 from tests.npz_records import save_record
 
 SENSOR = PRESETS["davis346"]
 DARK = np.zeros((260, 346), np.float32)
-
-
-def recorded(times, seed=1):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(len(times), EVENT)
-    events["t"] = times
-    events["x"], events["y"] = rng.integers(0, 346, len(times)), rng.integers(0, 260, len(times))
-    events["on"] = rng.random(len(times)) < 0.5
-    return events
 
 
 def played(replay, ends_ns):
@@ -34,7 +25,7 @@ def played(replay, ends_ns):
 
 @given(st.lists(st.integers(0, 5000), min_size=1, max_size=60), st.lists(st.integers(1, 900), min_size=1, max_size=40))
 def test_every_event_comes_once_and_at_its_time(times, steps_us):
-    events = recorded(sorted(times))
+    events = scattered(sorted(times))
     events["t"] -= events["t"][0]
     ends = [*np.cumsum(steps_us) * 1000, 6_000_000]
     replay = Replay(SENSOR, events, loop=False)
@@ -44,7 +35,7 @@ def test_every_event_comes_once_and_at_its_time(times, steps_us):
 
 @given(st.lists(st.integers(100, 3000), min_size=1, max_size=20))
 def test_a_loop_does_not_depend_on_the_step(steps_us):
-    events = recorded([0, 10, 10, 400, 1000])
+    events = scattered([0, 10, 10, 400, 1000])
     ends = [int(t) for t in np.cumsum([*steps_us, 10]) * 1000]
     by_steps = played(Replay(SENSOR, events), ends)
     at_once = played(Replay(SENSOR, events), ends[-1:])
@@ -55,19 +46,18 @@ def test_a_loop_does_not_depend_on_the_step(steps_us):
 
 
 def test_an_event_at_the_end_of_a_step_belongs_to_it():
-    replay = Replay(SENSOR, recorded([0, 7]), loop=False)
+    replay = Replay(SENSOR, scattered([0, 7]), loop=False)
     replay.reset(LightFrame(0, DARK))
     assert [len(replay.expose(LightFrame(t, DARK))) for t in (0, 6_999, 7_000)] == [1, 0, 1]
 
 
 def test_a_time_scale_plays_faster():
-    events = recorded([0, 1000, 3001])
-    fast = played(Replay(SENSOR, events, time_scale=2.0, loop=False), [10**7])
-    assert list(fast["t"]) == [0, 500, 1500]
+    events = scattered([0, 1000, 3001])
+    assert list(played(Replay(SENSOR, events, time_scale=2.0, loop=False), [10**7])["t"]) == [0, 500, 1500]
 
 
 def test_the_arbiter_takes_part_where_asked():
-    events = recorded([5] * 2000, seed=3)
+    events = scattered([5] * 2000, seed=3)
     events["t"] = 0
     replay = Replay(SENSOR, events, loop=False, through_readout=True)
     out = played(replay, [10**6])
@@ -78,7 +68,7 @@ def test_the_arbiter_takes_part_where_asked():
 
 def test_recordings_of_evstim_and_of_others(tmp_path):
     faery = pytest.importorskip("faery", reason="the `files` extra is not installed")
-    events = recorded(np.arange(100, 1100))
+    events = scattered(np.arange(100, 1100))
     save_record(tmp_path / "a.npz", np.concatenate([events[:7], events]), [0, 7])
     theirs = events.astype(faery.EVENTS_DTYPE)
     faery.events_stream_from_array(theirs, (346, 260)).to_file(tmp_path / "a.aedat4")
@@ -89,10 +79,10 @@ def test_recordings_of_evstim_and_of_others(tmp_path):
 
 
 def test_what_cannot_be_played_is_told(tmp_path):
-    events = recorded([5, 4, 6])
+    events = scattered([5, 4, 6])
     save_record(tmp_path / "back.npz", events, [0])
     save_record(tmp_path / "none.npz", events[:0], [0])
-    save_record(tmp_path / "wide.npz", recorded([1, 2]), [0])
+    save_record(tmp_path / "wide.npz", scattered([1, 2]), [0])
     (tmp_path / "junk.npz").write_bytes(b"junk")
     (tmp_path / "junk.aedat4").write_bytes(b"junk" * 100)
     for name, size, message in (
@@ -108,11 +98,10 @@ def test_what_cannot_be_played_is_told(tmp_path):
 
 
 def test_a_rig_plays_a_recording(tmp_path):
-    save_record(tmp_path / "a.npz", recorded([7, 8, 9]), [0])
+    save_record(tmp_path / "a.npz", scattered([7, 8, 9]), [0])
     text = '[scene]\nkind = "recording"\npath = "a.npz"\nloop = false\n'
     rig = parse_rig(text, str(tmp_path / "r.toml"), "r")
-    sensor = build_sensor(rig, rig.camera.sensor)
-    assert list(played(sensor, [10**6])["t"]) == [0, 1, 2]
+    assert list(played(build_sensor(rig, rig.camera.sensor), [10**6])["t"]) == [0, 1, 2]
 
 
 def test_a_rig_without_a_file_is_refused():

@@ -1,11 +1,8 @@
 """Frames in whole runs: from the rig's table through a link's process into the record; and none without the table."""
 
-import json
-
 import numpy as np
 import pytest
 
-from emulator.cli.app import _main
 from emulator.rig.loading import RigError, parse_rig
 from emulator.sensor.parameters import FrameParameters
 from tests.npz_records import load_frames
@@ -30,11 +27,10 @@ def test_the_table_is_typed_and_its_mistakes_are_told():
 
 @pytest.mark.system
 @pytest.mark.parametrize("layout", ["upright", "turned"])
-def test_a_run_delivers_its_frames_and_records_them(tmp_path, capsys, layout):
+def test_a_run_delivers_its_frames_and_records_them(tmp_path, json_of, layout):
     path, record = tmp_path / "my.toml", tmp_path / "a.npz"
     path.write_text(SCENE + f'[camera]\nlayout = "{layout}"\n[camera.frames]\n' + SMALL + RUN + LINK)
-    assert _main(["run", str(path), "--record", str(record), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    told = json_of(0, "run", path, "--record", record)
     readings = told["links"]["loopback"]["readings"]["frames"]
     assert readings["balanced"]
     assert readings["delivered"] == readings["offered"] == readings["taken"] > 300

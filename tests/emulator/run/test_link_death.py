@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 
 import numpy as np
@@ -13,9 +12,10 @@ import pytest
 
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from tests.made_events import events_at
+from tests.waiting import until
 from transports.link.endpoint import LinkFactory
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
@@ -54,26 +54,14 @@ _EVSTIM = [sys.executable, "-c", _PROGRAM, "run"]
 
 def open_link(**more):
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
-    link = LinkProcess(
-        LinkSetup("loopback", EventRing(), camera, LOOPBACK, **more),
-        MonotonicClock(),
-    )
+    link = LinkProcess(LinkSetup("loopback", EventRing(), camera, LOOPBACK, **more), MonotonicClock())
     link.wait_ready()
     link.start(FREE_RUNNING)
     return link
 
 
 def push(link, count, start_us):
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count)
-    link.push_all(events, start_us + count)
-
-
-def until(condition, timeout_s=120.0):
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    link.push_all(events_at(start_us + np.arange(count)), start_us + count)
 
 
 def delivered(link):
@@ -203,8 +191,7 @@ def test_the_other_link_goes_on_and_the_summary_is_written(tmp_path):
         code, summary = running.result()
     assert code == 1
     assert summary["balanced"]
-    states = sorted(link["error"] is None for link in summary["links"].values())
-    assert states == [False, True]
+    assert sorted(link["error"] is None for link in summary["links"].values()) == [False, True]
 
 
 @pytest.mark.sampled

@@ -102,14 +102,7 @@ def driven(tmp_path, syncs, *, ends_by_itself):
     events = EventRing()
     camera = partial(Davis346, Davis346Settings(size=(24, 16), start_delay_us=0))
     timing = paths.timing("bus", None, None)
-    setup = LinkSetup(
-        "bus",
-        events,
-        camera,
-        LOOPBACK,
-        FileRecorder(tmp_path / "a.npz"),
-        timing=timing,
-    )
+    setup = LinkSetup("bus", events, camera, LOOPBACK, FileRecorder(tmp_path / "a.npz"), timing=timing)
     run = session([setup], clock)
     sink = paths.sink("bus", events)
 
@@ -138,5 +131,4 @@ def test_a_driven_run_ends_where_its_syncs_do_and_its_edges_are_at_their_numbers
     assert result.good
     assert result.syncs == 10
     assert result.sim_seconds == pytest.approx(0.1)
-    rising = edges[edges["kind"] == EdgeKind.RISING]
-    assert rising["t"].tolist() == [7 + k * 10_000 for k in range(10)]
+    assert edges[edges["kind"] == EdgeKind.RISING]["t"].tolist() == [7 + k * 10_000 for k in range(10)]

@@ -122,13 +122,8 @@ def test_a_network_interface_is_looked_for(tmp_path, monkeypatch, there):
     assert (found.fix is None) is there
 
 
-def last_json(out):
-    return json.loads(out.splitlines()[-1])
-
-
-def test_rigs_lists_the_needs_of_each(no_packages, capsys):
-    assert _main(["rigs", "--json"]) == 0
-    told = {rig["name"]: rig["needs"] for rig in last_json(capsys.readouterr().out)["rigs"]}
+def test_rigs_lists_the_needs_of_each(no_packages, capsys, json_of):
+    told = {rig["name"]: rig["needs"] for rig in json_of(0, "rigs")["rigs"]}
     assert set(told) == set(shipped_rigs())
     assert told["loopback"] == []
     fix = "pip install '.[ros2]'  # in the source folder of evstim"
@@ -138,9 +133,8 @@ def test_rigs_lists_the_needs_of_each(no_packages, capsys):
     assert f"            needs the extra ros2 (cyclonedds): missing; {fix}" in capsys.readouterr().out
 
 
-def test_doctor_shows_the_needs_of_a_rig_and_measures_none_that_cannot_run(no_packages, capsys):
-    assert _main(["doctor", "stars-ros2", "--json"]) == 3
-    told = last_json(capsys.readouterr().out)
+def test_doctor_shows_the_needs_of_a_rig_and_measures_none_that_cannot_run(no_packages, capsys, json_of):
+    told = json_of(3, "doctor", "stars-ros2")
     assert [need["name"] for need in told["needs"]] == ["extra ros2 (cyclonedds)"]
     assert told["real_time"] is None
     assert _main(["doctor", "stars-ros2"]) == 3
@@ -156,6 +150,6 @@ def test_what_drivers_need_is_no_reason_not_to_measure(monkeypatch, capsys, tmp_
     small = "[run]\nseconds = 0.01\nstep_us = 5000\n"
     rig.write_text(f'{BOARD}{small}[[links]]\nkind = "usbip"\n')
     assert _main(["doctor", str(rig), "--json"]) in (0, 1)  # fast or slow, but measured
-    told = last_json(capsys.readouterr().out)
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["needs"][0]["good"] is False
     assert told["real_time"] in (True, False)

@@ -31,8 +31,7 @@ def notes(tmp_path, monkeypatch):
 @pytest.mark.system
 def test_progress_goes_to_the_end_and_tells_each_part_once(notes):
     states = []
-    parts = [Part(f"part {k}", 1.0, partial(os.getpid)) for k in range(3)]
-    assert prepare(parts, states.append) == []
+    assert prepare([Part(f"part {k}", 1.0, partial(os.getpid)) for k in range(3)], states.append) == []
     assert sorted(states[-1].ended) == ["part 0", "part 1", "part 2"]
     assert states[-1].share == pytest.approx(1.0)
     shares = [state.share for state in states]

@@ -1,13 +1,11 @@
 """Two cameras of one rig on one clock: tables, and the parallax of what both see."""
 
 import dataclasses
-import json
 import math
 
 import numpy as np
 import pytest
 
-from emulator.cli.app import _main
 from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import RigError, load_rig, parse_rig, second_rig
 from emulator.rig.tables import SecondCamera
@@ -111,13 +109,11 @@ def test_the_shipped_rig_has_two_devices():
 
 
 @pytest.mark.system
-def test_a_point_stands_apart_in_both_pictures_by_its_parallax_at_the_same_times(tmp_path, capsys):
+def test_a_point_stands_apart_in_both_pictures_by_its_parallax_at_the_same_times(tmp_path, json_of):
     """f b / z: 780.4 px, 1 m, 100 m. Events of a point spread over a few pixels; their mean is good to 0.3 px."""
     file = tmp_path / "my.toml"
     file.write_text(SCENE + SECOND + LINKS)
-    assert _main(["run", str(file), "--record", str(tmp_path / "seen.npz"), "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert summary["balanced"]
+    assert json_of(0, "run", file, "--record", tmp_path / "seen.npz")["balanced"]
     places = {}
     for name in ("left", "right"):
         events, resets = load_record(tmp_path / f"seen-{name}.npz")
@@ -175,7 +171,7 @@ def angle_at_a_quarter_second(events, width):
 
 @pytest.mark.long
 @pytest.mark.system
-def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, capsys):
+def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, json_of):
     """A DVXplorer, and an EVK4 1 m to its right; the point, at 100 m, is then 2 m to the left of the first one.
 
     It moves by 3 mrad while its events are taken, and a pixel is 0.7 mrad.
@@ -183,8 +179,7 @@ def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, cap
     file = tmp_path / "my.toml"
     shorter = SCENE.replace("seconds = 1.0", "seconds = 0.3").replace("step_us = 2000", "step_us = 5000")
     file.write_text(shorter.replace('"ideal"', '"dvxplorer"') + PULSES + OTHER + LINKS)
-    assert _main(["run", str(file), "--record", str(tmp_path / "seen.npz"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["balanced"]
+    assert json_of(0, "run", file, "--record", tmp_path / "seen.npz")["balanced"]
     angles, edges = {}, {}
     for name, width in (("left", 640), ("right", 1280)):
         events, resets = load_record(tmp_path / f"seen-{name}.npz")
@@ -193,5 +188,4 @@ def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, cap
         edges[name] = [int(edge["t"]) for edge in seen if edge["kind"] != EdgeKind.PULSE and edge["t"] < 300_000]
     assert angles["left"] == pytest.approx(-2.0 / 100.0, abs=0.003)
     assert angles["right"] == pytest.approx(-3.0 / 100.0, abs=0.003)
-    times = [t for k in (1, 2) for t in (100_000 * k, 100_000 * k + 300)]
-    assert edges["left"] == edges["right"] == times
+    assert edges["left"] == edges["right"] == [t for k in (1, 2) for t in (100_000 * k, 100_000 * k + 300)]

@@ -1,7 +1,5 @@
 """Triggers and clocks as a rig's author writes them, and a run that has both."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -105,14 +103,13 @@ def test_no_trigger_no_edges():
 
 
 @pytest.mark.parametrize("pace", ["free", "realtime"])
-def test_a_run_delivers_its_edges_in_the_cameras_own_time(tmp_path, capsys, pace):
+def test_a_run_delivers_its_edges_in_the_cameras_own_time(tmp_path, json_of, pace):
     path, record, truth = (tmp_path / name for name in ("t.toml", "r.npz", "t.csv"))
     path.write_text(
         f'{SCENE}{SMALL}[camera.clock]\ndrift_ppm = 1000\n[trigger]\nperiod_ms = 10\nkind = "rising"\n'
         f'[run]\nstep_us = 2000\nseconds = 0.2\nmax_late_ms = 0\npace = "{pace}"\n{LINK}'
     )
-    assert _main(["run", str(path), "--json", "--record", str(record), "--truth", str(truth)]) == 0
-    link = json.loads(capsys.readouterr().out.strip().splitlines()[-1])["links"]["loopback"]
+    link = json_of(0, "run", path, "--record", record, "--truth", truth)["links"]["loopback"]
     # The host starts the camera before stream time does, and its clock is zero then.
     edges, resets = load_edges(record)
     rising = edges[edges["kind"] == EdgeKind.RISING]

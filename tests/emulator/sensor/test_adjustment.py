@@ -28,11 +28,11 @@ _PLAIN = SensorParameters(
 )
 
 
-def _light(value: float) -> np.ndarray:
+def _light(value):
     return np.full((_PLAIN.height, _PLAIN.width), value, np.float32)
 
 
-def _ramp(sensor: Sensor, growth: float, steps: int = 100, start: int = 0, first: float = 0.0) -> np.ndarray:
+def _ramp(sensor, growth, steps=100, start=0, first=0.0):
     """Let ln of the light grow by `growth` from `first` in `steps`; return the events."""
     shares = (np.arange(steps) + 1) / steps
     parts = [
@@ -111,8 +111,7 @@ def test_a_long_refractory_period_bounds_the_rate_of_a_pixel():
     sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("refractory_us", 30_000.0)
     events = _ramp(sensor, 3.0)  # 100 ms: 15 thresholds; with the pause one each 36.7 ms, the first before 6.7
-    counted = np.bincount(events["y"].astype(int) * _PLAIN.width + events["x"])
-    assert set(counted) == {3}
+    assert set(np.bincount(events["y"].astype(int) * _PLAIN.width + events["x"])) == {3}
 
 
 def test_a_low_corner_delays_a_step_of_light_by_its_closed_form():
@@ -150,8 +149,7 @@ def test_the_thresholds_of_a_pixel_are_the_distances_of_its_events():
     sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("threshold_on", 0.25)
     events = np.concatenate([_ramp(sensor, 2.0), _ramp(sensor, -2.0, start=100, first=2.0), sensor.finish()])
-    found = {sensor.thresholds_of(x, y) for x, y in ((0, 0), (7, 11), (39, 29))}
-    assert len(found) == 3
+    assert len({sensor.thresholds_of(x, y) for x, y in ((0, 0), (7, 11), (39, 29))}) == 3
     for x, y in ((0, 0), (7, 11), (39, 29)):
         own = events[(events["x"] == x) & (events["y"] == y)]
         for threshold, polarity in zip(sensor.thresholds_of(x, y), (True, False), strict=True):
@@ -172,14 +170,12 @@ _NOISY = dataclasses.replace(
 )  # fmt: skip
 
 
-def _noise_events(sensor: Sensor, ends_ms: tuple[int, ...]) -> np.ndarray:
+def _noise_events(sensor, ends_ms):
     return np.concatenate([sensor.expose(LightFrame(end * _STEP_NS, _light(0.05))) for end in ends_ms])
 
 
 @numba.njit
-def _followed(
-    phases: np.ndarray, first: tuple, second: tuple, edges: np.ndarray, random: np.random.Generator
-) -> np.ndarray:
+def _followed(phases, first, second, edges, random):
     """Events before each edge of pixels whose thresholds change at the first; deviations and time constants."""
     counts, step = np.zeros(edges.size + 1), 0.01
     decay, kick = math.exp(-step), math.sqrt(-math.expm1(-2 * step))

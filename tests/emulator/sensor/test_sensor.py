@@ -130,8 +130,7 @@ def test_hot_pixels_have_their_own_rate_and_spread():
     hz = np.bincount(pixel_of(found)[found["on"]], minlength=PIXELS) / 20
     assert stats.kstest(np.log(hz[hot] / 20) / 0.5, "norm").pvalue > ALPHA
     assert hz[hot] == pytest.approx(draw_defects(p, 1).hot_hz, abs=0.06)
-    others = np.setdiff1d(np.arange(PIXELS), hot)
-    assert hz[others].mean() == pytest.approx(0.1, rel=0.1)
+    assert hz[np.setdiff1d(np.arange(PIXELS), hot)].mean() == pytest.approx(0.1, rel=0.1)
     assert np.all(found["on"])
 
 

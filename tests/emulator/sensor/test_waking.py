@@ -78,8 +78,7 @@ def test_changes_that_follow_each_other_act_on_pixels_that_rest(begin_ms):
         95: [("highpass_hz", 0.0)],
         100: [("corner_max_hz", 50.0), ("leak_hz", 0.0)],
     }
-    found = assert_nothing_is_missed(lambda: sensor("davis346"), changes, begin_ms)
-    assert len(found) > 1000
+    assert len(assert_nothing_is_missed(lambda: sensor("davis346"), changes, begin_ms)) > 1000
 
 
 def test_a_lower_threshold_fires_resting_pixels_at_once():
@@ -95,10 +94,7 @@ def test_a_lower_threshold_fires_resting_pixels_at_once():
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"noise": NoiseParameters(rms=0.05, grade="grid")},
-        {"photoreceptor": "circuit", "noise": NoiseParameters()},
-    ],
+    [{"noise": NoiseParameters(rms=0.05, grade="grid")}, {"photoreceptor": "circuit", "noise": NoiseParameters()}],
 )
 def test_a_sensor_that_cannot_change_refuses(changes):
     one = sensor("davis346", **changes)

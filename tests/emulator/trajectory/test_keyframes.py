@@ -28,8 +28,7 @@ def test_a_parabola_is_followed_exactly_at_uneven_times():
 def test_given_velocities_make_a_cubic():
     t = np.array([0.0, 2.0])
     velocities = np.column_stack([3 * t**2, 0 * t, 0 * t])
-    path = Keyframes([0, 2 * S], [at(0.0), at(8.0)], velocities)
-    assert path.pose(S).position_m[0] == pytest.approx(1.0)
+    assert Keyframes([0, 2 * S], [at(0.0), at(8.0)], velocities).pose(S).position_m[0] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("degrees", [10, 45, 90, 119])

@@ -28,8 +28,7 @@ def test_between_and_after_poses_it_moves_on_a_line_and_a_great_circle():
     for t_ns, x, q in ((0, 0.0, STILL.q_world_from_body), (100, 1.0, TURNED), (300, 5.0, TURNED)):
         path.add(t_ns, at(x, q))
     assert [path.pose(t).position_m[0] for t in (0, 50, 100, 200, 300, 400)] == pytest.approx([0, 0.5, 1, 3, 5, 7])
-    eighth = path.pose(50).q_world_from_body
-    assert eighth == pytest.approx([np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)])
+    assert path.pose(50).q_world_from_body == pytest.approx([np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)])
 
 
 def test_old_poses_are_forgotten_and_the_newest_kept():

@@ -13,7 +13,7 @@ from emulator.rig.remarks import open_files
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import SpicePath
-from emulator.trajectory.pose import Trajectory, TrajectoryError
+from emulator.trajectory.pose import TrajectoryError
 
 spice = pytest.importorskip("spiceypy", reason="needs the extra `spice`")
 pytestmark = pytest.mark.system  # a path is read in a child process
@@ -72,7 +72,7 @@ FROM_KM, SPEED_KM_S = np.array([-1000.0, 200.0, 50.0]), np.array([6.0, 0.5, -0.2
 
 
 @pytest.fixture
-def kernels(tmp_path: Path) -> tuple[str, ...]:
+def kernels(tmp_path):
     (tmp_path / "made.tls").write_text(LSK)
     (tmp_path / "made.tf").write_text(FK)
     ets = START_S + np.arange(-100.0, 401.0, 100.0)
@@ -84,12 +84,12 @@ def kernels(tmp_path: Path) -> tuple[str, ...]:
     return tuple(str(tmp_path / name) for name in ("made.tls", "made.tf", "made.bsp"))
 
 
-def fly_by(kernels: tuple[str, ...], **changed: object) -> Trajectory:
+def fly_by(kernels, **changed):
     keys = {"observer": "-900", "target": "SUN", "start_utc": "2020-01-01T12:00:00", "duration_s": 300.0}
     return build_trajectory(SpicePath(kernels=kernels, **(keys | changed)))  # type: ignore[arg-type]
 
 
-def test_places_are_those_of_the_closed_form(kernels: tuple[str, ...], start_s: float) -> None:
+def test_places_are_those_of_the_closed_form(kernels, start_s):
     path, offset_s = fly_by(kernels), start_s - START_S
     for t_s in np.random.default_rng(1).uniform(0, 300, 20):
         expected_m = 1e3 * (FROM_KM + SPEED_KM_S * (t_s + offset_s))
@@ -99,7 +99,7 @@ def test_places_are_those_of_the_closed_form(kernels: tuple[str, ...], start_s: 
         assert np.linalg.norm(pose.world_from_body[:, 2] - sight) < np.radians(1 / 3600)
 
 
-def test_the_frame_of_the_camera_is_that_of_spice(kernels: tuple[str, ...]) -> None:
+def test_the_frame_of_the_camera_is_that_of_spice(kernels):
     pose = fly_by(kernels, camera_frame="TESTCAM").pose(10**9)
     spice.furnsh(kernels[1])
     expected = spice.pxform("TESTCAM", "J2000", START_S)
@@ -117,12 +117,12 @@ def test_the_frame_of_the_camera_is_that_of_spice(kernels: tuple[str, ...]) -> N
         ({"start_utc": "soon"}, "UNPARSEDTIME"),
     ],
 )
-def test_what_the_kernels_lack_is_named(kernels: tuple[str, ...], changed: dict[str, object], message: str) -> None:
+def test_what_the_kernels_lack_is_named(kernels, changed, message):
     with pytest.raises(TrajectoryError, match=message):
         fly_by(kernels, **changed)
 
 
-def test_a_missing_or_damaged_kernel_is_named(kernels: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_missing_or_damaged_kernel_is_named(kernels, tmp_path):
     with pytest.raises(TrajectoryError, match=r"none\.bsp is missing"):
         fly_by((*kernels, str(tmp_path / "none.bsp")))
     Path(kernels[2]).write_bytes(b"DAF/SPK " + b"\xff" * 2000)
@@ -130,7 +130,7 @@ def test_a_missing_or_damaged_kernel_is_named(kernels: tuple[str, ...], tmp_path
         fly_by(kernels)
 
 
-def test_a_kernel_that_ends_spice_by_a_signal_is_refused_by_name(kernels: tuple[str, ...]) -> None:
+def test_a_kernel_that_ends_spice_by_a_signal_is_refused_by_name(kernels):
     """Two changed octets: the segment's data count as Chebyshev polynomials, of which each has 65536 coefficients."""
     data = bytearray(Path(kernels[2]).read_bytes())
     summary = data.index(np.array([-900, 10], "<i4").tobytes())  # target, observer, frame, type, first and last word
@@ -145,7 +145,7 @@ MU_KM3_S2, AXIS_KM, ECCENTRICITY = 4902.8, 1938.0, 0.05
 PERIOD_S = 2 * np.pi * (AXIS_KM**3 / MU_KM3_S2) ** 0.5
 
 
-def conic_km(t_s: float) -> np.ndarray:
+def conic_km(t_s):
     """Place on an orbit in the plane of x and y, by Kepler's equation; its pericentre at time 0 on x."""
     mean = 2 * np.pi * t_s / PERIOD_S
     e = brentq(lambda e: e - ECCENTRICITY * np.sin(e) - mean, mean - 1, mean + 1, xtol=1e-14)
@@ -154,7 +154,7 @@ def conic_km(t_s: float) -> np.ndarray:
 
 
 @pytest.fixture
-def start_s(kernels: tuple[str, ...]) -> float:
+def start_s(kernels):
     """Seconds of SPICE at time 0 of the paths."""
     spice.furnsh(kernels[0])
     start_s = float(spice.str2et("2020-01-01T12:00:00"))
@@ -162,7 +162,7 @@ def start_s(kernels: tuple[str, ...]) -> float:
     return start_s
 
 
-def test_an_orbit_is_that_of_keplers_equation(kernels: tuple[str, ...], start_s: float, tmp_path: Path) -> None:
+def test_an_orbit_is_that_of_keplers_equation(kernels, start_s, tmp_path):
     """SPICE propagates two bodies from one state (SPK type 5), from pericentre; the path lasts a revolution."""
     place = conic_km(0.0)
     speed = (MU_KM3_S2 * (2 / place[0] - 1 / AXIS_KM)) ** 0.5
@@ -181,7 +181,7 @@ def test_an_orbit_is_that_of_keplers_equation(kernels: tuple[str, ...], start_s:
         np.testing.assert_allclose(pull, toward, atol=0.02)  # of a cubic between instants
 
 
-def test_a_camera_turns_as_its_kernel(kernels: tuple[str, ...], start_s: float, tmp_path: Path) -> None:
+def test_a_camera_turns_as_its_kernel(kernels, start_s, tmp_path):
     """Attitudes a hundred seconds apart and the rate between them (CK type 3), on a clock of the spacecraft."""
     (tmp_path / "clock.tsc").write_text(SCLK)
     (tmp_path / "spin.tf").write_text(SPIN_FK)
@@ -205,7 +205,7 @@ def test_a_camera_turns_as_its_kernel(kernels: tuple[str, ...], start_s: float, 
     np.testing.assert_allclose(path.motion(10**11).turn_rad_s, [0, 0, RATE], atol=1e-6)
 
 
-def test_light_time_is_that_of_the_target(kernels: tuple[str, ...], start_s: float) -> None:
+def test_light_time_is_that_of_the_target(kernels, start_s):
     """The Sun's place sees the body where the light left it."""
     path = fly_by(kernels, observer="SUN", target="-900", aberration="CN", duration_s=250.0)
     offset_s = start_s - START_S
@@ -219,7 +219,7 @@ def test_light_time_is_that_of_the_target(kernels: tuple[str, ...], start_s: flo
         assert np.linalg.norm(found + 1e3 * (FROM_KM + SPEED_KM_S * t_s)) > 5
 
 
-def test_a_path_that_jumps_is_refused(kernels: tuple[str, ...], start_s: float, tmp_path: Path) -> None:
+def test_a_path_that_jumps_is_refused(kernels, start_s, tmp_path):
     """Two places a kilometre apart, each for half of the time."""
     spk = spice.spkopn(str(tmp_path / "jump.bsp"), "made", 0)
     for k, begin_s in enumerate((start_s - 100, start_s + 50)):
@@ -230,7 +230,7 @@ def test_a_path_that_jumps_is_refused(kernels: tuple[str, ...], start_s: float, 
         fly_by((kernels[0], str(tmp_path / "jump.bsp")), observer="-902", duration_s=100.0)
 
 
-def test_the_example_passes_eros_as_near_did(tmp_path: Path) -> None:
+def test_the_example_passes_eros_as_near_did(tmp_path):
     folder = shutil.copytree(Path(__file__).parents[3] / "examples" / "spice", tmp_path / "spice")
     runpy.run_path(str(folder / "make_kernels.py"))["make"](folder)
     rig = load_rig(folder / "flyby.toml")
@@ -246,9 +246,7 @@ def test_the_example_passes_eros_as_near_did(tmp_path: Path) -> None:
         open_files(rig)
 
 
-def test_without_spiceypy_the_extra_is_named(
-    kernels: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_spiceypy_the_extra_is_named(kernels, tmp_path, monkeypatch):
     (tmp_path / "spiceypy.py").write_text("raise ImportError(name='spiceypy')")
     monkeypatch.syspath_prepend(tmp_path)  # which the child process inherits
     with pytest.raises(TrajectoryError, match=r"needs spiceypy: pip install '\.\[spice\]'"):

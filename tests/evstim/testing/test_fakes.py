@@ -10,12 +10,12 @@ import usb.core
 from evstim.testing.fake_usb import FakeCamera
 from evstim.testing.fakes import FakeCanBus, FakeSerialPort
 from firmware_protocol.can_frames.canopen import NmtCommand, NmtOrder
-from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, Stop
 from firmware_protocol.receiver.can import CanReceiver
 from firmware_protocol.receiver.instrument import SerialReceiver
+from tests.made_events import scattered
 from transports.can_bus.bus import from_message
 from transports.can_bus.kind import CanLink
 from transports.usb.davis_host import DavisHost
@@ -27,12 +27,7 @@ PATIENT = InstrumentSettings(queue_ms=60_000)
 
 
 def stream(count, gap_us=5, seed=1):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = np.cumsum(rng.integers(1, 2 * gap_us, count))
-    events["x"], events["y"] = rng.integers(0, SIZE[0], count), rng.integers(0, SIZE[1], count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return scattered(np.cumsum(np.random.default_rng(seed).integers(1, 2 * gap_us, count)), SIZE, seed)
 
 
 def read_all(host, count):

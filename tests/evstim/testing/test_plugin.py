@@ -154,10 +154,7 @@ def test_it(evstim_rig):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("mark", "says"),
-    [
-        ("", "needs a mark with a rig"),
-        ('@pytest.mark.rig("small.toml", second=1)', "seconds, seed, pace"),
-    ],
+    [("", "needs a mark with a rig"), ('@pytest.mark.rig("small.toml", second=1)', "seconds, seed, pace")],
 )
 def test_wrong_use_says_what_is_right(project, mark, says):
     done = project(f"{mark}\ndef test_it(evstim_rig):\n    pass\n")

@@ -1,10 +1,7 @@
 """Faults outside the camera, and the verdicts on them."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +16,7 @@ POSE = PoseMessage(8_000_000_000, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0), counter
 LANDED = TouchDown(30.0, State(np.zeros(3), np.array([0.0, 0.0, -0.5])), touched=True, fuel_kg=5.0)
 
 
-def test_a_fault_is_read_from_its_text() -> None:
+def test_a_fault_is_read_from_its_text():
     """All of it, or only what must be."""
     assert Fault.parse("lose@0.5+3=0.05") == Fault("lose", 0.5, 3.0, 0.05)
     assert Fault.parse("stop@12") == Fault("stop", 12.0)
@@ -28,7 +25,7 @@ def test_a_fault_is_read_from_its_text() -> None:
             Fault.parse(wrong)
 
 
-def test_poses_go_wrong_while_the_fault_lasts() -> None:
+def test_poses_go_wrong_while_the_fault_lasts():
     """Not a number, nothing, or times that run back; sound before and after."""
     assert Faults([Fault("stop", 5.0, 2.0)]).datagram(POSE, 8.0) == bytes(POSE)
     assert Faults([Fault("stop", 7.0, 2.0)]).datagram(POSE, 8.0) is None
@@ -40,11 +37,10 @@ def test_poses_go_wrong_while_the_fault_lasts() -> None:
         PoseMessage.parse(no_number)
 
 
-def test_frames_are_lost_by_chance_and_by_seed() -> None:
+def test_frames_are_lost_by_chance_and_by_seed():
     """About their share, the same for one seed, none outside."""
     first, again = (Faults([Fault("lose", 0.0, 10.0, 0.2)], seed=3) for _ in range(2))
-    lost = [first.loses_frame(1.0) for _ in range(2000)]
-    assert lost == [again.loses_frame(1.0) for _ in range(2000)]
+    assert [first.loses_frame(1.0) for _ in range(2000)] == [again.loses_frame(1.0) for _ in range(2000)]
     assert 340 < first.frames_lost < 460
     assert not any(first.loses_frame(11.0) for _ in range(100))
 
@@ -52,19 +48,19 @@ def test_frames_are_lost_by_chance_and_by_seed() -> None:
 class Silent:
     """A connection whose flight computer answers nothing, or whose commands are all lost."""
 
-    def __init__(self, given: object) -> None:
+    def __init__(self, given):
         self.given, self.requests = given, 0
 
-    def pose(self, t_s: float, state: State) -> None:
+    def pose(self, t_s, state):
         """Send nothing."""
 
-    def frame(self, t_s: float, identifier: int, data: bytes) -> None:
+    def frame(self, t_s, identifier, data):
         """Send nothing."""
 
-    def sync(self) -> None:
+    def sync(self):
         """Send nothing."""
 
-    def answer(self, t_s: float, turn: int, limit_s: float) -> None:
+    def answer(self, t_s, turn, limit_s):
         """Be silent, or lose it."""
         self.requests += 1
         if self.given is TimeoutError:
@@ -72,7 +68,7 @@ class Silent:
 
 
 @pytest.mark.parametrize(("answer", "requests", "sentences"), [(TimeoutError, 1, 1), (None, 63, 0)])
-def test_without_commands_the_last_one_holds_to_the_ground(answer: object, requests: int, sentences: int) -> None:
+def test_without_commands_the_last_one_holds_to_the_ground(answer, requests, sentences):
     """The vehicle waits once for a silent computer; in each turn for one whose frames are lost."""
     state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -0.8]), thrust_n=1620.0)
     connection = Silent(answer)
@@ -84,14 +80,14 @@ def test_without_commands_the_last_one_holds_to_the_ground(answer: object, reque
     assert all("did not answer within 3 s, at 0.2 s and 11.8 m" in sentence for sentence in end.why)
 
 
-def test_dynamics_without_numbers_end_the_flight() -> None:
+def test_dynamics_without_numbers_end_the_flight():
     """In lockstep too."""
     state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, np.nan]))
     end = Spacecraft(Lander(), state, Silent(None)).land(lambda x, y: 0.0, lambda t_s, state: None)
     assert (end.touched, end.why) == (False, ("the dynamics gave no numbers at 0.00 s",))
 
 
-def test_the_verdict_lists_what_went_wrong(tmp_path: Path) -> None:
+def test_the_verdict_lists_what_went_wrong(tmp_path):
     """Of the flight, the computer and the camera; a landing may be good all the same."""
     row = {"t_s": 1.0, "at_s": 0.9, "down_1_s": 0.08, "gain": float("inf"), "lost": True, "events_lost": 70}
     row["edge"] = False
@@ -117,7 +113,7 @@ def test_the_verdict_lists_what_went_wrong(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("down_m_s", "touched"), [(1.2, True), (0.5, False)])
-def test_a_hard_or_missing_touchdown_is_no_landing(down_m_s: float, touched: bool, tmp_path: Path) -> None:
+def test_a_hard_or_missing_touchdown_is_no_landing(down_m_s, touched, tmp_path):
     """Without any files."""
     state = State(np.zeros(3), np.array([0.0, 0.0, -down_m_s]))
     found = verdict(dataclasses.replace(LANDED, state=state, touched=touched), tmp_path)

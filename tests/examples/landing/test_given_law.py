@@ -1,7 +1,5 @@
 """A law of the user's own: loaded, called and refused within bounds; flights with one are in the suite."""
 
-from __future__ import annotations
-
 import argparse
 import threading
 from pathlib import Path
@@ -20,13 +18,13 @@ from vehicle import GRAVITY_M_S2, State
 STATE = LawInput(3.0, np.array([0.0, 1.0, 50.0]), np.array([0.1, 0.0, -5.0]), np.eye(4)[0], np.ones(3), np.ones(3), 0.2)
 
 
-def law_of(folder: Path, body: str) -> str:
+def law_of(folder, body):
     """Return FILE.py:law of a file whose law has this body."""
     (folder / "mine.py").write_text(f"def law(state):\n    {body}\n\n\nnumber = 3.0\n")
     return f"{folder / 'mine.py'}:law"
 
 
-def test_a_law_is_a_function_or_a_class() -> None:
+def test_a_law_is_a_function_or_a_class():
     """That of the example: 4 m/s at 50 m, one too fast, gain 1."""
     law = GivenLaw(f"{Path(fly.__file__).parent / 'simple_law.py'}:Law")
     assert law(STATE) == pytest.approx([0.0, 0.0, GRAVITY_M_S2 + 1.0])
@@ -45,9 +43,7 @@ def test_a_law_is_a_function_or_a_class() -> None:
         ("while True: pass", "did not return within 0.2 s"),
     ],
 )
-def test_a_law_that_fails_is_described(
-    body: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_law_that_fails_is_described(body, sentence, tmp_path, monkeypatch):
     """In one sentence, and without its exception; one that hangs is left behind, and ends with this test."""
     hangs, ended = body.startswith("while"), threading.Event()
     monkeypatch.setattr(pilot_module, "_CALL_S", 0.2 if hangs else 60.0)
@@ -71,9 +67,7 @@ def test_a_law_that_fails_is_described(
         ("lacking.py:law", "raised ModuleNotFoundError: No module named 'lacked', in line 1 of lacking.py"),
     ],
 )
-def test_a_wrong_name_is_refused_before_anything_starts(
-    text: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_name_is_refused_before_anything_starts(text, sentence, tmp_path, monkeypatch, capsys):
     """Exit code 2, why, what to do; no folder of a flight."""
     law_of(tmp_path, "return 0, 0, 1.62")
     (tmp_path / "broken.py").write_text("x = 1\ndef law(state)\n")
@@ -87,9 +81,7 @@ def test_a_wrong_name_is_refused_before_anything_starts(
 
 
 @pytest.mark.parametrize("more", [["--real-time"], ["--navigation", "given"], ["--compare"]])
-def test_what_a_law_cannot_fly_with_is_refused(
-    more: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_law_cannot_fly_with_is_refused(more, tmp_path, monkeypatch, capsys):
     """Without sensors of the vehicle there is no state from navigation."""
     monkeypatch.setattr("sys.argv", ["fly.py", "--out", str(tmp_path / "flight"), "--guidance", "mine.py:law", *more])
     with pytest.raises(SystemExit, match="2"):
@@ -97,11 +89,11 @@ def test_what_a_law_cannot_fly_with_is_refused(
     assert "leave out" in capsys.readouterr().err
 
 
-def test_the_pilot_flies_the_given_law() -> None:
+def test_the_pilot_flies_the_given_law():
     """Its command is the law's, decided from the state when the command acts; the law cannot change the filter."""
-    states: list[LawInput] = []
+    states = []
 
-    def law(state: LawInput) -> np.ndarray:
+    def law(state):
         states.append(state)
         command = Law()(state)
         state.position_m[:] = state.attitude[:] = np.nan
@@ -118,7 +110,7 @@ def test_the_pilot_flies_the_given_law() -> None:
     assert np.isfinite([*flying.filter.now.position_m, *flying.filter.now.attitude]).all()
 
 
-def test_a_flight_whose_law_failed_is_not_good(tmp_path: Path) -> None:
+def test_a_flight_whose_law_failed_is_not_good(tmp_path):
     """However softly the last command lands it."""
     end = TouchDown(30.0, State(np.zeros(3), np.array([0.0, 0.0, -0.5])), touched=True, fuel_kg=5.0)
     (tmp_path / "truth.csv").write_text("t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s\n")

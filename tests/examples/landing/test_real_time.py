@@ -1,7 +1,5 @@
 """The landing in real time, with clocks and links of its own: nothing here waits, nothing depends on the machine."""
 
-from __future__ import annotations
-
 import struct
 from collections import deque
 
@@ -17,7 +15,7 @@ from spacecraft import RealTimeSpacecraft
 from vehicle import GRAVITY_M_S2, Lander, State
 
 
-def test_what_is_predicted_is_what_the_commands_sent_do() -> None:
+def test_what_is_predicted_is_what_the_commands_sent_do():
     """Two seconds of free motion in closed form; the command of time 0 acts after delay and engine, 0.2 s."""
     guidance = Guidance(100.0, np.array([0.0, 0.0, -5.0]))
     guidance.begin(0.0)
@@ -32,15 +30,15 @@ class Wall:
 
     ORIGIN_NS = 5_000_000_000
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.ns = 20_000_000_000
 
-    def now_ns(self) -> int:
+    def now_ns(self):
         """The time, ns."""
         return self.ns
 
     @property
-    def stream_s(self) -> float:
+    def stream_s(self):
         """The stream's time."""
         return (self.ns - self.ORIGIN_NS) * 1e-9
 
@@ -48,29 +46,29 @@ class Wall:
 class Ends:
     """A connection in the place of the real one: edges come 1 to 4 ms after their SYNC, commands hold the speed."""
 
-    def __init__(self, wall: Wall, answers: bool = True) -> None:
+    def __init__(self, wall, answers=True):
         self.wall, self.answers, self.ended = wall, answers, ""
-        self.frames: deque[tuple[int, int, bytes]] = deque()
-        self.poses: list[tuple[float, float, State]] = []
+        self.frames = deque()
+        self.poses = []
         self.stall_s = 0.0
         self.late_ns_more = 0
         self.syncs = 0
         self.faults = Faults()
 
-    def trouble(self) -> str:
+    def trouble(self):
         """The process that has ended."""
         return self.ended
 
-    def pose(self, t_s: float, state: State) -> None:
+    def pose(self, t_s, state):
         """Keep a pose with the stream's time at which it was sent."""
         self.poses.append((t_s, self.wall.stream_s, state))
 
-    def frame(self, t_s: float, identifier: int, data: bytes) -> None:
+    def frame(self, t_s, identifier, data):
         """Check that the number of an attitude gives the time."""
         assert identifier == ATTITUDE
         assert unpack_attitude(data)[1] * STEP_S == pytest.approx(t_s)
 
-    def sync(self) -> int:
+    def sync(self):
         """Answer a SYNC with its edge and a command, a little later."""
         self.syncs = counter = self.syncs % 240 + 1
         late_ns = 1_000_000 * (1 + counter % 4)
@@ -81,7 +79,7 @@ class Ends:
             self.frames.append((self.wall.ns + 33_000_000, COMMAND, pack_command(command, counter)))
         return counter
 
-    def receive(self, timeout_s: float) -> can.Message | None:
+    def receive(self, timeout_s):
         """Return the next frame that is there in time; else let the time pass."""
         end_ns = self.wall.ns + round(timeout_s * 1e9)
         if self.frames and self.frames[0][0] <= end_ns:
@@ -93,14 +91,14 @@ class Ends:
         return None
 
 
-def falling(down_m_s: float, wall: Wall, ends: Ends) -> RealTimeSpacecraft:
+def falling(down_m_s, wall, ends):
     """Return a spacecraft that falls evenly from 12 m."""
     thrust_n = 1000 * GRAVITY_M_S2
     state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -down_m_s]), thrust_n=thrust_n)
     return RealTimeSpacecraft(Lander(), state, ends, now_ns=wall.now_ns)
 
 
-def test_dynamics_follow_the_wall_and_poses_bear_the_streams_time() -> None:
+def test_dynamics_follow_the_wall_and_poses_bear_the_streams_time():
     """The stream's beginning is found to the least delay; ten metres at 0.8 m/s take 12.5 s of the wall."""
     wall, ends = Wall(), Ends(Wall())
     ends.wall = wall
@@ -118,7 +116,7 @@ def test_dynamics_follow_the_wall_and_poses_bear_the_streams_time() -> None:
     assert all(0 < shown_ns - received_ns <= 10_000_000 for _, received_ns, shown_ns in spacecraft.commands)
 
 
-def test_a_machine_that_stands_still_loses_poses_not_time() -> None:
+def test_a_machine_that_stands_still_loses_poses_not_time():
     """Half a second passes unseen: the dynamics make up for it, with the newest pose alone."""
     wall, ends = Wall(), Ends(Wall())
     ends.wall, ends.stall_s = wall, 0.5
@@ -132,7 +130,7 @@ def test_a_machine_that_stands_still_loses_poses_not_time() -> None:
     assert np.diff([h for _, h in heights]) / np.diff([t for t, _ in heights]) == pytest.approx(-0.8, abs=0.02)
 
 
-def test_a_silent_computer_is_reported_and_the_flight_goes_on() -> None:
+def test_a_silent_computer_is_reported_and_the_flight_goes_on():
     """Its last command holds; so does a word of trouble."""
     wall = Wall()
     end = falling(0.8, wall, Ends(wall, answers=False)).land(lambda x, y: 0.0, lambda t_s, state: None)
@@ -141,7 +139,7 @@ def test_a_silent_computer_is_reported_and_the_flight_goes_on() -> None:
     assert "has sent nothing for 2." in end.why[0]
 
 
-def test_the_time_of_an_edge_is_carried() -> None:
+def test_the_time_of_an_edge_is_carried():
     """All 48 bits."""
     assert unpack_edge(pack_edge(240, (1 << 48) - 1)) == (240, (1 << 48) - 1)
     with pytest.raises(struct.error, match="8 bytes"):
@@ -149,7 +147,7 @@ def test_the_time_of_an_edge_is_carried() -> None:
     assert EDGE not in (ATTITUDE, COMMAND)
 
 
-def test_the_parts_of_the_loop_add_up() -> None:
+def test_the_parts_of_the_loop_add_up():
     """A flight whose times are known, with counters that begin anew."""
     origin_ns, rows, commands = 10**12, [], []
     for k in range(300):

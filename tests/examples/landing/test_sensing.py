@@ -1,7 +1,5 @@
 """The vehicle's own sensors, its navigation and the judgement, against closed forms: `pytest test_sensing.py`."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import struct
@@ -21,12 +19,12 @@ from vehicle import GRAVITY_M_S2, Lander, State, advance, product
 ROLLING = State(np.array([3.0, 4.0, 100.0]), np.array([0.5, 0.0, -8.0]), thrust_n=1620.0)
 
 
-def sensors(errors: SensorErrors | None = None, seed: int = 5) -> Sensors:
+def sensors(errors=None, seed=5):
     """Return sensors over level ground."""
     return Sensors(errors or SensorErrors(), Lander(), seed, lambda x, y: 0.0)
 
 
-def averages(errors: Inertial, seed: int, seconds: float, samples: int = 6_000) -> np.ndarray:
+def averages(errors, seed, seconds, samples=6_000):
     """Return the mean rates of a gyroscope at rest over stretches of a length, (n, 3)."""
     unit, still = sensors(SensorErrors(gyroscope=errors), seed), State(np.zeros(3), np.zeros(3))
     turns = np.array([unit.turn_rad(k, still, still) for k in range(samples)])
@@ -35,7 +33,7 @@ def averages(errors: Inertial, seed: int, seconds: float, samples: int = 6_000) 
 
 
 @pytest.mark.parametrize(("seconds", "drift"), [(0.1, 0.0), (1.0, 0.0), (0.4, 0.01), (2.0, 0.01)])
-def test_the_allan_variance_is_that_of_white_noise_and_drift(seconds: float, drift: float) -> None:
+def test_the_allan_variance_is_that_of_white_noise_and_drift(seconds, drift):
     """N^2 / t, and for a Gauss-Markov drift of 1 s: 2 s^2 (T/t) (1 - T/2t (3 - 4 exp(-t/T) + exp(-2t/T))).
 
     The bound is four standard deviations of the estimate; a constant bias has no influence.
@@ -47,7 +45,7 @@ def test_the_allan_variance_is_that_of_white_noise_and_drift(seconds: float, dri
     assert found == pytest.approx(1e-6 / x + markov, rel=4 * math.sqrt(3 / means.size))
 
 
-def test_a_sample_does_not_depend_on_the_step_of_the_dynamics() -> None:
+def test_a_sample_does_not_depend_on_the_step_of_the_dynamics():
     """A period in one call or in two, to a hundredth of the frame's unit; push and turn are the true ones."""
     command, unit = np.array([0.1, -0.05, 2.0]), sensors()
     whole = advance(Lander(), ROLLING, command, PERIOD_S)
@@ -62,7 +60,7 @@ def test_a_sample_does_not_depend_on_the_step_of_the_dynamics() -> None:
     assert vector_of(-turn_of(turn)) == pytest.approx(turn, abs=1e-12)
 
 
-def test_rates_and_delays_are_exact() -> None:
+def test_rates_and_delays_are_exact():
     """Every sample of the IMU one period later, each tenth attitude ten later, each fifth range two later."""
     unit, sent = sensors(), []
     for number in range(1, 101):
@@ -75,7 +73,7 @@ def test_rates_and_delays_are_exact() -> None:
     assert [one for at, one, _ in sent if at == 100][-1] == PUSH  # the last of its time
 
 
-def test_the_altimeter_looks_along_the_body() -> None:
+def test_the_altimeter_looks_along_the_body():
     """Over ground that rises to the east, tilted: the beam meets the plane; none beyond its longest range."""
     exact = SensorErrors(range_white_m=0.0, range_white_scale=0.0, range_scale=0.0)
     unit = Sensors(exact, Lander(), 1, lambda x, y: 0.1 * x)
@@ -85,7 +83,7 @@ def test_the_altimeter_looks_along_the_body() -> None:
     assert unit.range_m(0, dataclasses.replace(ROLLING, position_m=np.array([0.0, 0.0, 4000.0]))) == 0.0
 
 
-def test_frames_of_sensors_carry_what_was_put_in() -> None:
+def test_frames_of_sensors_carry_what_was_put_in():
     """Rounded and clipped, and numbers beyond 65 535."""
     words, number = unpack_words(pack_words(np.array([12345.6, -1.0, 9e6]), 70_001))
     assert words.tolist() == [12346, -1, 32767]
@@ -97,7 +95,7 @@ def test_frames_of_sensors_carry_what_was_put_in() -> None:
 KNOWN = Known((0.0, 0.0, 100.0), (0.0, 0.0, -8.0), 5.0, 5.0, 0.7)
 
 
-def steady(seed: int, seconds: float = 8.0) -> tuple[Filter, np.ndarray]:
+def steady(seed, seconds=8.0):
     """Return a filter on a vertical braking of 0.4 m/s2 from a start drawn by its own covariance, and its errors."""
     errors, draw, rest = SensorErrors(), np.random.default_rng(seed), np.array([1.0, 0.0, 0.0, 0.0])
     unit, braking = sensors(errors, seed), 0.4
@@ -106,7 +104,7 @@ def steady(seed: int, seconds: float = 8.0) -> tuple[Filter, np.ndarray]:
     place, speed = np.array(KNOWN.position_m) + first[:3], np.array(KNOWN.velocity_m_s) + first[3:6]
     bias, attitude = first[9:12], product(rest, turn_of(first[6:9]))
 
-    def at(t_s: float) -> State:
+    def at(t_s):
         up = np.array([0.0, 0.0, braking])
         return State(place + speed * t_s + up * t_s**2 / 2, speed + up * t_s, attitude)
 
@@ -126,7 +124,7 @@ def steady(seed: int, seconds: float = 8.0) -> tuple[Filter, np.ndarray]:
     return found, wrong
 
 
-def test_the_filter_is_as_good_as_it_claims() -> None:
+def test_the_filter_is_as_good_as_it_claims():
     """Errors of place and velocity in units of the covariance, over 8 flights: chi-squared of 48, 0.1 % each side."""
     total = 0.0
     for seed in range(8):
@@ -135,14 +133,14 @@ def test_the_filter_is_as_good_as_it_claims() -> None:
     assert chi2.ppf(0.001, 8 * 6) < total < chi2.ppf(0.999, 8 * 6)
 
 
-def test_events_and_braking_give_the_scale() -> None:
+def test_events_and_braking_give_the_scale():
     """Height and speed are known far better than at the start, without an altimeter."""
     sigma = np.sqrt(np.diag(steady(1)[0].now.covariance))
     assert sigma[2] < 2.5
     assert (sigma[3:6] < (0.2, 0.2, 0.35)).all()
 
 
-def test_a_late_measurement_counts_as_one_in_time() -> None:
+def test_a_late_measurement_counts_as_one_in_time():
     """In any order, to the last bit; one that is older than what is stored is refused."""
     one = of_range(99.0, SensorErrors(), 0.5), of_events(np.array([0.0, 0.0, 0.08]), np.full(3, 1e-6))
     still, push = np.zeros(3), np.array([0.0, 0.0, GRAVITY_M_S2 * PERIOD_S])
@@ -160,7 +158,7 @@ def test_a_late_measurement_counts_as_one_in_time() -> None:
     assert not late.measure(-1, one[0])
 
 
-def landed(navigation: str, seed: int) -> TouchDown:
+def landed(navigation, seed):
     """Return the end of a flight from 20 m, with motions of 1 % where it uses events."""
     mission, draw = Mission.drawn(20.0, seed), np.random.default_rng(seed)
     mission = dataclasses.replace(mission, known=dataclasses.replace(mission.known, height_sigma_m=2.0))
@@ -171,7 +169,7 @@ def landed(navigation: str, seed: int) -> TouchDown:
     class Seeing(WithoutCamera):
         """Links whose pilot gets the motion that a camera would have measured."""
 
-        def answer(self, t_s: float, turn: int, limit_s: float) -> tuple[np.ndarray, bytes]:
+        def answer(self, t_s, turn, limit_s):
             state = spacecraft[0].state
             east, north, up = state.velocity_m_s / state.position_m[2] * (1 + 0.01 * draw.normal(size=3))
             pilot.take_motion(Motion(east, -north, -up, 2.0, t_s - PERIOD_S, 9), t_s, 0.2)
@@ -183,7 +181,7 @@ def landed(navigation: str, seed: int) -> TouchDown:
     return spacecraft[0].land(lambda x, y: 0.0, lambda t_s, state: None)
 
 
-def test_events_land_where_dead_reckoning_crashes() -> None:
+def test_events_land_where_dead_reckoning_crashes():
     """The same start, with a height that is 2 m too high: the whole loop of sensors, frames, filter and law."""
     good, blind = landed("events", 2), landed("blind", 2)
     assert good.vertical_m_s < 0.8
@@ -201,9 +199,7 @@ def test_events_land_where_dead_reckoning_crashes() -> None:
         ((0.0, 0.0, math.nan), (0.0, 0.0, 0.0), (18.0, 18.0), ["vertical_m_s", "place_m"]),
     ],
 )
-def test_each_bound_is_judged(
-    velocity: tuple[float, ...], turn: tuple[float, ...], place: tuple[float, ...], beyond: list[str]
-) -> None:
+def test_each_bound_is_judged(velocity, turn, place, beyond):
     """One at a time; a turn about the vertical is no tilt."""
     state = State(np.array([*place, 2.0]), np.array(velocity), turn_of(np.array(turn)))
     found = judgement(TouchDown(30.0, state, touched=True, fuel_kg=5.0), lambda x, y: 0.0)

@@ -13,6 +13,7 @@ from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 from firmware_protocol.can_frames.raw_events import pack_marks
 from firmware_protocol.can_frames.raw_stream import RawReceiver, RawSender, RawSettings
 from firmware_protocol.events import EDGE, EVENT, empty_events
+from tests.made_events import events_at
 
 IDS = Identifiers.of_node(0x22)
 EVENTS, EPOCH = IDS.events, IDS.epoch
@@ -24,8 +25,7 @@ COUNTERS = ("lost", "dropped", "gaps", "repeated", "before_epoch", "malformed")
 def streams(draw, most=60):
     gaps = draw(st.lists(st.sampled_from([0, 1, 30, 31, 126, 127, 5_000, 40_000, 2_000_000]), max_size=most))
     rng = np.random.default_rng(draw(st.integers(0, 99)))
-    events = np.zeros(len(gaps), EVENT)
-    events["t"] = np.cumsum([draw(st.integers(0, 1 << 33)), *gaps])[1:]
+    events = events_at(np.cumsum([draw(st.integers(0, 1 << 33)), *gaps])[1:])
     events["x"], events["y"], events["on"] = rng.integers(0, [512, 512, 2], (len(gaps), 3)).T
     return events
 
@@ -48,15 +48,13 @@ def same_as_python(library, frames):
 def test_events_come_back(library, events, tick_us, parts, fd):
     sender = RawSender(RawSettings(EVENTS, EPOCH, tick_us, fd=fd))
     frames = [p.frame for i, part in enumerate(np.array_split(events, parts)) for p in sender.pack(part, dropped=3 * i)]
-    reply = same_as_python(library, frames)
-    assert np.array_equal(reply.events[["x", "y", "on"]], events[["x", "y", "on"]])
+    assert np.array_equal(same_as_python(library, frames).events[["x", "y", "on"]], events[["x", "y", "on"]])
 
 
 @given(jumping_streams(), st.booleans(), st.integers(0, 40))
 def test_times_are_exact_far_from_zero_over_jumps_and_for_late_joiners(library, parts, fd, joins):
     frames, expected = frames_of(parts, fd=fd)
-    reply = same_as_python(library, frames)
-    assert np.array_equal(reply.events, np.concatenate(expected))
+    assert np.array_equal(same_as_python(library, frames).events, np.concatenate(expected))
     same_as_python(library, frames[joins:])
 
 

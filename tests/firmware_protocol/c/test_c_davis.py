@@ -44,5 +44,4 @@ def test_any_words_mean_the_same(library, words, turned, piece, odd):
 @given(streams(), st.integers(1, 9))
 def test_encoded_events_come_back(library, events, piece):
     encoded = WordEncoder((346, 260)).encode(events)
-    reply = same_as_python(library, encoded.words.tobytes(), piece=piece)
-    assert np.array_equal(reply.events, events)
+    assert np.array_equal(same_as_python(library, encoded.words.tobytes(), piece=piece).events, events)

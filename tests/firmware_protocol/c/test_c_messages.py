@@ -60,8 +60,7 @@ def same_isotp(library, frames, block_size=0, capacity=CAPACITY):
         packets += [] if packet is None else [packet]
         replies += [] if receiver.reply is None else [receiver.reply.data]
     reply = library("I", request(frames), flags=block_size, piece=capacity)
-    expected = [receiver.faults[name.format("message")] for name in COUNTS]
-    assert reply.counters[-6:] == [len(packets), *expected]
+    assert reply.counters[-6:] == [len(packets), *[receiver.faults[name.format("message")] for name in COUNTS]]
     assert [frame for frame in reply.frames if len(frame) == 8] == replies
     events, _ = events_in(Profile("ccsds").unwrapper(), packets)
     assert np.array_equal(reply.events, events)

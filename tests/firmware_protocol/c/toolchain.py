@@ -21,7 +21,7 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion"
 SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
-def compiler(name: str) -> str:
+def compiler(name):
     """Return the path of a compiler; skip where there is none, but not in CI."""
     path = shutil.which(name)
     if path is None:
@@ -35,14 +35,14 @@ def compiler(name: str) -> str:
 PACKAGES = {"gcc": "gcc libc6-dev", "arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
 
 
-def run(*command: object) -> str:
+def run(*command):
     """Run a tool; its own words are the failure."""
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-def build_driver(folder: Path) -> Path:
+def build_driver(folder):
     """Compile the library as firmware would, and the driver around it, all under sanitizers."""
     gcc, program = compiler("gcc"), folder / "driver"
     objects = []
@@ -67,14 +67,14 @@ class Reply:
 class Driver:
     """The driver, running; each call is one request. After a crash the next call starts it anew."""
 
-    def __init__(self, program: Path) -> None:
+    def __init__(self, program):
         self._program = program
         self._process = self._start()
 
-    def _start(self) -> subprocess.Popen:
+    def _start(self):
         return subprocess.Popen([self._program], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
-    def __call__(self, mode: str, data: bytes, *, size=(346, 260), flags=0, piece=1 << 20) -> Reply:
+    def __call__(self, mode, data, *, size=(346, 260), flags=0, piece=1 << 20):
         if self._process.poll() is not None:
             self.close()
             self._process = self._start()
@@ -90,14 +90,14 @@ class Driver:
             np.frombuffer(counters, "<u4").tolist(),
         )
 
-    def _read(self, n: int) -> bytes:
+    def _read(self, n):
         data = self._process.stdout.read(n)
         if len(data) < n:
             self._process.wait(60)
             pytest.fail("the driver died; what the sanitizer found is on stderr")
         return data
 
-    def close(self) -> int:
+    def close(self):
         """End it; return its exit code, which tells of leaks too."""
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
@@ -105,7 +105,7 @@ class Driver:
         return self._process.wait(60)
 
 
-def _frames(data: bytes):
+def _frames(data):
     while data:
         (n,) = struct.unpack_from("<I", data)
         yield data[4 : 4 + n]

@@ -52,8 +52,7 @@ def test_frames_made_by_libcsps_own_code(k, length, frames):
         ports=(7 + k, 48 + k),
         flags=k,
     )
-    made = " ".join(str(frame) for frame in cfp_frames(whole, 70, 2 + k))
-    assert made == frames
+    assert " ".join(str(frame) for frame in cfp_frames(whole, 70, 2 + k)) == frames
 
 
 def test_a_short_packet_is_one_frame():
@@ -101,8 +100,7 @@ def test_any_hole_is_found_by_the_frame_count_or_by_the_crc(payload, data):
 def test_the_hole_of_eight_frames_hides_from_the_frame_count():
     frames = cfp_frames(packet(bytes(200)), 5, 0)
     receiver = CfpReceiver()
-    got = [receiver.push(frame, 0) for frame in frames[:3] + frames[11:]]
-    assert len(got[-1]) == 206 - 64
+    assert len([receiver.push(frame, 0) for frame in frames[:3] + frames[11:]][-1]) == 206 - 64
     assert not receiver.faults
 
 

@@ -19,6 +19,7 @@ from firmware_protocol.can_frames.raw_events import (
 )
 from firmware_protocol.can_frames.raw_stream import RawReceiver, RawSender, RawSettings
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 
 EVENTS, EPOCH = 0x1A2, 0x2A2
 
@@ -30,8 +31,7 @@ def made(*records):
 @st.composite
 def streams(draw, most=60):
     gaps = draw(st.lists(st.sampled_from([0, 1, 30, 31, 126, 127, 5_000, 40_000, 2_000_000]), max_size=most))
-    events = np.zeros(len(gaps), EVENT)
-    events["t"] = np.cumsum([draw(st.integers(0, 1 << 33)), *gaps])[1:]
+    events = events_at(np.cumsum([draw(st.integers(0, 1 << 33)), *gaps])[1:])
     rng = np.random.default_rng(draw(st.integers(0, 99)))
     events["x"], events["y"] = rng.integers(0, 512, (2, len(gaps)))
     events["on"] = rng.integers(0, 2, len(gaps))
@@ -109,8 +109,7 @@ def test_lost_and_repeated_frames_are_counted_and_hurt_no_other(events, fd, data
 
 
 def test_reordered_frames_keep_their_times():
-    events = np.zeros(40, EVENT)
-    events["t"] = np.arange(40) * 50
+    events = events_at(np.arange(40) * 50)
     packed, sender = sent_in_parts(events, RawSettings(EVENTS, EPOCH), 1)
     frames = [p.frame for p in packed]
     frames[3], frames[4] = frames[4], frames[3]
@@ -140,8 +139,7 @@ def test_events_without_an_epoch_have_no_time():
 def test_foreign_bytes_hurt_nobody(frames, fd_data):
     receiver = RawReceiver(EVENTS, EPOCH)
     for identifier, data in frames:
-        got = receiver.push(Frame(identifier, data))
-        assert len(got) <= 2
+        assert len(receiver.push(Frame(identifier, data))) <= 2
     with suppress(RawError):
         assert len(unpack_fd_events(fd_data, 1, 0).events) <= 19
 

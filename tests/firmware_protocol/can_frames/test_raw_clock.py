@@ -10,6 +10,7 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_events import RawError, pack_clock, unpack_clock
 from firmware_protocol.can_frames.raw_stream import RawReceiver, RawSender, RawSettings
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 
 IDS = raw.IDS
 
@@ -52,8 +53,7 @@ def test_a_late_joiner_gets_times_modulo_2_to_30_ticks_until_a_clock_frame_and_a
 @pytest.mark.parametrize("start_us", [(1 << 30) + 7, (1 << 36) - 20_000, 1 << 40])
 def test_times_beyond_30_bits_of_microseconds(tick_us, start_us):
     """The figures of the fault that was found: 1 048 576 us off at a tick of 10 us after 2^30 us."""
-    events = np.zeros(500, EVENT)
-    events["t"] = start_us + 137 * np.arange(500)
+    events = events_at(start_us + 137 * np.arange(500))
     sender = RawSender(RawSettings(IDS.events, IDS.epoch, tick_us, clock=IDS.clock))
     receiver = receiver_of()
     got = joined(receiver.push(packed.frame) for packed in sender.pack(events))

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.events import EVENT
+from tests.made_events import scattered
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import StreamSettings
 from transports.usb.loopback import DirectHost
@@ -73,27 +74,23 @@ def events_at(*places):
 
 
 def some_events(count=4000, seed=1, start_us=5000, step_us=150, size=(40, 30), corner=(0, 0)):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.cumsum(rng.integers(0, 2 * step_us, count))
-    events["x"] = corner[0] + rng.integers(0, size[0], count)
-    events["y"] = corner[1] + rng.integers(0, size[1], count)
-    events["on"] = rng.integers(0, 2, count)
+    steps = np.random.default_rng(seed).integers(0, 2 * step_us, count)
+    events = scattered(start_us + np.cumsum(steps), size, seed)
+    events["x"] += corner[0]
+    events["y"] += corner[1]
     return events
 
 
 def test_all_passes_while_the_stamps_are_as_the_power_left_them():
     bench = Bench()
     bench.write({BACKGROUND: 1})
-    sent = events_at((2249, 9, 9), (2250, 99, 99))
-    assert bench.show(sent)["t"].tolist() == [2249]
+    assert bench.show(events_at((2249, 9, 9), (2250, 99, 99)))["t"].tolist() == [2249]
 
 
 def test_a_stamp_looks_new_again_when_the_clock_has_wrapped():
     bench = Bench()
     bench.write({BACKGROUND: 1})
-    first = events_at((10_000, 9, 9))
-    assert not len(bench.show(first))
+    assert not len(bench.show(events_at((10_000, 9, 9))))
     bench.model.advance(WRAP_US)
     assert bench.show(events_at((WRAP_US + 12_000, 9, 9)))["t"].tolist() == [WRAP_US + 12_000]
 
@@ -128,8 +125,7 @@ def test_what_passes_is_what_the_reference_lets_pass(name, corner, layout):
     bench.write(ASKED[name])
     reference.write(ASKED[name], 0)
     sent = some_events(corner=corner)
-    expected = sent[[reference.passes(t, x, y) for t, x, y, _ in sent.tolist()]]
-    assert np.array_equal(bench.show(sent), expected)
+    assert np.array_equal(bench.show(sent), sent[[reference.passes(t, x, y) for t, x, y, _ in sent.tolist()]])
     counters = bench.model.counters
     assert (counters.dropped_background, counters.dropped_refractory) == (reference.isolated, reference.too_soon)
     assert counters.not_selected == 0
@@ -160,8 +156,7 @@ def test_it_does_not_matter_how_events_are_cut(cuts, age, pause, is_both, seed):
     whole, cut = Bench(size=(14, 13)), Bench(size=(14, 13))
     for bench in (whole, cut):
         bench.write(asked)
-    parts = np.split(sent, sorted(cuts))
-    assert np.array_equal(cut.show(*parts), whole.show(sent))
+    assert np.array_equal(cut.show(*np.split(sent, sorted(cuts))), whole.show(sent))
     assert cut.model.counters == whole.model.counters
 
 
@@ -173,8 +168,7 @@ def test_the_other_filters_come_before_it_and_the_skip_filter_after_it():
     sent = some_events()
     before = [x >= 2 and not on and (x, y) != (5, 5) for _, x, y, on in sent.tolist()]
     heard = [e for e, good in zip(sent, before, strict=True) if good and reference.passes(*e.tolist()[:3])]
-    expected = [e for k, e in enumerate(heard) if k % 3 != 2]
-    assert np.array_equal(bench.show(sent), np.array(expected, EVENT))
+    assert np.array_equal(bench.show(sent), np.array([e for k, e in enumerate(heard) if k % 3 != 2], EVENT))
     counters = bench.model.counters
     assert counters.not_selected == before.count(False) + len(heard) // 3
     assert counters.dropped_background == reference.isolated > 0

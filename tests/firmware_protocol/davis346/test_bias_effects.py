@@ -35,8 +35,7 @@ def test_default_words_change_nothing():
     ],
 )  # fmt: skip
 def test_a_word_moves_its_figure_alone(name, value, figure, factor):
-    factors = sensor_factors(with_word(name, value))
-    assert factors == pytest.approx({**NONE, figure: factor})
+    assert sensor_factors(with_word(name, value)) == pytest.approx({**NONE, figure: factor})
 
 
 def test_the_reference_current_moves_both_thresholds_apart():

@@ -124,8 +124,7 @@ def test_any_write_to_any_register_leaves_it_exact_afterwards():
 def test_words_of_the_corners():
     camera, host = running()
     camera.offer(events_of((5, 0, 0, False), (5, 239, 0, True), (7, 239, 179, False)))
-    words = struct.unpack("<7H", host.data())
-    assert words == (0x8005, 0x1000, 0x2000, 0x30EF, 0x8007, 0x10B3, 0x20EF)
+    assert struct.unpack("<7H", host.data()) == (0x8005, 0x1000, 0x2000, 0x30EF, 0x8007, 0x10B3, 0x20EF)
     with pytest.raises(ValueError, match="outside the 240 x 180"):
         camera.offer(events_of((9, 240, 0, True)))
 

@@ -79,12 +79,6 @@ def test_reset_sets_time_to_zero_and_is_reported_between_events():
     assert decoded.resets.tolist() == [2, 4]
 
 
-def test_turned_layout_swaps_back():
-    decoder, decoded = decode([0x8001, 0x1159, 0x3103], turned=True)
-    assert rows(decoded.events) == [(1, 345, 259, True)]
-    assert decoder.faults == WordFaults()
-
-
 def test_time_beyond_32_bits():
     decoder, _ = decode([0x7FFF] * 40)
     assert decoder.time_us == 40 * 4095 * 32768 > 2**32

@@ -86,8 +86,7 @@ def test_events_of_the_silence_are_not_running_and_the_rest_flows():
     assert not camera.streaming
     camera.offer(steady(2000))
     assert camera.streaming
-    events = host.decoded().events
-    assert events["t"].tolist() == list(range(1000, 2000))
+    assert host.decoded().events["t"].tolist() == list(range(1000, 2000))
     assert camera.counters == Fates(offered=2000, not_running=1000, delivered=1000)
 
 
@@ -149,8 +148,7 @@ def test_a_full_fifo_drops_whole_events_at_the_tail_and_counts_them():
     assert camera.counters == Fates(offered=1000, dropped_fifo=1000 - kept, queued=kept)
     needed = WordEncoder().encode(steady(1000)).ends
     assert needed[kept - 1] <= 512 - 64 < needed[kept]
-    events = host.decoded().events
-    assert np.array_equal(events, steady(1000)[:kept])
+    assert np.array_equal(host.decoded().events, steady(1000)[:kept])
     later = steady(50, start_us=2000)
     camera.offer(later)
     assert np.array_equal(host.decoded().events, later)

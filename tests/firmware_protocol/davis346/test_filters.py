@@ -5,6 +5,7 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.events import EVENT
+from tests.made_events import steady
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import StreamSettings
 from transports.usb.loopback import DirectHost
@@ -13,12 +14,7 @@ STATISTICS_HOT = (1, 88)
 
 
 def some_events(count=3000, seed=1, start_us=1000):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count) * 5
-    events["x"], events["y"] = rng.integers(0, 20, count), rng.integers(0, 20, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return steady(count, start_us, 5, seed, (20, 20))
 
 
 def by_rule(events, written):

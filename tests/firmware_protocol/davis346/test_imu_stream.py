@@ -8,17 +8,16 @@ from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.imu_samples import ImuSettings, no_samples
+from firmware_protocol.imu_samples import ImuSettings
+from tests.made_events import samples_at
 
 IMU = ReadingKind.IMU
 MEASURE = [(3, 2, 1), (3, 3, 1), (3, 4, 1)]
 
 
 def samples(n, start_us=1000, scale=0xE5, seed=0, period_us=999):
-    s = no_samples(n)
-    s["t"], s["scale"] = start_us + period_us * np.arange(n), scale
-    s["counts"] = np.random.default_rng(seed).integers(-32768, 32768, (n, 7))
-    return s
+    counts = np.random.default_rng(seed).integers(-32768, 32768, (n, 7))
+    return samples_at(start_us + period_us * np.arange(n), counts, scale)
 
 
 def running(unit=2, measure=True, **changes):

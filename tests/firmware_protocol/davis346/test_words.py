@@ -75,8 +75,7 @@ def test_words_are_those_of_the_rules_however_the_stream_is_cut(events, cuts):
 def test_decoding_gives_the_events_back(events, cuts, turned):
     data = WordEncoder((346, 260), turned).encode(events).words.tobytes()
     decoder = Decoder((346, 260), turned)
-    got = np.concatenate([decoder.feed(part).events for part in cut(data, cuts)])
-    assert np.array_equal(got, events)
+    assert np.array_equal(np.concatenate([decoder.feed(part).events for part in cut(data, cuts)]), events)
     assert decoder.faults.total == decoder.faults.not_interpreted == 0
 
 
@@ -166,5 +165,4 @@ def test_an_array_beyond_twelve_bits_is_refused(size):
 
 
 def test_the_largest_array_fits():
-    events = events_of((1, 4095, 4095, True), (1, 0, 4095, False))
-    assert words_of(events) == [0x8001, 0x1FFF, 0x3FFF, 0x2000]
+    assert words_of(events_of((1, 4095, 4095, True), (1, 0, 4095, False))) == [0x8001, 0x1FFF, 0x3FFF, 0x2000]

@@ -1,6 +1,7 @@
 """A DVXplorer: identity, gate, filters, biases, read-out registers, samples, edges, and requests with wrong data."""
 
 import dataclasses
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from hypothesis import strategies as st
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
-from firmware_protocol.events import EDGE
+from firmware_protocol.events import make_edges
 from firmware_protocol.imu_samples import ImuSettings, no_samples, physical
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Stall
+from tests.made_events import samples_at
 
 IMU = ReadingKind.IMU
 
@@ -81,8 +83,7 @@ def test_the_host_chooses_the_grammar():
         camera.offer(events)
         data = host.data()
         lengths.append(len(data))
-        codes = {word >> 12 for word in np.frombuffer(data, "<u2").tolist()}
-        assert (2 in codes) == (packet_format == 0x80)
+        assert (2 in {word >> 12 for word in np.frombuffer(data, "<u2").tolist()}) == (packet_format == 0x80)
         assert read(data).events == events.tolist()
     assert lengths[0] < lengths[1]
 
@@ -236,10 +237,8 @@ def test_the_period_of_a_scan_gives_each_named_rate(fixed, ms, us, column, inter
 
 
 def samples(n, start_us=1000, scale=0xEA, period_us=1250):
-    out = no_samples(n)
-    out["t"], out["scale"] = start_us + period_us * np.arange(n), scale
-    out["counts"] = np.random.default_rng(0).integers(-32768, 32768, (n, 7))
-    return out
+    counts = np.random.default_rng(0).integers(-32768, 32768, (n, 7))
+    return samples_at(start_us + period_us * np.arange(n), counts, scale)
 
 
 def test_samples_go_out_in_the_axes_of_the_unit():
@@ -290,8 +289,7 @@ def test_counts_in_physical_units():
 
 def test_edges_become_marks_in_the_order_of_time():
     camera, host = running([(4, 0, 1), (4, 1, 1), (4, 2, 1), (4, 3, 0)])
-    edges = np.zeros(2, EDGE)
-    edges["t"], edges["kind"] = (1000, 1003), (2, 3)
+    edges = make_edges((1000, 1003), (2, 3))
     camera.offer_edges(edges)
     camera.offer(events_of((999, 1, 1, True), (1000, 2, 2, True), (1002, 3, 3, True)))
     camera.advance(2000)
@@ -321,11 +319,8 @@ def test_any_requests_leave_a_camera_that_counts_and_starts_again(requests):
     camera, host = running(imu_unit=3)
     now_us = 0
     for kind, request, value, index, data in requests:
-        try:
-            answer = host.control(kind, request, value, index, data)
-            assert len(answer) <= len(data)
-        except Stall:
-            pass
+        with suppress(Stall):
+            assert len(host.control(kind, request, value, index, data)) <= len(data)
         now_us += 1000
         camera.offer_readings(IMU, samples(1, start_us=now_us))
         camera.offer(scattered(5, start_us=now_us))
@@ -338,8 +333,7 @@ def test_any_requests_leave_a_camera_that_counts_and_starts_again(requests):
     host.write_all(RUN)
     last = scattered(50, start_us=now_us + 1000)
     camera.offer(last)
-    told = sent_by(host).events
-    assert told == [(t - camera.epoch_us, x, y, on) for t, x, y, on in last.tolist()]
+    assert sent_by(host).events == [(t - camera.epoch_us, x, y, on) for t, x, y, on in last.tolist()]
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicr
 from firmware_protocol.dvxplorer.frame_stream import FrameStream, sample_of
 from firmware_protocol.dvxplorer.frame_words import in_wire_order
 from firmware_protocol.events import EVENT
-from firmware_protocol.imu_samples import no_samples
 from firmware_protocol.usb.device import SetupPacket, Stall
+from tests.made_events import events_at, samples_at
 
 OUT, IN = 0x40, 0xC0
 RUN = (1, 3, 1)
@@ -183,9 +183,11 @@ def test_times_increase_for_a_reader_that_takes_little_and_whose_queue_is_droppe
         act = rng.random()
         if act < 0.5:
             ahead_us, n = (int(rng.choice(numbers)) for numbers in ((0, 5, 1000, 3000, 2_000_000), (0, 1, 3, 50, 1000)))
-            events = np.zeros(n, EVENT)
-            events["t"] = np.sort(rng.integers(now_us, now_us + ahead_us + 1, n))
-            events["x"], events["y"] = rng.integers(0, 640, n), rng.integers(0, 480, n)
+            events = events_at(
+                np.sort(rng.integers(now_us, now_us + ahead_us + 1, n)),
+                x=rng.integers(0, 640, n),
+                y=rng.integers(0, 480, n),
+            )
             stream.put(events)
             now_us += ahead_us
         elif act < 0.85:
@@ -285,10 +287,7 @@ def test_registers_select_events_in_the_user_s_frame(writes, chosen):
 
 
 def samples(n, start_us=0):
-    out = no_samples(n)
-    out["t"], out["scale"] = start_us + np.arange(n) * 1250, 0xEA
-    out["counts"] = np.arange(7 * n).reshape(n, 7) - 20
-    return out
+    return samples_at(start_us + np.arange(n) * 1250, np.arange(7 * n).reshape(n, 7) - 20)
 
 
 def test_samples_leave_at_the_interrupt_endpoint_when_their_time_has_come():

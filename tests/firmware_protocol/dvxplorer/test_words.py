@@ -30,10 +30,7 @@ VECTORS = {
         [(0, 639, 472, False), (0, 639, 475, False), (0, 639, 479, False)],
         [0x1A7F, 0x403B, 0x3189],
     ),
-    "rows that fall do not": (
-        [(0, 0, 9, True), (0, 0, 8, True)],
-        [0x1800, 0x4001, 0x3002, 0x2001],
-    ),
+    "rows that fall do not": ([(0, 0, 9, True), (0, 0, 8, True)], [0x1800, 0x4001, 0x3002, 0x2001]),
     "two groups 31 apart share their addresses": (
         [(0, 1, 0, True), (0, 1, 248, False)],
         [0x1801, 0x47C0, 0x3001, 0x2101],
@@ -42,14 +39,8 @@ VECTORS = {
         [(0, 1, 100, True), (0, 1, 50, True)],
         [0x1801, 0x4800 | 6 << 6 | 12, 0x3010, 0x2004],
     ),
-    "and both polarities of one group": (
-        [(0, 1, 8, True), (0, 1, 8, False)],
-        [0x1801, 0x4001, 0x3001, 0x2101],
-    ),
-    "groups 32 apart do not": (
-        [(0, 1, 0, True), (0, 1, 256, True)],
-        [0x1801, 0x4000, 0x3001, 0x4020, 0x3001],
-    ),
+    "and both polarities of one group": ([(0, 1, 8, True), (0, 1, 8, False)], [0x1801, 0x4001, 0x3001, 0x2101]),
+    "groups 32 apart do not": ([(0, 1, 0, True), (0, 1, 256, True)], [0x1801, 0x4000, 0x3001, 0x4020, 0x3001]),
     "a third group has its own addresses": (
         [(0, 1, 0, True), (0, 1, 8, True), (0, 1, 16, True)],
         [0x1801, 0x4040, 0x3001, 0x2001, 0x4002, 0x3001],
@@ -150,8 +141,7 @@ def test_any_bytes_decode_as_the_slow_reader_does(data, cuts):
     slow, own = Reader(), GroupDecoder()
     slow.feed(bytes(data))
     found = np.concatenate([empty_events(), *[own.feed(part).events for part in cut(data, cuts)]])
-    good = [e for e in slow.events if e[1] < 640 and 0 <= e[2] < 480]
-    assert found.tolist() == good
+    assert found.tolist() == [e for e in slow.events if e[1] < 640 and 0 <= e[2] < 480]
     outside = [one for one in slow.wrong if one.startswith("column") and int(one.split()[1], 16) & 0x3FF >= 640]
     assert own.faults.column_outside == len(outside)
 

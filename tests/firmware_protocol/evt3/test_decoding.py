@@ -5,7 +5,7 @@ from evt3_streams import by_evt3, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, make_edges
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 
 
@@ -29,8 +29,7 @@ def test_words_by_hand_are_the_events_of_the_published_format():
 
 def test_a_high_part_that_goes_back_by_more_than_half_is_a_wrap():
     data = as_bytes(0x8FFF, 0x6001, 0x2000, 0x8000, 0x6002, 0x2000, 0x8800, 0x2000, 0x8000, 0x2000)
-    times = Evt3Decoder().decode(data)[0]["t"]
-    assert times.tolist() == [0xFFF001, 0x1000002, 0x1800000, 0x1000000]
+    assert Evt3Decoder().decode(data)[0]["t"].tolist() == [0xFFF001, 0x1000002, 0x1800000, 0x1000000]
 
 
 def test_vectors_of_real_sensors_are_read_as_another_decoder_reads_them():
@@ -48,8 +47,7 @@ def test_vectors_of_real_sensors_are_read_as_another_decoder_reads_them():
 
 @given(streams(), st.integers(1, 99))
 def test_words_may_come_in_pieces_of_any_size(events, piece):
-    edges = np.zeros(len(events[::7]), EDGE)
-    edges["t"], edges["kind"] = events["t"][::7], EdgeKind.FALLING
+    edges = make_edges(events["t"][::7], EdgeKind.FALLING)
     data = Evt3Encoder().encode(events, edges)
     decoder = Evt3Decoder()
     parts = [decoder.decode(data[k : k + piece]) for k in range(0, len(data), piece)]

@@ -8,9 +8,10 @@ from evt3_streams import SIZE, WRAP_US, by_evt3, long_steps_us, streams
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, make_edges
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
+from tests.made_events import events_at
 
 
 def group(t, y, on, columns):
@@ -27,8 +28,7 @@ def by_hand(*words):
 
 def test_single_events_are_the_words_of_the_published_format():
     events = np.array([(0x123456, 5, 7, True), (0x123456, 6, 7, False), (0x123457, 6, 8, False)], EVENT)
-    expected = by_hand(0x8000, 0x8123, 0x6456, 0x0007, 0x2805, 0x2006, 0x6457, 0x0008, 0x2006)
-    assert words_of(events) == expected
+    assert words_of(events) == by_hand(0x8000, 0x8123, 0x6456, 0x0007, 0x2805, 0x2006, 0x6457, 0x0008, 0x2006)
 
 
 def test_five_events_of_a_window_are_a_base_and_a_whole_triple():
@@ -133,8 +133,7 @@ def test_more_words_than_the_room_holds_go_on_without_a_seam():
     """Room is 32 768 words; vectors and singles lie at its end."""
     rng = np.random.default_rng(5)
     events = np.concatenate([group(3 * k, k % 720, k % 3 > 0, 32 + np.arange(k % 9)) for k in range(22_000)])
-    edges = np.zeros(500, EDGE)
-    edges["t"], edges["kind"] = np.sort(rng.integers(0, 66_000, 500)), EdgeKind.PULSE
+    edges = make_edges(np.sort(rng.integers(0, 66_000, 500)), EdgeKind.PULSE)
     data = Evt3Encoder().encode(events, edges)
     assert len(data) > 3 * 65_536
     np.testing.assert_array_equal(by_evt3(data), events)
@@ -158,8 +157,7 @@ def test_triggers_lie_before_the_events_of_their_time():
 
 @given(streams(max_groups=5), st.lists(st.integers(0, 10 * WRAP_US), max_size=20))
 def test_triggers_among_events_are_read_by_others(events, times):
-    edges = np.zeros(len(times), EDGE)
-    edges["t"], edges["kind"] = sorted(times), EdgeKind.RISING
+    edges = make_edges(sorted(times), EdgeKind.RISING)
     data = evt3_header(SIZE) + Evt3Encoder().encode(events, edges)
     np.testing.assert_array_equal(by_evt3(data[len(evt3_header(SIZE)) :]), events)
     triggers = Evt3Decoder().decode(data[len(evt3_header(SIZE)) :])[1]
@@ -199,9 +197,9 @@ def test_read_only_events_and_views_with_gaps_are_encoded():
 @pytest.mark.parametrize("origin_us", [0, 123_456_789])
 def test_pieces_of_a_size_hold_as_much_as_fits_and_together_all(origin_us):
     draw = np.random.default_rng(4)
-    events = np.zeros(3000, EVENT)
-    events["t"] = origin_us + np.sort(draw.integers(0, 400, 3000))
-    events["x"], events["y"] = draw.integers(0, 1280, 3000), draw.integers(0, 2, 3000)
+    events = events_at(
+        origin_us + np.sort(draw.integers(0, 400, 3000)), x=draw.integers(0, 1280, 3000), y=draw.integers(0, 2, 3000)
+    )
     edges = np.array([(origin_us + t, EdgeKind.RISING, 0, 0) for t in (0, 77, 399)], EDGE)
     encoder, decoder = Evt3Encoder(standalone=True, origin_us=origin_us), Evt3Decoder()
     seen, told, sizes = [], [], []

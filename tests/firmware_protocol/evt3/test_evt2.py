@@ -7,7 +7,7 @@ from evt3_streams import streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, make_edges
 from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder
 
 FORMS = ["evt2", "evt21", "evt21-legacy"]
@@ -60,8 +60,7 @@ def test_octets_are_those_that_openeb_decodes(form, octets):
 @given(streams(), forms, st.integers(0, 3 * WRAP_US), st.integers(1, 50))
 def test_a_reader_that_knows_the_tables_alone_sees_what_was_given(events, form, start_us, piece):
     events["t"] += np.uint64(start_us)
-    edges = np.zeros(len(events[::7]), EDGE)
-    edges["t"], edges["kind"], edges["channel"] = events["t"][::7], EdgeKind.FALLING, 31
+    edges = make_edges(events["t"][::7], EdgeKind.FALLING, channel=31)
     encoder, data = Evt2Encoder(form), b""
     for k in range(0, len(events), piece):
         now = edges[(k + 6) // 7 : (min(k + piece, len(events)) + 6) // 7]
@@ -90,8 +89,7 @@ def test_any_bytes_in_any_pieces_mean_the_same_to_both_readers(data, form, piece
 
 @given(streams(), forms, st.integers(1, 50), st.integers(1, 99))
 def test_what_is_encoded_is_decoded_in_pieces_of_any_size(events, form, piece, size):
-    edges = np.zeros(len(events[::9]), EDGE)
-    edges["t"], edges["kind"], edges["channel"] = events["t"][::9], EdgeKind.RISING, 6
+    edges = make_edges(events["t"][::9], EdgeKind.RISING, channel=6)
     encoder, decoder = Evt2Encoder(form), Evt2Decoder(form)
     data = encoder.encode(events[:piece], edges[: (piece + 8) // 9])
     data += encoder.encode(events[piece:], edges[(piece + 8) // 9 :])

@@ -7,9 +7,10 @@ from evt3_streams import by_evt3, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EVENT, EdgeKind, make_edges
 from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
+from tests.made_events import events_at
 
 FORMS = {"evt2": (4, 1 << 34), "evt21": (8, 1 << 34), "evt21-legacy": (8, 1 << 34), "evt3": (2, 1 << 24)}
 short_steps_us = st.one_of(st.just(0), st.integers(0, 40), st.integers(0, 3000))
@@ -25,9 +26,7 @@ def decoder_of(form):
 
 
 def edges_among(events):
-    edges = np.zeros(len(events[::7]), EDGE)
-    edges["t"], edges["kind"], edges["channel"] = events["t"][::7], EdgeKind.FALLING, 3
-    return edges
+    return make_edges(events["t"][::7], EdgeKind.FALLING, channel=3)
 
 
 @given(streams(short_steps_us), st.sampled_from(list(FORMS)), periods_us)
@@ -55,8 +54,7 @@ def test_who_joins_at_any_word_reads_all_after_the_next_period(turns, form, peri
         if silent:
             data += encoder.advance(t)
             continue
-        part = np.zeros(count, EVENT)
-        part["t"], part["x"], part["y"] = t + np.arange(count) // 3, np.arange(count) * 7 % 300, 5
+        part = events_at(t + np.arange(count) // 3, x=np.arange(count) * 7 % 300, y=5)
         data += encoder.encode(part)
         parts.append(part)
         t = int(part["t"][-1]) if count else t
@@ -80,8 +78,7 @@ def test_a_silence_has_a_time_in_each_period(form):
     encoder = encoder_of(form, repeat_us=16)
     encoder.begin(5000)
     assert encoder.advance(5000 - 5000 % 16 + 15) == b""
-    data = encoder.advance(5000 + 16 * 20)
-    assert len(data) == 20 * octets
+    assert len(encoder.advance(5000 + 16 * 20)) == 20 * octets
     assert encoder.advance(5000 + 16 * 20) == b""
 
 

@@ -142,8 +142,7 @@ def test_after_random_bytes_the_second_frame_at_the_latest_comes_through(framing
         deframer = framing.deframer(64)
         deframer.push(source.randbytes(200))
         got = [payload for i in range(30) for payload in deframer.push(framing.frame(bytes([65 + i]) * 20))]
-        wanted = [bytes([65 + i]) * 20 for i in range(30)]
-        assert got[-29:] == wanted[1:]
+        assert got[-29:] == [bytes([65 + i]) * 20 for i in range(30)][1:]
 
 
 @pytest.mark.parametrize(
@@ -185,8 +184,7 @@ def test_a_line_without_delimiters_stays_bounded_and_counts_as_one_bad_frame(fra
     for _ in range(1000):
         assert deframer.push(b"\x55" * 77) == []
         assert deframer.counters.pending <= 2 * 100 + 16
-    end = framing.frame(b"x")[-1:]
-    assert deframer.push(end + framing.frame(b"after")) == [b"after"]
+    assert deframer.push(framing.frame(b"x")[-1:] + framing.frame(b"after")) == [b"after"]
     assert dict(deframer.counters.refused) == {"too long": 1}
     assert deframer.counters.bytes_skipped == 77_001
 

@@ -1,4 +1,4 @@
-"""A Gen 3.1 between its sensor and its host: identity, gate, window, noise filter, instruments, biases, its life."""
+"""A Gen 3.1 between its sensor and its host: identity, gate, window, noise filter, instruments, biases."""
 
 import struct
 
@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from evk4_requests import DATA, Host, events_of
 from gen31_host import GATE, START, STOP, opened, running
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from treuzell_life import Life
 
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.events import EDGE, EdgeKind
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gen31.device import BOARDS, Gen31, Gen31Settings
 from firmware_protocol.usb.device import SetupPacket
@@ -121,8 +120,7 @@ def test_the_window_takes_over_with_each_write_of_bit_5(columns, rows):
 
 
 def test_edges_come_while_the_trigger_input_is_on():
-    edges = np.zeros(2, EDGE)
-    edges["t"], edges["kind"] = [50, 60], [EdgeKind.RISING, EdgeKind.FALLING]
+    edges = make_edges([50, 60], [EdgeKind.RISING, EdgeKind.FALLING])
     for value, seen in ((0, []), (1, [(50, 2, 0, 0), (60, 3, 0, 0)])):
         camera, host = running((0x01A0, value))
         camera.offer_edges(edges)
@@ -170,21 +168,6 @@ def test_a_bias_without_effect_is_named():
     camera, host = opened()
     host.write((0x035C, 0x5103_5000))
     assert camera.without_effect == {"pr": "it is not modelled"}
-
-
-class LifeOfGen31(Life):
-    """A Gen 3.1."""
-
-    OPENED, STARTED, STOPPED = ((0x01A0, 1),), START, STOP
-    INTERRUPTIONS = (*STOP, *START, (0x0248, 0xC9), (0x0204, 0x23), (0x0500, 0), (0x01A0, 0))
-
-    @staticmethod
-    def new_camera():
-        return Gen31(Gen31Settings(fifo_bytes=1024, start_delay_us=100))
-
-
-TestLife = LifeOfGen31.TestCase
-TestLife.settings = settings(stateful_step_count=25, max_examples=30)
 
 
 def test_a_band_set_while_the_filter_is_on_begins_anew():

@@ -10,22 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.events import EDGE, EdgeKind
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.genx320.device import Genx320
 from firmware_protocol.genx320.registers import Surroundings
 from firmware_protocol.usb.device import SetupPacket
+from tests.made_events import scattered
 
 FORMS = {"evt2": 0, "evt3": 1, "evt21": 2}
 
 
 def random_events(count, until_us=9_000_000, seed=5):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, events_of((0, 0, 0, False)).dtype)
-    events["t"] = np.sort(rng.integers(0, until_us, count))
-    events["x"], events["y"] = rng.integers(0, 320, count), rng.integers(0, 320, count)
-    events["on"] = rng.random(count) < 0.5
-    return events
+    return scattered(np.sort(np.random.default_rng(seed).integers(0, until_us, count)), (320, 320), seed)
 
 
 def decoded(data, form):
@@ -35,8 +31,7 @@ def decoded(data, form):
 def test_identity():
     camera = Genx320(PROMPT)
     host = Host(camera)
-    device = camera.control(SetupPacket(0x80, 6, 0x0100, 0, 18), b"")
-    assert device[8:12].hex() == "b404f500"
+    assert camera.control(SetupPacket(0x80, 6, 0x0100, 0, 18), b"")[8:12].hex() == "b404f500"
     configuration = camera.control(SetupPacket(0x80, 6, 0x0200, 0, 255), b"")
     assert configuration[9:18].hex() == "0904000003ff190000"
     assert [configuration[k] for k in (20, 33, 46)] == [0x82, 0x02, 0x81]  # as OpenEB requires them
@@ -111,8 +106,7 @@ def test_another_format_amid_a_stream_drops_what_waits():
 
 
 def test_edges_come_from_power_on_until_the_host_switches_them_off():
-    edges = np.zeros(2, EDGE)
-    edges["t"], edges["kind"] = [50, 60], [EdgeKind.RISING, EdgeKind.FALLING]
+    edges = make_edges([50, 60], [EdgeKind.RISING, EdgeKind.FALLING])
     camera, _ = running()
     camera.offer_edges(edges)
     camera.advance(100)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 
 LAST = 320 << 16
 
@@ -83,8 +84,7 @@ def test_latches_take_over_the_rows_that_are_selected():
 def test_masks_hide_pixels_of_a_group_while_they_are_on():
     camera, host = running((0x9100, 1 << 31 | 100 << 4 | 2), (0x9104, 0b1001), (0x9178, 1 << 31 | 319 << 4 | 9),
                            (0x917C, 1 << 31), fifo_bytes=1 << 20)  # fmt: skip
-    hidden = np.argwhere(~places(seen_by(camera, grid()))).tolist()
-    assert hidden == [[100, 64], [100, 67], [319, 319]]
+    assert np.argwhere(~places(seen_by(camera, grid()))).tolist() == [[100, 64], [100, 67], [319, 319]]
     host.write((0x9100, 100 << 4 | 2), (0x9178, 1 << 31 | 400 << 4 | 15))  # off; a row and a group that are none
     later = grid()
     later["t"] = 100
@@ -171,9 +171,12 @@ def test_the_flicker_filter_lets_a_pixel_go_and_can_be_inverted():
 @given(st.integers(0, 1 << 32), st.lists(st.integers(1, 400), max_size=6), st.booleans())
 def test_the_selection_does_not_depend_on_the_batches(seed, cuts, inverted):
     rng = np.random.default_rng(seed)
-    events = np.zeros(500, EVENT)
-    events["t"] = np.sort(rng.integers(0, 60_000, 500))
-    events["x"], events["y"], events["on"] = rng.integers(0, 3, 500), rng.integers(0, 2, 500), rng.random(500) < 0.5
+    events = events_at(
+        np.sort(rng.integers(0, 60_000, 500)),
+        x=rng.integers(0, 3, 500),
+        y=rng.integers(0, 2, 500),
+        on=rng.random(500) < 0.5,
+    )
     entries = (*noise_filter((1, 2), (9, 6)), (0xE008, 800), (0x602C, 4), (0x6020, 500), (0x6014, 4), (0x6000, 1),
                *FLICKER[:1], (0xC008, inverted << 6 | 2 << 3 | 1), (0xC00C, 60 << 8 | 2), (0xC000, 1))  # fmt: skip
     (whole, _), (parts, _) = running(*entries), running(*entries)

@@ -138,8 +138,7 @@ def test_a_header_that_lies_about_its_length():
 
 @pytest.mark.parametrize("datagram", ["", "42", "4101000200000001", "4201000200000000"])
 def test_what_is_no_request_gets_no_answer(datagram):
-    host = Host()
-    assert host.receive([(bytes.fromhex(datagram), PEER)]) == []
+    assert Host().receive([(bytes.fromhex(datagram), PEER)]) == []
 
 
 def test_a_write_of_several_registers_stops_at_the_first_refusal():

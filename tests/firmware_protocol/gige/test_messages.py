@@ -5,7 +5,7 @@ import struct
 import pytest
 from gige_host import Host
 
-from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.gige.control import Messages, MessageSettings
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2_registers import Evs
@@ -14,9 +14,7 @@ MS = 1_000_000
 
 
 def _edges(*times_us):
-    edges = empty_edges(len(times_us))
-    edges["t"], edges["kind"] = times_us, EdgeKind.RISING
-    return edges
+    return make_edges(times_us, EdgeKind.RISING)
 
 
 def _answer(message):
@@ -105,8 +103,7 @@ def test_the_message_of_an_edge_from_before_the_start_has_the_time_of_the_start(
     host.camera.advance(1000)
     _with_messages(host)
     host.camera.offer_edges(_edges(990))
-    message = host.camera.messages.next(0, MessageSettings())
-    assert struct.unpack(">Q", message[-8:]) == (0,)
+    assert struct.unpack(">Q", host.camera.messages.next(0, MessageSettings())[-8:]) == (0,)
     host.camera.advance(5000)
     assert host.collect()[1]["t"].tolist() == [0]
 

@@ -8,7 +8,7 @@ import pytest
 from evk4_requests import DATA, START, STOP, Host, events_of
 
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.events import EDGE, EdgeKind
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import SetupPacket, Stall
@@ -111,8 +111,7 @@ def test_the_buffer_is_bounded():
 
 def test_the_trigger_input_is_told_when_it_is_on():
     camera, host = running()
-    edges = np.zeros(2, EDGE)
-    edges["t"], edges["kind"] = [50, 60], [EdgeKind.RISING, EdgeKind.FALLING]
+    edges = make_edges([50, 60], [EdgeKind.RISING, EdgeKind.FALLING])
     camera.offer_edges(edges)
     host.write((0x7004, 0xC5FF))
     camera.offer_edges(edges)

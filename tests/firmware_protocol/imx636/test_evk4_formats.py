@@ -7,7 +7,7 @@ from evk4_requests import DATA, START, Host, events_of
 from evt2_words import by_the_tables
 
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.events import EDGE, EdgeKind
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 
@@ -49,8 +49,7 @@ def test_a_host_without_room_for_a_word_gets_none():
 
 def test_edges_and_silence_are_in_the_words():
     camera, _ = running(*EVT21, (0x7004, 0xC5FF))
-    edges = np.zeros(3, EDGE)
-    edges["t"], edges["kind"] = [50, 60, 70], [EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE]
+    edges = make_edges([50, 60, 70], [EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE])
     camera.offer_edges(edges)
     camera.advance(30_000_000)
     data = b"".join(octets(camera))

@@ -6,6 +6,7 @@ import pytest
 from firmware_protocol.events import EVENT
 from firmware_protocol.imx636.evk4 import Selection
 from firmware_protocol.imx636.registers import Registers
+from tests.made_events import events_at
 
 ON, KEEP_INSIDE, TAKE_OVER = 0x2, 0x40, 0x20
 
@@ -56,8 +57,7 @@ def test_a_pixel_is_masked_by_its_row_or_its_column(sensor):
 def test_a_pixel_is_masked_where_both_cross(sensor):
     sensor.mask(columns=(5, 40), rows=(33,))
     sensor.write((0x0004, ON | TAKE_OVER))
-    hidden = np.argwhere(~sensor.passing())
-    assert hidden.tolist() == [[33, 5], [33, 40]]
+    assert np.argwhere(~sensor.passing()).tolist() == [[33, 5], [33, 40]]
 
 
 def test_masks_hold_when_they_are_taken_over_and_on(sensor):
@@ -94,8 +94,7 @@ def test_a_window_writes_the_masks(sensor):
 
 def test_the_rate_control_lets_the_first_of_each_period_by(sensor):
     sensor.write((0x6008, 200), (0x600C, 3), (0x6028, 3), (0x6050, 1))
-    events = np.zeros(100, EVENT)
-    events["t"] = np.arange(100) * 20 + 1000
+    events = events_at(np.arange(100) * 20 + 1000)
     assert len(sensor.selection.apply(events, 1000).events) == 100  # not ready yet
     sensor.write((0x6000, 0x0015_5401))
     selected = sensor.selection.apply(events, 1000)

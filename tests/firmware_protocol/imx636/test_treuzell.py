@@ -68,8 +68,7 @@ def test_what_cannot_be_done_is_refused(host, request_, answer):
 
 
 def test_the_longest_answer_has_1024_bytes(host):
-    answer = host.ask("02010100 0c000000 00000000 00000000 fc000000")
-    assert len(bytes.fromhex(answer)) == 1024
+    assert len(bytes.fromhex(host.ask("02010100 0c000000 00000000 00000000 fc000000"))) == 1024
 
 
 def test_an_answer_that_is_read_in_pieces_comes_whole(host):

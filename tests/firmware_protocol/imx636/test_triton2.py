@@ -8,7 +8,7 @@ from gige_host import Host, steady
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.gige.gvcp import Command, Resend
@@ -108,8 +108,7 @@ def test_any_gaps_and_any_turns_give_the_same_events(gaps, turns, block_us):
 def test_triggers_come_in_order_of_time():
     host = Host()
     host.start()
-    edges = empty_edges(2)
-    edges["t"], edges["kind"] = [50, 70], [EdgeKind.RISING, EdgeKind.FALLING]
+    edges = make_edges([50, 70], [EdgeKind.RISING, EdgeKind.FALLING])
     host.camera.offer_edges(edges)
     host.camera.offer(steady(100, step_us=1))
     host.camera.advance(5000)
@@ -126,8 +125,7 @@ def test_an_edge_that_comes_late_is_reported_with_the_time_that_its_words_have()
     host.camera.offer(steady(50, start_us=110, step_us=10))
     host.camera.advance(5000)
     host.collect()
-    edges = empty_edges(2)
-    edges["t"], edges["kind"] = [400, 4000], EdgeKind.RISING
+    edges = make_edges([400, 4000], EdgeKind.RISING)
     host.camera.offer_edges(edges)
     host.camera.advance(9000)
     (outgoing,) = host.blocks()
@@ -161,8 +159,7 @@ def test_a_full_camera_drops_and_counts():
 def test_edges_that_wait_have_a_bound():
     host = Host()
     host.start()
-    edges = empty_edges(70_000)
-    edges["t"], edges["kind"] = np.arange(70_000), EdgeKind.RISING
+    edges = make_edges(np.arange(70_000), EdgeKind.RISING)
     host.camera.offer_edges(edges)
     counts = host.camera.counters.edges
     assert (counts.queued, counts.dropped_fifo, counts.balanced) == (65_536, 4464, True)

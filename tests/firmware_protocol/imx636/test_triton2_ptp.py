@@ -1,7 +1,5 @@
 """The Triton2's time by a master of the Precision Time Protocol: registers, latched time, stamps, actions."""
 
-from __future__ import annotations
-
 import pytest
 
 from firmware_protocol.events import EDGE, EdgeKind
@@ -20,7 +18,7 @@ SHIFT_NS = 1_700_000_000 * S + 123
 class PtpHost(Host):
     """A host of a camera whose clock is that of a `Network`."""
 
-    def __init__(self, network) -> None:
+    def __init__(self, network):
         super().__init__(ptp=True)
         self.network = network
         network.slave.disable()

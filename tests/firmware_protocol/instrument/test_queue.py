@@ -5,14 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 
-from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.queue import EventQueue, Policy, QueueBounds
-
-
-def events(times):
-    made = np.zeros(len(times), EVENT)
-    made["t"] = times
-    return made
+from tests.made_events import events_at
 
 
 def queue(policy=Policy.OLDEST, most=10, age_us=1000, block=4):
@@ -21,18 +15,18 @@ def queue(policy=Policy.OLDEST, most=10, age_us=1000, block=4):
 
 def test_the_oldest_give_way_at_the_head():
     q = queue(most=4)
-    assert q.put(events(range(6)), 5).full == 2
+    assert q.put(events_at(range(6)), 5).full == 2
     assert q.head(8)["t"].tolist() == [2, 3, 4, 5]
     assert q.dropped_before == 2
 
 
 def test_the_newest_are_refused_until_a_block_has_room():
     q = queue(Policy.NEWEST, most=6, block=4)
-    assert q.put(events(range(8)), 7).full == 2
+    assert q.put(events_at(range(8)), 7).full == 2
     q.remove(len(q.head(3)), 0)
-    assert q.put(events([10]), 10).full == 1, "there is room for 3 only"
+    assert q.put(events_at([10]), 10).full == 1, "there is room for 3 only"
     q.remove(len(q.head(1)), 0)
-    assert q.put(events([11]), 11).full == 0
+    assert q.put(events_at([11]), 11).full == 0
     assert q.head(8)["t"].tolist() == [4, 5], "a block does not span the gap"
     q.remove(2, q.dropped_before)
     assert q.dropped_before == 3
@@ -42,15 +36,14 @@ def test_the_newest_are_refused_until_a_block_has_room():
 @pytest.mark.parametrize("policy", list(Policy))
 def test_what_waits_too_long_gives_way(policy):
     q = queue(policy, age_us=100)
-    q.put(events([0, 90]), 90)
-    dropped = q.put(events([150]), 150)
-    assert dropped.late == 1
+    q.put(events_at([0, 90]), 90)
+    assert q.put(events_at([150]), 150).late == 1
     assert q.head(8)["t"].tolist() == ([90, 150] if policy is Policy.OLDEST else [0, 90])
 
 
 def test_time_alone_makes_the_oldest_too_old():
     q = queue(age_us=100)
-    q.put(events([0, 50]), 50)
+    q.put(events_at([0, 50]), 50)
     assert q.trim(100).late == 0
     assert q.trim(101).late == 1
     assert q.trim(500).late == 1
@@ -78,7 +71,7 @@ def test_any_life_loses_nothing_untold(steps, policy, most, block, told_at_most)
     for what, argument in steps:
         if what == "put":
             times = now + np.cumsum(argument)
-            batch = events(times)
+            batch = events_at(times)
             batch["x"] = (serial + np.arange(len(batch))) % 65536
             serial += len(batch)
             now = int(times[-1]) if len(times) else now

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, empty_edges
+from firmware_protocol.events import EVENT, EdgeKind, empty_edges, make_edges
 from firmware_protocol.network_streams.coders import (
     CaerConnectionCoder,
     CaerDatagramCoder,
@@ -18,6 +18,7 @@ from firmware_protocol.network_streams.coders import (
     StreamFacts,
 )
 from firmware_protocol.network_streams.words import SpifCoder, SpifConnectionCoder
+from tests.made_events import steady
 from tests.transports.network_streams.stream_readers import (
     CaerDatagrams,
     JaerDecoder,
@@ -33,12 +34,7 @@ DATAGRAM_CODERS = [JaerCoder, CaerDatagramCoder, SpifCoder, FaeryLongCoder, Faer
 
 
 def some_events(count, start_us=0, seed=1):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count)
-    events["x"], events["y"] = rng.integers(0, 346, count), rng.integers(0, 260, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return steady(count, start_us, seed=seed)
 
 
 def spif_events(datagram):
@@ -84,8 +80,7 @@ def test_the_ends_of_datagrams_rise_to_the_number_of_events(coder, count):
 
 
 def test_caer_packets_carry_edges_and_the_wrap_of_time():
-    edges = np.zeros(2, EDGE)
-    edges["t"], edges["kind"] = [3, 9], [EdgeKind.RISING, EdgeKind.FALLING]
+    edges = make_edges([3, 9], [EdgeKind.RISING, EdgeKind.FALLING])
     events = some_events(10, 2**31 - 5)
     data = CaerConnectionCoder(FACTS).encode(events, edges)
     assert caer_events(data) == events.tolist()
@@ -99,8 +94,7 @@ def test_caer_tells_of_a_clock_that_starts_anew():
 
 
 def test_jaer_edges_end_no_event_too_early():
-    edges = np.zeros(300, EDGE)
-    edges["t"], edges["kind"] = np.arange(300) * 2, EdgeKind.RISING
+    edges = make_edges(np.arange(300) * 2, EdgeKind.RISING)
     events, decode = some_events(600), JaerDecoder()
     seen = 0
     for datagram in JaerCoder(FACTS).encode(events, edges):

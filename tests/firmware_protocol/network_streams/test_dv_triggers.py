@@ -6,7 +6,7 @@ import lz4.frame
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EDGE, EdgeKind, empty_events
+from firmware_protocol.events import EDGE, EdgeKind, empty_events, make_edges
 from firmware_protocol.network_streams.coders import DvTriggerCoder, StreamFacts
 
 
@@ -39,9 +39,9 @@ def walked(packet):
 @pytest.mark.parametrize("compression", ["none", "lz4"])
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 100])
 def test_triggers_are_where_a_reader_of_flatbuffers_looks(count, compression):
-    edges = np.zeros(count, EDGE)
-    edges["t"] = np.arange(count) * 3 + (1 << 40)
-    edges["kind"] = np.resize([EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE], count)
+    edges = make_edges(
+        np.arange(count) * 3 + (1 << 40), np.resize([EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE], count)
+    )
     coder = DvTriggerCoder(StreamFacts((346, 260), "CAM", compression=compression))
     packet = bytes(coder.encode(empty_events(), edges))
     if compression == "lz4":

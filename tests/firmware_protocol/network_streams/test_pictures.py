@@ -9,18 +9,14 @@ from scipy.signal import lfilter
 from firmware_protocol.events import EVENT, empty_edges
 from firmware_protocol.network_streams.coders import PictureSettings, StreamFacts
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventFrames, EventImageCoder
+from tests.made_events import scattered
 
 SIZE = (7, 5)
 FRAME_US = 100
 
 
 def some_events(count=400, span_us=450):
-    rng = np.random.default_rng(3)
-    events = np.zeros(count, EVENT)
-    events["t"] = np.sort(rng.integers(0, span_us, count))
-    events["x"], events["y"] = rng.integers(0, SIZE[0], count), rng.integers(0, SIZE[1], count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return scattered(np.sort(np.random.default_rng(3).integers(0, span_us, count)), SIZE)
 
 
 def image_by_hand(events, frame):
@@ -58,10 +54,8 @@ def test_event_images_are_those_made_by_hand_however_the_events_are_cut():
 
 def test_a_silence_gives_empty_frames_and_a_long_one_only_one():
     frames = EventFrames(SIZE, FRAME_US)
-    events = some_events(1, 1)
-    assert list(frames.add(events)) == []
-    times = [(t_us, image[:2].sum()) for t_us, image in frames.reach(350)]
-    assert times == [(100, 1), (200, 0), (300, 0)]
+    assert list(frames.add(some_events(1, 1))) == []
+    assert [(t_us, image[:2].sum()) for t_us, image in frames.reach(350)] == [(100, 1), (200, 0), (300, 0)]
     assert [t_us for t_us, _ in frames.reach(10_000_000)] == [400]
 
 

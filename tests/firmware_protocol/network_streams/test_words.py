@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, empty_edges, empty_events
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, empty_edges, empty_events, make_edges
 from firmware_protocol.evt.evt2 import Evt2Decoder
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.network_streams.coders import StreamFacts
 from firmware_protocol.network_streams.words import WORD_CONNECTION_CODERS, WORD_DATAGRAM_CODERS, repeat_us
+from tests.made_events import events_at
 
 WRAP_US = {"evt2": 1 << 34, "evt21": 1 << 34, "evt3": 1 << 24}
 HIGH_SHIFT = {"evt2": ("<u4", 28), "evt21": ("<u8", 60), "evt3": ("<u2", 12)}
@@ -42,10 +43,8 @@ def batches_of(pieces):
     t, batches = 0, []
     for gaps, silence_us in pieces:
         times = t + np.cumsum(np.array(gaps, np.int64)) if gaps else np.zeros(0, np.int64)
-        events = np.zeros(len(times), EVENT)
-        events["t"], events["x"], events["y"] = times, np.arange(len(times)) * 5 % 346, times % 3
-        edges = np.zeros(len(times[::4]), EDGE)
-        edges["t"], edges["kind"], edges["channel"] = times[::4], EdgeKind.RISING, 2
+        events = events_at(times, x=np.arange(len(times)) * 5 % 346, y=times % 3)
+        edges = make_edges(times[::4], EdgeKind.RISING, channel=2)
         t = (int(times[-1]) if len(times) else t) + silence_us
         batches.append((events, edges, t))
         t += 1
@@ -149,8 +148,7 @@ def test_repeated_times_take_an_eighth_of_a_line_at_most(form, bytes_per_s, peri
 def test_a_receiver_on_a_line_finds_its_way_within_16_us(form, count, where):
     """Events are 5 us apart: whoever joins at any word misses at most those of the period that has begun."""
     coder = WORD_CONNECTION_CODERS[form](dataclasses.replace(facts_of(form), repeat_us=16))
-    events = np.zeros(count, EVENT)
-    events["t"], events["x"], events["y"] = 1000 + 5 * np.arange(count), np.arange(count) % 346, 3
+    events = events_at(1000 + 5 * np.arange(count), x=np.arange(count) % 346, y=3)
     data = b"".join(coder.encode(part, NO_EDGES) for part in np.array_split(events, 1 + count // 7))
     octets = np.dtype(HIGH_SHIFT[form][0]).itemsize
     skipped = where % (len(data) // octets) * octets

@@ -152,12 +152,7 @@ def _resealed(octets, at, value):
 
 @pytest.mark.parametrize(
     ("at", "value", "reason"),
-    [
-        (0, 0x1A, "type"),
-        (0, 0x02, "secondary header"),
-        (2, 0x40, "segmented"),
-        (6, 0x10, "pus version"),
-    ],
+    [(0, 0x1A, "type"), (0, 0x02, "secondary header"), (2, 0x40, "segmented"), (6, 0x10, "pus version")],
 )
 def test_sound_packets_of_another_kind_are_refused_by_reason(at, value, reason):
     octets = bytes(TmPacket(0x2A0, 0, 17, 2, 0, b""))

@@ -43,8 +43,7 @@ def test_octets_of_ptp4l():
 @pytest.mark.parametrize("octets", [SYNC, FOLLOW_UP, ANNOUNCE])
 def test_packing_gives_the_octets_of_ptp4l(octets):
     message = parse(octets)
-    pack = {Sync: sync, FollowUp: follow_up, Announce: announce}[type(message)]
-    assert pack(message) == octets
+    assert {Sync: sync, FollowUp: follow_up, Announce: announce}[type(message)](message) == octets
 
 
 def test_a_delay_request():
@@ -88,8 +87,7 @@ def test_octets_after_a_message_are_ignored(message, more):
 
 @given(st.binary(max_size=80))
 def test_any_octets_are_a_message_or_none(data):
-    message = parse(data)
-    assert message is None or len(data) >= 44
+    assert parse(data) is None or len(data) >= 44
 
 
 @given(st.sampled_from([SYNC, FOLLOW_UP, ANNOUNCE]), st.integers(0, 63))

@@ -7,7 +7,7 @@ from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_events import pack_marks
 from firmware_protocol.can_frames.transport import IsoTpSender
-from firmware_protocol.events import EDGE
+from firmware_protocol.events import make_edges
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.profile import Profile
@@ -30,8 +30,7 @@ def frames_of(message, settings):
 @pytest.mark.system
 def test_edges_are_taken_once_and_bounded():
     receiver = CanReceiver()
-    edges = np.zeros(3, EDGE)
-    edges["t"], edges["kind"] = [10, 20, 30], 3
+    edges = make_edges([10, 20, 30], 3)
     for data in pack_marks(edges):
         receiver.push(Frame(Identifiers().edges, data))
     assert np.array_equal(receiver.take_edges(), edges)

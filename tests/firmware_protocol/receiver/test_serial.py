@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 
-from firmware_protocol.events import EVENT
 from firmware_protocol.framing import DEFAULT_MAX_PAYLOAD
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
@@ -15,18 +14,14 @@ from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import PROFILES, Profile
 from firmware_protocol.packets.telecommands import Ping, SetRegion, Start
 from firmware_protocol.receiver.instrument import SerialReceiver
+from tests.made_events import scattered
 
 LINES = [name for name in PROFILES if "-" in name or name == "fprime"]
 SIZE = (346, 260)
 
 
 def stream(count):
-    rng = np.random.default_rng(7)
-    events = np.zeros(count, EVENT)
-    events["t"] = np.cumsum(rng.integers(1, 20, count))
-    events["x"], events["y"] = rng.integers(0, SIZE[0], count), rng.integers(0, SIZE[1], count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return scattered(np.cumsum(np.random.default_rng(7).integers(1, 20, count)), SIZE)
 
 
 def frames(profile, count=2000, **changes):
@@ -88,8 +83,7 @@ def test_one_damaged_byte_costs_two_blocks_at_most_and_is_counted(profile, where
 def test_joining_in_the_middle_of_a_frame_is_no_fault():
     wrapped, seen = data_of("ccsds-cobs")
     receiver = SerialReceiver(Profile())
-    got = heard_of(receiver, b"".join(wrapped)[len(wrapped[0]) // 2 :])
-    assert len(got) == sum(map(len, seen[1:]))
+    assert len(heard_of(receiver, b"".join(wrapped)[len(wrapped[0]) // 2 :])) == sum(map(len, seen[1:]))
     assert receiver.faults == 0
     assert sum(count for name, count in receiver.counts.items() if name.startswith("damaged")) == 1
 

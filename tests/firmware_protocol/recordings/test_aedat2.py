@@ -15,17 +15,9 @@ from firmware_protocol.recordings.aedat import (
     guarded_start,
     parse_aedat2_header,
 )
+from tests.made_events import scattered
 
 SIZE = (346, 260)
-
-
-def events_at(times):
-    events = np.zeros(len(times), EVENT)
-    events["t"] = times
-    rng = np.random.default_rng(len(times))
-    events["x"], events["y"] = rng.integers(0, 346, len(times)), rng.integers(0, 260, len(times))
-    events["on"] = rng.random(len(times)) < 0.5
-    return events
 
 
 def test_a_record_has_the_bits_of_a_davis_from_the_lower_right():
@@ -36,12 +28,11 @@ def test_a_record_has_the_bits_of_a_davis_from_the_lower_right():
 
 def test_pin_events_have_their_own_codes():
     edges = np.array([(5, EdgeKind.FALLING, 0, 0), (6, EdgeKind.RISING, 0, 0), (7, EdgeKind.PULSE, 0, 0)], EDGE)
-    records = encode_aedat2(events_at([6]), SIZE, edges)
-    addresses = [struct.unpack_from(">I", records, 8 * k)[0] for k in (0, 1, 3)]
-    assert addresses == [0x402, 0x403, 0x404]
+    records = encode_aedat2(scattered([6]), SIZE, edges)
+    assert [struct.unpack_from(">I", records, 8 * k)[0] for k in (0, 1, 3)] == [0x402, 0x403, 0x404]
     part = Aedat2Decoder(SIZE).decode(records)
     np.testing.assert_array_equal(part.edges[["t", "kind"]], edges[["t", "kind"]])
-    np.testing.assert_array_equal(part.events, events_at([6]))
+    np.testing.assert_array_equal(part.events, scattered([6]))
 
 
 steps = st.lists(st.one_of(st.integers(0, 100), st.integers(0, 2**31 - 1)), min_size=1, max_size=40)
@@ -49,7 +40,7 @@ steps = st.lists(st.one_of(st.integers(0, 100), st.integers(0, 2**31 - 1)), min_
 
 @given(steps, st.integers(1, 30))
 def test_round_trip_across_wraps_in_pieces(steps, piece):
-    events = events_at(np.cumsum(steps))
+    events = scattered(np.cumsum(steps))
     data, decoder = encode_aedat2(events, SIZE), Aedat2Decoder(SIZE)
     read = [decoder.decode(data[k : k + piece]).events for k in range(0, len(data), piece)]
     np.testing.assert_array_equal(np.concatenate(read), events)
@@ -59,7 +50,7 @@ def test_round_trip_across_wraps_in_pieces(steps, piece):
 def test_words_of_no_whole_frame_or_sample_are_left_out():
     """A signal read without a reset read, a read of a kind that is no longer in use, six of the seven values."""
     imu = b"".join(struct.pack(">Ii", 0x8000_0C00 | k << 28, 2) for k in (0, 1, 2, 3, 4, 5, 0))
-    raw = struct.pack(">IiIi", 0x8000_0400, 1, 0x8000_0800, 1) + imu + encode_aedat2(events_at([3]), SIZE)
+    raw = struct.pack(">IiIi", 0x8000_0400, 1, 0x8000_0800, 1) + imu + encode_aedat2(scattered([3]), SIZE)
     decoder = Aedat2Decoder(SIZE)
     part = decoder.decode(raw)
     assert part.events["t"].tolist() == [3]
@@ -76,7 +67,7 @@ def test_the_header_tells_size_and_date(unix_us):
 
 
 def test_the_first_record_never_looks_like_a_line_of_text():
-    events = events_at([7])
+    events = scattered([7])
     events["y"] = 259 - 140  # raw row 140: the address begins with 0x23, '#'
     records = encode_aedat2(events, SIZE)
     assert records[:1] == b"#"

@@ -17,15 +17,7 @@ from firmware_protocol.recordings.aedat import (
     parse_aedat31_header,
 )
 from firmware_protocol.recordings.part import IMU, Frame
-
-
-def events_at(times):
-    events = np.zeros(len(times), EVENT)
-    events["t"] = times
-    rng = np.random.default_rng(len(times))
-    events["x"], events["y"] = rng.integers(0, 1 << 15, len(times)), rng.integers(0, 1 << 15, len(times))
-    events["on"] = rng.random(len(times)) < 0.5
-    return events
+from tests.made_events import scattered
 
 
 def test_a_packet_has_the_fields_of_libcaer():
@@ -36,7 +28,7 @@ def test_a_packet_has_the_fields_of_libcaer():
 
 def test_special_events_carry_edges():
     edges = np.array([(5, 2, 0, 0), (6, 3, 0, 0), (7, 4, 0, 0)], EDGE)
-    part = Aedat31Decoder().decode(encode_aedat31(events_at([]), edges))
+    part = Aedat31Decoder().decode(encode_aedat31(scattered([]), edges))
     np.testing.assert_array_equal(part.edges, edges)
     assert len(part.events) == 0
 
@@ -68,7 +60,7 @@ steps = st.lists(st.one_of(st.integers(0, 100), st.integers(0, 2**33)), max_size
 
 @given(steps, st.integers(1, 60))
 def test_round_trip_across_wraps_in_pieces(steps, piece):
-    events = events_at(np.cumsum(steps))
+    events = scattered(np.cumsum(steps))
     data, decoder = encode_aedat31(events), Aedat31Decoder()
     read = [decoder.decode(data[k : k + piece]).events for k in range(0, len(data), piece)]
     np.testing.assert_array_equal(np.concatenate([events[:0], *read]), events)
@@ -79,13 +71,13 @@ def test_other_packets_and_frames_that_cannot_be_read_are_left_out():
     larger = struct.pack("<hhiiiiii", 2, 1, 38, 4, 0, 1, 1, 1) + struct.pack("<I8iH", 3, *[0] * 4, 9, 9, 0, 0, 1)
     nine_axes = struct.pack("<hhiiiiii", 4, 1, 48, 4, 0, 1, 1, 1) + bytes(48)
     decoder = Aedat31Decoder()
-    part = decoder.decode(colours + larger + nine_axes + encode_aedat31(events_at([9])))
+    part = decoder.decode(colours + larger + nine_axes + encode_aedat31(scattered([9])))
     assert part.events["t"].tolist() == [9]
     assert part.frames == ()
 
 
 def test_events_that_are_marked_invalid_are_left_out():
-    data = bytearray(encode_aedat31(events_at([1, 2])))
+    data = bytearray(encode_aedat31(scattered([1, 2])))
     data[28] &= 0xFE
     assert Aedat31Decoder().decode(bytes(data)).events["t"].tolist() == [2]
 
@@ -112,7 +104,7 @@ BODIES = {
 def test_a_negative_time_is_damage_and_what_lies_before_is_read(kind, times, wraps):
     body = [BODIES[kind](t) for t in times]
     head = struct.pack("<hhiiiiii", kind, 1, len(body[0]), 4, wraps, *[len(body)] * 3)
-    decoder, before = Aedat31Decoder(), encode_aedat31(events_at([1, 2]))
+    decoder, before = Aedat31Decoder(), encode_aedat31(scattered([1, 2]))
     part = decoder.decode(before + head + b"".join(body) + before)
     assert part.events["t"].tolist() == [1, 2] + ([3] if kind == 1 and not wraps else [])
     assert len(part.edges) + len(part.imu) + len(part.frames) == (kind != 1 and not wraps)

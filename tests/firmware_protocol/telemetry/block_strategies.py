@@ -3,25 +3,18 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EVENT
+from tests.made_events import events_at
+from tests.made_events import events_of as events_of
 
 SIZES = [(346, 260), (1, 1), (7, 3), (1, 4096), (4096, 1), (4096, 4096), (640, 480)]
 TICKS = [1, 10, 100, 1000]
 
 
-def events_of(*rows):
-    """Events from (t, x, y, on)."""
-    return np.array(list(rows), EVENT)
-
-
 def stream(size, n, span_us, seed, start_us=0):
     """Uniform noise: `n` events anywhere within `span_us`."""
     rng = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT)
-    events["t"] = start_us + np.sort(rng.integers(0, span_us + 1, n))
-    events["x"], events["y"] = rng.integers(0, size[0], n), rng.integers(0, size[1], n)
-    events["on"] = rng.integers(0, 2, n)
-    return events
+    times = start_us + np.sort(rng.integers(0, span_us + 1, n))
+    return events_at(times, x=rng.integers(0, size[0], n), y=rng.integers(0, size[1], n), on=rng.integers(0, 2, n))
 
 
 def _crowded(events, size, rng):

@@ -31,8 +31,7 @@ def test_vectors_decode(vector):
     if "edges" in vector:
         assert block.edges.tolist() == [tuple(row) for row in vector["edges"]] == records
     else:
-        expected = np.array([tuple(row) for row in vector["events"]], EVENT)
-        assert np.array_equal(block.events, expected)
+        assert np.array_equal(block.events, np.array([tuple(row) for row in vector["events"]], EVENT))
         assert records == [tuple(row) for row in vector["events"]]
 
 

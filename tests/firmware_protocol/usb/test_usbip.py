@@ -1,7 +1,5 @@
 """USB/IP messages: golden bytes, an independent implementation, any cut of the stream, and broken bytes."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 
@@ -45,7 +43,7 @@ out_urbs = st.builds(
 unlinks = st.builds(Unlink, u32, u32, u32)
 
 
-def parse(parser, data: bytes, cuts=()) -> list:
+def parse(parser, data, cuts=()):
     """Feed data in pieces; gives all messages."""
     edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
     messages = []
@@ -56,13 +54,13 @@ def parse(parser, data: bytes, cuts=()) -> list:
     return messages
 
 
-def urb_parser(limits: Limits | None = None) -> ServerParser:
+def urb_parser(limits=None):
     parser = ServerParser(limits or Limits())
     parser.begin_urbs()
     return parser
 
 
-def host_parser(*urbs: Submit) -> HostParser:
+def host_parser(*urbs):
     parser = HostParser()
     parser.begin_urbs()
     for urb in urbs:
@@ -70,7 +68,7 @@ def host_parser(*urbs: Submit) -> HostParser:
     return parser
 
 
-def assert_parsed_or_refused(parser, data: bytes) -> None:
+def assert_parsed_or_refused(parser, data):
     """No other exception, and no more messages than the bytes can hold."""
     try:
         messages = parse(parser, data)
@@ -172,7 +170,7 @@ def test_one_wrong_byte_gives_messages_or_a_usbip_error(urb, at, value):
     assert_parsed_or_refused(urb_parser(), bytes(data))
 
 
-def broken_submit(offset: int, value: int) -> bytes:
+def broken_submit(offset, value):
     data = bytearray(bytes(Submit(1, 0, True, 2, 100)))
     data[offset : offset + 4] = struct.pack(">i", value)
     return bytes(data)

@@ -1,7 +1,5 @@
 """Aravis reads a GigE Vision camera: /usr/bin/python3 aravis_gige.py ADDRESS OCTETS OUT; what it saw, as JSON."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -14,7 +12,7 @@ from gi.repository import Aravis  # noqa: E402
 PATIENCE_S = 120.0
 
 
-def main() -> None:
+def main():
     address, octets, out = sys.argv[1], int(sys.argv[2]), sys.argv[3]
     camera = Aravis.Camera.new(address)
     device = camera.get_device()

@@ -3,8 +3,6 @@
 The master's time is this machine's CLOCK_REALTIME, so each latched time can be compared with the true one.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -68,7 +66,7 @@ def buffers(camera):
     return ages
 
 
-def main() -> None:
+def main():
     camera = Aravis.Camera.new(sys.argv[1])
     device = camera.get_device()
     states = follow(device)

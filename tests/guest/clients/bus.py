@@ -6,8 +6,6 @@
 Exit code 1 when time runs out first.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -19,7 +17,7 @@ ATTRIBUTES = ("idVendor", "idProduct", "bcdDevice", "serial", "product", "manufa
 PORT_FREE = "004"
 
 
-def devices(vendor: str, product: str) -> list[dict]:
+def devices(vendor, product):
     found = []
     for path in DEVICES.iterdir():
         device = {name: attribute(path / name) for name in ATTRIBUTES}
@@ -28,20 +26,20 @@ def devices(vendor: str, product: str) -> list[dict]:
     return found
 
 
-def attribute(path: Path) -> str | None:
+def attribute(path):
     try:
         return path.read_text().strip()
     except OSError:  # not every device has every attribute, and a device may leave while it is read
         return None
 
 
-def ports() -> list[int]:
+def ports():
     """The first controller's ports that are not free, from lines such as `ss  0015 006 005 00010002 000003 1-1`."""
     lines = (CONTROLLERS / "vhci_hcd.0" / "status").read_text().splitlines()[1:]
     return [int(line.split()[1]) for line in lines if line.split()[2] != PORT_FREE]
 
 
-def main() -> None:
+def main():
     vendor, product, count, timeout_s = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
     deadline = time.monotonic() + timeout_s
     on_cable = sys.argv[5:] == ["cable"]

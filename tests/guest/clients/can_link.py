@@ -1,8 +1,10 @@
 """evstim's CAN link on a bus of this machine's kernel, without a session: it sends what a file holds and tells of it.
 
-python can_link.py CHANNEL CARRIAGE EVENTS.npy REPORT.json SECONDS [BEGIN]
+can_link.py CHANNEL EVENTS.npy REPORT.json CAN_LINK SECONDS [BEGIN]
 
-It begins when the file BEGIN is there: its imports take half a minute on a processor that QEMU translates.
+CAN_LINK is a JSON object with keys of the link's table. With SECONDS 0 stream time waits for the bus, and the program
+ends when all events have left; else it runs for so long. It begins when the file BEGIN is there: its imports take half
+a minute on a processor that QEMU translates.
 """
 
 import asyncio
@@ -23,30 +25,34 @@ from transports.link.endpoint import LinkFactory
 from transports.link.kind import Wiring
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.rings import EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
+
+_NO_LOSS = ("offered", "delivered")
 
 
-async def main(channel, carriage, events_file, report_file, seconds, begin=None):
+async def main(channel, events_file, report_file, table, seconds, begin=None):
     while begin and not Path(begin).exists():
         await asyncio.sleep(0.05)
-    events = np.load(events_file)
+    events, seconds = np.load(events_file), float(seconds)
     clock, ring, syncs = MonotonicClock(), EventRing(), []
-    device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000, housekeeping_s=0))
-    parameters = CanLink("socketcan", channel, heartbeat_ms=100, carriage=carriage, answer_ms=10_000)
+    queue = {"queue_ms": 60_000} if seconds else {}
+    device = partial(Instrument, (346, 260), InstrumentSettings(housekeeping_s=0, **queue))
+    parameters = CanLink("socketcan", channel, answer_ms=10_000, **json.loads(table))
     factory = LinkFactory(CanEndpoint, parameters, Wiring(sink=lambda *mark: syncs.append(mark)))
     link = Link(LinkSetup("can", ring, device, factory), clock)
-    sent, packets = tapped_frames(), tapped_packets()
+    sent, packets = (tapped_frames(), tapped_packets()) if seconds else ([], [])
     await link.endpoint.start()
     origin_ns = clock.now_ns()
-    ring.start(origin_ns)
+    ring.start(origin_ns if seconds else FREE_RUNNING)
     ring.push(events)
-    ring.publish(int(seconds * 1e6))
-    while clock.now_ns() - origin_ns < seconds * 1e9:
+    ring.publish(int(seconds * 1e6) or int(events["t"][-1]) + 1)
+    while clock.now_ns() - origin_ns < seconds * 1e9 if seconds else not link.idle:
         link.tick()
         await asyncio.sleep(0.0005)
     state = link.report().state
     await link.close()
     report = link.report(final=True)
+    lost = {name: n for name, n in vars(report.camera).items() if isinstance(n, int) and name not in _NO_LOSS}
     told = {
         "sent": sent,
         "packets": packets,
@@ -55,6 +61,7 @@ async def main(channel, carriage, events_file, report_file, seconds, begin=None)
         "state": state,
         "delivered": report.delivered,
         "not_running": report.camera.not_running,
+        "lost": lost | {"left": report.dropped - report.camera.lost_on_link},
         "counts": dict(report.counts),
     }
     Path(report_file).write_text(json.dumps(told))
@@ -89,4 +96,4 @@ def tapped_packets():
 
 
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4], float(sys.argv[5]), *sys.argv[6:]))
+    asyncio.run(main(*sys.argv[1:]))

@@ -6,14 +6,10 @@ The last line has, beside what `collecting` says, `changes`: of each its name, h
 much of each stream came until the next. What is saved is the settled part alone.
 """
 
-from __future__ import annotations
-
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from functools import partial
-from types import ModuleType
-from typing import Any
 
 from collecting import Collector, arguments
 
@@ -27,16 +23,16 @@ FRAMES = 4  # of the settled part
 SETTLE_US = 700_000  # longer than a frame and the drivers' queues
 
 
-def read_on(take: Take, collector: Collector, for_us: int, for_s: float) -> None:
+def read_on(take, collector, for_us, for_s):
     """Take packets until events have come for so long by the device's time, or no longer than `for_s`."""
     from_us, deadline = collector.last_t, time.monotonic() + for_s
     while time.monotonic() < deadline and collector.last_t - from_us < for_us:
         take()
 
 
-def look(getters: Iterable[Change]) -> list[dict[str, object]]:
+def look(getters):
     """Call each getter and return those that failed, and how."""
-    failed: list[dict[str, object]] = []
+    failed = []
     for name, getter in getters:
         print(f"look: {name}", file=sys.stderr, flush=True)
         try:
@@ -46,7 +42,7 @@ def look(getters: Iterable[Change]) -> list[dict[str, object]]:
     return failed
 
 
-def make_changes(changes: Iterable[Change], take: Take, collector: Collector) -> list[dict[str, object]]:
+def make_changes(changes, take, collector):
     """Make the changes while the streams run and return what came of each."""
     outcomes = []
     for name, change in changes:
@@ -62,7 +58,7 @@ def make_changes(changes: Iterable[Change], take: Take, collector: Collector) ->
     return outcomes
 
 
-def take_settled(take: Take, collector: Collector, timeout_s: float) -> None:
+def take_settled(take, collector, timeout_s):
     """Let what the last changes did pass by, then collect as many events as were asked for, and some frames.
 
     A driver may be further with its frames than with its events.
@@ -74,7 +70,7 @@ def take_settled(take: Take, collector: Collector, timeout_s: float) -> None:
         take()
 
 
-def change_values(client: ModuleType, values: Mapping[str, Iterable[Any]]) -> None:
+def change_values(client, values):
     """Open a camera of iniVation's by its client, set values of its setters while all streams run, and read on."""
     options = arguments()
     collector = Collector(options)
@@ -93,13 +89,11 @@ def change_values(client: ModuleType, values: Mapping[str, Iterable[Any]]) -> No
     collector.report(**seen)
 
 
-def change_all(
-    camera: Any, take: Callable[..., object], planned: Iterable[Change], getters: Iterable[Change], collector: Collector
-) -> list[dict[str, object]]:
+def change_all(camera, take, planned, getters, collector):
     """Change everything of a camera of iniVation's, collect a settled part, and return what came of it."""
     options = arguments()
 
-    def take_some() -> None:
+    def take_some():
         if not camera.isRunning():
             raise ConnectionError("the camera is gone")
         take(camera, collector, options)

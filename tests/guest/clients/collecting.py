@@ -25,8 +25,6 @@ With --packet-ms the drivers of iniVation hand events over after so much device 
 runs a thousand times faster than real time, their queues of packets would overflow.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time
@@ -35,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 
-def parser() -> argparse.ArgumentParser:
+def parser():
     """The arguments that all clients have."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, required=True, help="stop after this many events")
@@ -52,34 +50,34 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def arguments(asked: argparse.ArgumentParser | None = None) -> argparse.Namespace:
+def arguments(asked=None):
     return (asked or parser()).parse_args()
 
 
 class Collector:
     """Keeps every event until there are enough or time is up."""
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options):
         self._count = options.count
         self._on, self._until = options.on, options.until
         self._output = options.output
         self._deadline = time.monotonic() + options.timeout
-        self._columns: list[tuple[np.ndarray, ...]] = []
-        self._triggers: list[tuple[int, int]] = []
-        self._imu: list[tuple[float, ...]] = []
-        self._frames: list[tuple[int, np.ndarray]] = []
+        self._columns = []
+        self._triggers = []
+        self._imu = []
+        self._frames = []
         self._collected = 0
-        self._started: float | None = None
+        self._started = None
         self._announced = False
 
     @property
-    def done(self) -> bool:
+    def done(self):
         enough = self._collected >= self._count and not self._on
         stopped = self._until is not None and self._until.exists()
         return enough or stopped or time.monotonic() > self._deadline
 
     @property
-    def counts(self) -> dict[str, int]:
+    def counts(self):
         """How much of each stream has come."""
         return {
             "events": self._collected, "triggers": len(self._triggers), "imu": len(self._imu),
@@ -87,16 +85,16 @@ class Collector:
         }  # fmt: skip
 
     @property
-    def last_t(self) -> int:
+    def last_t(self):
         """Time of the last event, in microseconds; 0 before the first."""
         return int(self._columns[-1][0][-1]) if self._columns else 0
 
-    def restart(self) -> None:
+    def restart(self):
         """Forget what was collected."""
         self._columns, self._triggers, self._imu, self._frames = [], [], [], []
         self._collected = 0
 
-    def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, on: np.ndarray) -> None:
+    def add(self, t, x, y, on):
         if self._started is None:
             self._started = time.monotonic()
         self._columns.append((t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), on.astype(bool)))
@@ -105,16 +103,16 @@ class Collector:
             self._output.with_suffix(".started").touch()
             self._announced = True
 
-    def add_trigger(self, t: int, kind: int) -> None:
+    def add_trigger(self, t, kind):
         self._triggers.append((t, kind))
 
-    def add_imu(self, t: int, *values: float) -> None:
+    def add_imu(self, t, *values):
         self._imu.append((t, *values))
 
-    def add_frame(self, t: int, pixels: np.ndarray) -> None:
+    def add_frame(self, t, pixels):
         self._frames.append((t, np.array(pixels)))
 
-    def report(self, **seen: object) -> None:
+    def report(self, **seen):
         """Save the events and triggers and print what was seen."""
         columns = [np.concatenate(column) for column in zip(*self._columns, strict=True)] or [np.empty(0)] * 4
         triggers = {

@@ -8,20 +8,17 @@ first and the last one. The program fails when a stream stays away for too long.
 cycle.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
 from argparse import ArgumentParser, Namespace
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 from collecting import Collector
 
 
-def arguments() -> Namespace:
+def arguments():
     """Return the options, as far as the clients have them too by the clients' names."""
     parser = ArgumentParser()
     parser.add_argument("client")
@@ -38,7 +35,7 @@ def arguments() -> Namespace:
     return options
 
 
-def cycle(client: ModuleType, asked: Namespace) -> float:
+def cycle(client, asked):
     """Open the camera, wait for its streams, close it in the midst of them, and return how long that took, in s."""
     started = time.monotonic()
     options = Namespace(
@@ -56,7 +53,7 @@ def cycle(client: ModuleType, asked: Namespace) -> float:
     return time.monotonic() - started
 
 
-def main() -> None:
+def main():
     asked = arguments()
     client = import_module(asked.client)
     took, files = [], []

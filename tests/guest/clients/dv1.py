@@ -1,9 +1,5 @@
 """dv-processing 1.7, which carries libcaer inside."""
 
-from __future__ import annotations
-
-import argparse
-
 import dv_processing as dv
 from collecting import Collector, arguments
 from dv_streams import take, take_all
@@ -15,11 +11,11 @@ EXTERNAL_INPUT = 4
 DETECT = (1, 2, 3, 0)  # rising, falling, pulses, run
 
 
-def discovered() -> list[str]:
+def discovered():
     return dv.io.discoverDevices()
 
 
-def open_camera(options: argparse.Namespace) -> dv.io.CameraCapture:
+def open_camera(options):
     """Open the first camera as the options ask."""
     camera = dv.io.CameraCapture()
     for parameter in DETECT if options.triggers else ():
@@ -29,10 +25,10 @@ def open_camera(options: argparse.Namespace) -> dv.io.CameraCapture:
     return camera
 
 
-def main() -> None:
+def main():
     options = arguments()
     collector = Collector(options)
-    seen: dict[str, object] = {"version": dv.__version__, "discovered": discovered()}
+    seen = {"version": dv.__version__, "discovered": discovered()}
     camera = open_camera(options)
     resolution = camera.getEventResolution()
     take_all(camera, collector, options)

@@ -1,8 +1,5 @@
 """dv-processing 2.x, the vendor's library with a driver of its own."""
 
-from __future__ import annotations
-
-import argparse
 from datetime import timedelta
 
 import dv_processing as dv
@@ -12,11 +9,11 @@ from dv_streams import take, take_all
 __all__ = ["discovered", "open_camera", "take"]
 
 
-def discovered() -> list[str]:
+def discovered():
     return [device.serialNumber for device in dv.io.camera.discover()]
 
 
-def open_camera(options: argparse.Namespace) -> dv.io.camera.DAVIS:
+def open_camera(options):
     """Open the first camera as the options ask."""
     camera = dv.io.camera.open()
     if options.triggers:
@@ -31,10 +28,10 @@ def open_camera(options: argparse.Namespace) -> dv.io.camera.DAVIS:
     return camera
 
 
-def main() -> None:
+def main():
     options = arguments()
     collector = Collector(options)
-    seen: dict[str, object] = {"version": dv.__version__, "discovered": discovered()}
+    seen = {"version": dv.__version__, "discovered": discovered()}
     camera = open_camera(options)
     resolution = camera.getEventResolution()
     take_all(camera, collector, options)

@@ -1,13 +1,8 @@
 """What the clients of both versions of dv-processing share: the streams of a camera."""
 
-from __future__ import annotations
-
-import argparse
 import time
-from typing import Any
 
 import dv_processing as dv
-from collecting import Collector
 
 KINDS = {
     dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE: 2,
@@ -16,7 +11,7 @@ KINDS = {
 }
 
 
-def take(camera: Any, collector: Collector, options: argparse.Namespace) -> None:
+def take(camera, collector, options):
     """Take one packet of each stream that is asked for, or wait for a moment."""
     triggers = camera.getNextTriggerBatch() if hasattr(camera, "getNextTriggerBatch") else ()  # a Micro has no input
     for trigger in triggers or ():
@@ -36,7 +31,7 @@ def take(camera: Any, collector: Collector, options: argparse.Namespace) -> None
     collector.add(events["timestamp"], events["x"], events["y"], events["polarity"])
 
 
-def take_all(camera: Any, collector: Collector, options: argparse.Namespace) -> None:
+def take_all(camera, collector, options):
     """Take packets until there is enough, or the camera is gone."""
     while not collector.done and camera.isRunning():
         take(camera, collector, options)

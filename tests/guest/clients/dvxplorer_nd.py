@@ -1,24 +1,20 @@
 """neuromorphic_drivers: settings of its DVXplorer configuration while all streams run, and back to what they were."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import partial
-from typing import Any
 
 import neuromorphic_drivers as nd
-from changing import Change, make_changes
+from changing import make_changes
 from collecting import Collector, arguments
 from nd import open_camera, take
 
 MODEL = nd.inivation_dvxplorer
 FPS = MODEL.ReadoutFramesPerSecond
 DEFAULT = MODEL.Configuration(readout_frames_per_second=FPS.VARIABLE5000)
-BIASES: dict[str, Any] = {"on": 6, "off": 6, "amp": 6, "sf": 1, "nrst": True, "log": True, "log_a": False, "log_d": 2}
+BIASES = {"on": 6, "off": 6, "amp": 6, "sf": 1, "nrst": True, "log": True, "log_a": False, "log_d": 2}
 
 
-def changes(camera: Any) -> Iterator[Change]:
+def changes(camera):
     for bias in fields(MODEL.Biases):
         changed = replace(DEFAULT, biases=replace(DEFAULT.biases, **{bias.name: BIASES[bias.name]}))
         yield f"biases.{bias.name}", partial(camera.update_configuration, changed)
@@ -28,7 +24,7 @@ def changes(camera: Any) -> Iterator[Change]:
     yield "default", partial(camera.update_configuration, DEFAULT)
 
 
-def main() -> None:
+def main():
     options = arguments()
     collector = Collector(options)
     discovered = [device.serial for device in nd.list_devices()]

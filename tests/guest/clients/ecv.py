@@ -1,7 +1,5 @@
 """EventCV, a library of computer vision with the driver of neuromorphic_drivers 0.17 inside, reads a Prophesee EVK4."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from importlib.metadata import version
 
@@ -11,7 +9,7 @@ ROI = (200, 100, 800, 500)  # first column, first row, width, height
 WINDOW_EVENTS = 10_000
 
 
-def main() -> None:
+def main():
     asked = parser()
     asked.add_argument("--roi", action="store_true", help="keep a rectangle alone")
     options = arguments(asked)

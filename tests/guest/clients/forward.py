@@ -3,8 +3,6 @@
 forward.py PORT ADDRESS THERE FILE
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import sys
@@ -12,13 +10,13 @@ import threading
 from pathlib import Path
 
 
-def pass_on(source: socket.socket, destination: socket.socket) -> None:
+def pass_on(source, destination):
     while data := source.recv(1 << 16):
         destination.sendall(data)
     destination.shutdown(socket.SHUT_WR)
 
 
-def main() -> None:
+def main():
     port, address, there = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     with socket.create_server(("127.0.0.1", port)) as listener:
         Path(sys.argv[4]).write_text(str(os.getpid()))

@@ -9,8 +9,6 @@ object is printed. PIDS gets the ids of the two processes when the link is open.
 samples (see `looped_streams`) and pulses at the external input are played beside them.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing
@@ -46,7 +44,7 @@ MOST_READINGS = 4096
 IMU_UNIT = 2
 
 
-def camera(options: argparse.Namespace) -> partial:
+def camera(options):
     speed = Speed[options.speed.upper()]
     if options.model == "evk4":
         return partial(Evk4, Evk4Settings(serial=options.serial, speed=speed, start_delay_us=START_DELAY_US))
@@ -63,17 +61,17 @@ def camera(options: argparse.Namespace) -> partial:
 class Loop:
     """Puts records, (n,) sorted by `t` below `round_us`, into a ring again and again, as their time comes."""
 
-    def __init__(self, ring: EventRing | ReadingRing, records: np.ndarray, round_us: int) -> None:
+    def __init__(self, ring, records, round_us):
         self._ring, self._records, self._round_us = ring, records, round_us
         self._next = 0
         self.pushed = 0
 
-    def play(self, until_us: int) -> None:
+    def play(self, until_us):
         while (stretch := self._due(until_us)) is not None:
             self._ring.push(stretch)
             self.pushed += len(stretch)
 
-    def _due(self, until_us: int) -> np.ndarray | None:
+    def _due(self, until_us):
         """Return the next records of one round that are due; None where there are none."""
         number, place = divmod(self._next, len(self._records))
         end = int(np.searchsorted(self._records["t"], max(0, until_us - number * self._round_us)))
@@ -94,7 +92,7 @@ class Player:
         Where they go.
     """
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options):
         self.ring = EventRing()
         self.events = Loop(self.ring, np.load(options.events), options.round_us)
         told = {ReadingKind.FRAMES: frames, ReadingKind.IMU: samples} if options.streams else {}
@@ -103,18 +101,18 @@ class Player:
         rings = zip(self.readings, played.values(), strict=True)
         self._loops = [Loop(ring, records, options.round_us) for ring, records in rings]
 
-    def start(self) -> None:
+    def start(self):
         self._begun_ns = time.monotonic_ns()
         self.ring.start(self._begun_ns)
 
-    def play(self) -> None:
+    def play(self):
         until_us = (time.monotonic_ns() - self._begun_ns) // 1000 + AHEAD_US
         for loop in (self.events, *self._loops):
             loop.play(until_us)
         self.ring.publish(until_us)
 
 
-def link_of(options: argparse.Namespace, player: Player) -> LinkSetup:
+def link_of(options, player):
     edges = PeriodicEdges(PULSE_PERIOD_US, EdgeTiming()) if options.streams else None
     return LinkSetup(
         "usb_gadget",
@@ -128,7 +126,7 @@ def link_of(options: argparse.Namespace, player: Player) -> LinkSetup:
     )
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser()
     for name in ("--events", "--record", "--pids"):
         parser.add_argument(name, type=Path, required=True)

@@ -1,7 +1,5 @@
 """What a DAVIS346 reads beside events, for a loop: frames of random pixels and samples of a still inertial unit."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from firmware_protocol.frames import LineKind, line_record
@@ -17,12 +15,12 @@ STILL = (0, -8192, 0, 0, 0, 0, 0)  # counts: held up with 1 g, y down
 SIGNAL, BRIGHTNESS = (400, 500), (0, 512)  # of 1023; drivers take a reset read below 384 for white
 
 
-def frames(round_us: int) -> np.ndarray:
+def frames(round_us):
     """Lines of the frames of a round, (n,) of `line_record`; no two frames are alike."""
     return np.concatenate([_frame(start_us) for start_us in range(FRAME_US // 2, round_us, FRAME_US)])
 
 
-def samples(round_us: int) -> np.ndarray:
+def samples(round_us):
     """Samples of a round, (n,) IMU_SAMPLE, each with noise of its own."""
     told = np.zeros(round_us // SAMPLE_US, IMU_SAMPLE)
     told["t"], told["scale"] = SAMPLE_US * np.arange(len(told)) + 7, SCALE
@@ -30,7 +28,7 @@ def samples(round_us: int) -> np.ndarray:
     return told
 
 
-def _frame(start_us: int) -> np.ndarray:
+def _frame(start_us):
     reads = [LineKind.RESET] * COLUMNS, [LineKind.SIGNAL] * COLUMNS
     kinds = [LineKind.START, *reads[0], LineKind.EXPOSURE_START, LineKind.EXPOSURE_END, *reads[1], LineKind.END]
     told = np.zeros(len(kinds), line_record(COLUMNS))

@@ -1,11 +1,7 @@
 """neuromorphic_drivers, the community's driver in Rust."""
 
-from __future__ import annotations
-
-import argparse
 import time
 from importlib.metadata import version
-from typing import Any
 
 import neuromorphic_drivers as nd
 from collecting import Collector, arguments
@@ -17,14 +13,14 @@ G_M_S2, DEGREES = 9.80665, 57.29577951308232
 KINDS = {0: 3, 1: 2, 2: 4}  # its polarity of a trigger: falling, rising, pulse
 
 
-def collect_triggers(triggers: Any, collector: Collector) -> None:
+def collect_triggers(triggers, collector):
     """Take triggers; their last byte is the polarity, which is declared as a flag for a DVXplorer and may be 2."""
     polarities = triggers.view("u1").reshape(len(triggers), -1)[:, -1]
     for t, polarity in zip(triggers["t"].tolist(), polarities.tolist(), strict=True):
         collector.add_trigger(t, KINDS[polarity])
 
 
-def collect_imu(samples: Any, collector: Collector) -> None:
+def collect_imu(samples, collector):
     """Take samples in m/s2 and rad/s."""
     for one in samples:
         acceleration_g = (float(one[f"accelerometer_{axis}"]) / G_M_S2 for axis in "xyz")
@@ -32,7 +28,7 @@ def collect_imu(samples: Any, collector: Collector) -> None:
         collector.add_imu(int(one["t"]), *acceleration_g, float(one["temperature"]), *rate_deg_s)
 
 
-def open_camera(options: argparse.Namespace) -> Any:
+def open_camera(options):
     """Open the first camera, with the detector of its external input on if triggers are asked for."""
     camera = open_driver(options.device, options.attempts)
     if options.triggers:
@@ -40,7 +36,7 @@ def open_camera(options: argparse.Namespace) -> Any:
     return camera
 
 
-def open_driver(device: str, attempts: int) -> Any:
+def open_driver(device, attempts):
     """Open the first camera; where the driver finds none, a second later again."""
     try:
         return nd.open(getattr(nd, device).Configuration(), iterator_timeout=0.1)
@@ -51,7 +47,7 @@ def open_driver(device: str, attempts: int) -> Any:
     return open_driver(device, attempts - 1)
 
 
-def take(camera: Any, collector: Collector, options: argparse.Namespace) -> int:
+def take(camera, collector, options):
     """Take the next packet, if there is one in time, and return how often it tells of an overflow."""
     _status, packet = next(camera)
     if packet is None:
@@ -69,7 +65,7 @@ def take(camera: Any, collector: Collector, options: argparse.Namespace) -> int:
     return len(packet.polarity_events_overflow_indices or ())
 
 
-def main() -> None:
+def main():
     options = arguments()
     collector = Collector(options)
     discovered = [device.serial for device in nd.list_devices()]

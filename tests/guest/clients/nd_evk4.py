@@ -3,13 +3,9 @@
 With --settings it changes each bias, and of an EVK4 each mask, while it streams, and sets all back.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import fields, replace
 from importlib.metadata import version
 from itertools import count
-from typing import Any
 
 import neuromorphic_drivers as nd
 from collecting import Collector, arguments, parser
@@ -20,7 +16,7 @@ EVK4 = "prophesee_evk4"
 MASKED_COLUMNS, MASKED_ROWS, MASKED_PIXEL = (100, 200), (40, 60), (640, 300)
 
 
-def configuration(*, masks: bool, limit: int) -> evk4.Configuration:
+def configuration(*, masks, limit):
     told = evk4.Configuration(biases=evk4.Biases(diff_on=20, refr=-10))
     if masks:
         lines = evk4.RowColumnMask(set=False)
@@ -34,7 +30,7 @@ def configuration(*, masks: bool, limit: int) -> evk4.Configuration:
     return told
 
 
-def changed(told: Any) -> Iterator[Any]:
+def changed(told):
     """Each bias and each mask changed alone, and at the last the configuration as it was."""
     for bias in fields(told.biases):
         value = getattr(told.biases, bias.name) + 1
@@ -45,7 +41,7 @@ def changed(told: Any) -> Iterator[Any]:
     yield told
 
 
-def main() -> None:
+def main():
     asked = parser()
     asked.set_defaults(device=EVK4)
     asked.add_argument("--masks", action="store_true", help="mask rows, columns and a pixel")

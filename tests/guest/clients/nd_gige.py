@@ -3,8 +3,6 @@
 python nd_gige.py ADDRESS EVENTS PACKET_OCTETS OUT.npz [OPENINGS]
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -18,7 +16,7 @@ MOST_ATTEMPTS = 10
 FIELDS = ("t", "x", "y", "on")
 
 
-def opened(address: str, ring: lucid_triton.RingConfiguration, told: lucid_triton.Configuration | None = None):
+def opened(address, ring, told=None):
     """Open the camera; the driver gives up when an answer takes 25 ms, as on a busy machine, and so is asked again."""
     for attempt in range(MOST_ATTEMPTS):
         try:
@@ -32,7 +30,7 @@ def opened(address: str, ring: lucid_triton.RingConfiguration, told: lucid_trito
     raise AssertionError
 
 
-def one_opening(address: str, count: int, octets: int) -> dict[str, object]:
+def one_opening(address, count, octets):
     """Open, read at least `count` events, close."""
     ring = lucid_triton.RingConfiguration(buffer_length=octets, ring_length=1 << 17)
     parts, seen, dropped, begun_s = [], 0, 0, 0.0
@@ -52,7 +50,7 @@ def one_opening(address: str, count: int, octets: int) -> dict[str, object]:
     return {"parts": parts, "seen": seen, "read_s": read_s, "dropped": dropped, "celsius": celsius, "bounds": bounds}
 
 
-def main() -> None:
+def main():
     address, count, octets, out = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
     openings = int(sys.argv[5]) if len(sys.argv) > 5 else 1
     for number in range(openings):

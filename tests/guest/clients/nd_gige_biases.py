@@ -6,8 +6,6 @@ The first set is that of the opening, the others are updates. The first second o
 moment to act. Member K of the file has the events of set K.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -21,7 +19,7 @@ SETTLING_S = 1.0
 PATIENCE_S = 120.0
 
 
-def read(camera, seconds: float) -> np.ndarray:
+def read(camera, seconds):
     """Return the events of so many seconds of the camera's time, after the settling."""
     parts, begin_us = [], None
     end_s = time.monotonic() + PATIENCE_S
@@ -38,7 +36,7 @@ def read(camera, seconds: float) -> np.ndarray:
     return together[together["t"] > begin_us + SETTLING_S * 1e6]
 
 
-def main() -> None:
+def main():
     address, seconds, out = sys.argv[1], float(sys.argv[2]), sys.argv[3]
     sets = [lucid_triton.Biases(**json.loads(one)) for one in sys.argv[4:]]
     ring = lucid_triton.RingConfiguration(buffer_length=1400, ring_length=1 << 14)

@@ -1,7 +1,5 @@
 """A host that starts a DAVIS346, takes nothing of what it sends for three seconds, and leaves it running."""
 
-from __future__ import annotations
-
 import time
 
 from firmware_protocol.usb.device import SetupPacket
@@ -11,7 +9,7 @@ REGISTER = 0xBF
 RUN = ((0, 3), (9, 0), (0, 1), (0, 0), (1, 3))  # chip, USB, timestamps, multiplexer, sensor
 
 
-def main() -> None:
+def main():
     host = PyusbHost.find(0x152A, 0x841A)
     host.configure()
     for module, parameter in RUN:

@@ -8,8 +8,6 @@ its triggers stay empty unless somebody else switches the detector on. usbfs tak
 with the ioctl USBDEVFS_CONTROL.
 """
 
-from __future__ import annotations
-
 import ctypes
 import fcntl
 import os
@@ -23,7 +21,7 @@ TIMEOUT_MS = 1000
 CAMERAS = ("152a", "841a"), ("152a", "8419")  # DAVIS346, DVXplorer
 
 
-def camera_node() -> Path:
+def camera_node():
     """The device file of the first camera on the bus."""
     for device in Path("/sys/bus/usb/devices").iterdir():
         vendor, product = device / "idVendor", device / "idProduct"
@@ -33,7 +31,7 @@ def camera_node() -> Path:
     raise FileNotFoundError("no camera on the bus")
 
 
-def write_registers(module: int, addresses: tuple[int, ...], value: int) -> None:
+def write_registers(module, addresses, value):
     """Write `value` to each of a module's parameters."""
     data = ctypes.create_string_buffer(value.to_bytes(4, "big"), 4)
     file = os.open(camera_node(), os.O_RDWR)

@@ -5,16 +5,12 @@ The numbers are those of libcaer 3.3: modules (multiplexer 0, DVS 1, APS 2, IMU 
 and set back.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable, Iterator
 from datetime import timedelta
 from functools import partial
-from typing import Any
 
 import dv_processing as dv
-from changing import FAILURES, Change, change_all
+from changing import FAILURES, change_all
 from collecting import Collector, arguments
 from dv1 import EXTERNAL_INPUT, open_camera, take
 
@@ -53,7 +49,7 @@ GETTERS = (
 MS = timedelta(milliseconds=1)
 
 
-def parameters() -> Iterator[tuple[int, int, int | None]]:
+def parameters():
     """(module, parameter, a value to set; None: the other state of a flag)."""
     for module, numbers in FLAGS.items():
         yield from ((module, number, None) for number in numbers)
@@ -62,7 +58,7 @@ def parameters() -> Iterator[tuple[int, int, int | None]]:
     yield from ((module, number, None) for module, number in RUNNING)
 
 
-def other(camera: Any, module: int, number: int, value: int | None) -> None:
+def other(camera, module, number, value):
     """Set another value; raises AssertionError where it does not read back."""
     wanted = 1 - camera.deviceConfigGet(module, number) if value is None else value
     camera.deviceConfigSet(module, number, wanted)
@@ -70,7 +66,7 @@ def other(camera: Any, module: int, number: int, value: int | None) -> None:
     assert found == wanted, f"{found} was read where {wanted} was set"
 
 
-def changes(camera: Any) -> Iterator[Change]:
+def changes(camera):
     """Every parameter and setter; each is set back, but for the exposure, which is no longer automatic."""
     # While it is automatic, libcaer refuses any other exposure.
     yield "no automatic exposure", partial(camera.deviceConfigSet, APS, AUTO_EXPOSURE, 0)
@@ -89,16 +85,16 @@ def changes(camera: Any) -> Iterator[Change]:
     yield from setters(camera)
 
 
-def reset_unread(camera: Any) -> None:
+def reset_unread(camera):
     """Reset the timestamps and read nothing until the reset has come: see environments.py."""
     camera.deviceConfigSet(MUX, 2, 1)
     time.sleep(RESET_S)
 
 
-def setters(camera: Any) -> Iterator[Change]:
+def setters(camera):
     """The setters of the class, but for those that are a DVXplorer's: a DAVIS answers False."""
     modes = CAPTURE.DavisReadoutMode.__members__
-    calls: list[tuple[str, tuple[Any, ...]]] = [
+    calls = [
         *(("setDavisColorMode", (mode,)) for mode in CAPTURE.DavisColorMode.__members__.values()),
         ("setDavisColorMode", (CAPTURE.DavisColorMode.Grayscale,)),
         *(("setDavisReadoutMode", (modes[k],)) for k in ("EventsOnly", "FramesOnly", "EventsAndFrames")),
@@ -110,21 +106,21 @@ def setters(camera: Any) -> Iterator[Change]:
         yield f"{name}{values}", partial(_done, name, partial(getattr(camera, name), *values))
 
 
-def getters(camera: Any) -> Iterator[Change]:
+def getters(camera):
     """What only looks. The sizes and capabilities are no parameters: libcaer tells them itself, and refuses these."""
     for name in GETTERS:
         yield f"get{name}()", getattr(camera, f"get{name}")
 
 
-def _done(name: str, setter: Callable[[], object]) -> None:
+def _done(name, setter):
     assert setter() is not False, f"{name} answered False"
 
 
-def _again(failure: Exception) -> None:
+def _again(failure):
     raise failure
 
 
-def main() -> None:
+def main():
     options = arguments()
     collector = Collector(options)
     camera = open_camera(options)

@@ -1,15 +1,11 @@
 """dv-processing 2.x: every setter of its DAVIS class while all streams run, and back to what it was."""
 
-from __future__ import annotations
-
 import inspect
-from collections.abc import Iterator, Mapping
 from datetime import timedelta
 from functools import partial
-from typing import Any
 
 import dv_processing as dv
-from changing import Change, change_all
+from changing import change_all
 from collecting import Collector, arguments
 from dv2 import open_camera, take
 
@@ -26,7 +22,7 @@ FLAGS_OFF = (
     *("FlipHorizontalFrames", "FlipVerticalFrames", "IMUFlipX", "IMUFlipY", "IMUFlipZ"),
     *("GeneratorInjectTriggerOnFallingEdge", "GeneratorInjectTriggerOnRisingEdge", "GeneratorRunning"),
 )
-VALUES: dict[str, tuple[Any, ...]] = {
+VALUES = {
     "ExposureDuration": (4 * MS, 20 * MS),
     "FrameInterval": (100 * MS, 0 * MS),
     "ColorMode": tuple(DAVIS.ColorMode.__members__[k] for k in ("GRAYSCALE", "ORIGINAL", "ORIGINAL_SPLIT", "DEFAULT")),
@@ -50,7 +46,7 @@ LOSE_DATA = {"setTransfersNumber", "setTransfersSize"}  # and may end the stream
 OF_OTHER_MODELS = ("Davis240", "CDavis")
 
 
-def changes(camera: Any) -> Iterator[Change]:
+def changes(camera):
     """Every setter, with the values of the tables above; the last one is the driver's default."""
     yield from setters(camera, dict.fromkeys(FLAGS_OFF, (True, False)) | VALUES)  # first what moves the exposure
     for name, bias in DAVIS.Davis346BiasCF.__members__.items():
@@ -64,19 +60,19 @@ def changes(camera: Any) -> Iterator[Change]:
     yield from setters(camera, stop_events | dict.fromkeys(FLAGS_ON, (False, True)))
 
 
-def setters(camera: Any, values: Mapping[str, tuple[Any, ...]]) -> Iterator[Change]:
+def setters(camera, values):
     for name, wanted in values.items():
         for value in wanted:
             yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
 
 
-def bias_changes(camera: Any, name: str, bias: Any) -> Iterator[Change]:
+def bias_changes(camera, name, bias):
     coarse, fine = camera.getDavis346BiasCoarseFine(bias)
     for value in (coarse, fine - 1 if fine > 1 else fine + 1), (coarse, fine):
         yield f"setDavis346BiasCoarseFine({name}, {value})", partial(camera.setDavis346BiasCoarseFine, bias, *value)
 
 
-def getters(camera: Any) -> Iterator[Change]:
+def getters(camera):
     """Everything that takes no argument and only looks."""
     for name, method in inspect.getmembers(camera, callable):
         looks = name.startswith(("get", "is")) and not name.startswith("getNext")
@@ -84,13 +80,13 @@ def getters(camera: Any) -> Iterator[Change]:
             yield f"{name}()", method
 
 
-def untried(camera: Any, tried: list[str]) -> list[str]:
+def untried(camera, tried):
     """The setters that no change has called, but for those of other models and those that lose data."""
     setters = {name for name in dir(camera) if name.startswith("set") and not name[3:].startswith(OF_OTHER_MODELS)}
     return sorted(setters - LOSE_DATA - {name.split("(")[0] for name in tried})
 
 
-def main() -> None:
+def main():
     options = arguments()
     collector = Collector(options)
     camera = open_camera(options)

@@ -1,14 +1,10 @@
 """neuromorphic_drivers: every field of its configuration while all streams run, and back to what it was."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import partial
-from typing import Any
 
 import neuromorphic_drivers as nd
-from changing import Change, look, make_changes, take_settled
+from changing import look, make_changes, take_settled
 from collecting import Collector, arguments
 from nd import open_camera, take
 from register import write_registers
@@ -16,7 +12,7 @@ from register import write_registers
 DAVIS = nd.inivation_davis346
 APS, RUN = 2, 4
 DEFAULT = DAVIS.Configuration()
-OTHERS: dict[str, tuple[Any, ...]] = {
+OTHERS = {
     "region_of_interest": (DAVIS.RegionOfInterest(20, 30, 200, 150),),
     "pixel_mask": ((0x00010002, 0x00030004, 5, 6, 7, 8, 9, 10),),
     "activity_filter": (DAVIS.ActivityFilter(False, 4, True, 2), DAVIS.ActivityFilter(True, 4, True, 2)),
@@ -27,7 +23,7 @@ OTHERS: dict[str, tuple[Any, ...]] = {
 }
 
 
-def configurations() -> Iterator[tuple[str, Any]]:
+def configurations():
     """Each with one field that is not as the driver has it."""
     for bias in fields(DAVIS.Biases):
         value = getattr(DEFAULT.biases, bias.name) + 1
@@ -37,19 +33,19 @@ def configurations() -> Iterator[tuple[str, Any]]:
             yield f"{name} = {value}", replace(DEFAULT, **{name: value})
 
 
-def changes(camera: Any) -> Iterator[Change]:
+def changes(camera):
     """Every field, and at the last the driver's own configuration."""
     for name, configuration in (*configurations(), ("default", DEFAULT)):
         yield name, partial(update, camera, configuration)
 
 
-def update(camera: Any, configuration: Any) -> None:
+def update(camera, configuration):
     """Change the configuration, and start the frames that the driver leaves off after a change of the region."""
     camera.update_configuration(configuration)
     write_registers(APS, (RUN,), 1)
 
 
-def main() -> None:
+def main():
     options = arguments()
     collector = Collector(options)
     with open_camera(options) as camera:

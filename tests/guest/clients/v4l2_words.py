@@ -5,8 +5,6 @@ process. With a number in its place, that many messages of random octets, kinds 
 it ends with the number of those that the module took.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random
@@ -17,15 +15,7 @@ from pathlib import Path
 
 from firmware_protocol.genx320 import registers as genx320
 from firmware_protocol.imx636 import registers as imx636
-from firmware_protocol.prophesee.v4l2 import (
-    REQUEST_BYTES,
-    WORDS_HEADER,
-    NodeSensor,
-    NodeSettings,
-    Request,
-    RequestKind,
-    answer,
-)
+from firmware_protocol.prophesee.v4l2 import REQUEST_BYTES, WORDS_HEADER, NodeSettings, Request, RequestKind, answer
 
 FILE = "/dev/evstim-v4l2"
 SENSORS = {"imx636": imx636.V4L2_SENSOR, "genx320": genx320.V4L2_SENSOR}
@@ -34,14 +24,14 @@ SENSORS = {"imx636": imx636.V4L2_SENSOR, "genx320": genx320.V4L2_SENSOR}
 class Registers(dict[int, int]):
     """Registers that store what is written."""
 
-    def read_register(self, address: int) -> int:
+    def read_register(self, address):
         return self.get(address, 0)
 
-    def write_register(self, address: int, value: int) -> None:
+    def write_register(self, address, value):
         self[address] = value
 
 
-def feed(sensor: NodeSensor) -> None:
+def feed(sensor):
     file = os.open(FILE, os.O_RDWR | os.O_NONBLOCK)
     settings = NodeSettings(sensor, Registers())
     os.write(file, sensor.description("0badcafe", 65536))
@@ -63,7 +53,7 @@ def feed(sensor: NodeSensor) -> None:
                 os.writev(file, [WORDS_HEADER, bytes(4096)])
 
 
-def attack(sensor: NodeSensor, count: int) -> int:
+def attack(sensor, count):
     """Write hostile messages, before a sensor is described and after, and return how many the module took."""
     draw = random.Random(1)
     description = sensor.description("0badcafe", 65536)

@@ -1,7 +1,5 @@
 """viva-genicam searches for a GigE Vision camera and reads it: viva_gige.py OCTETS OUT; what it saw, as JSON."""
 
-from __future__ import annotations
-
 import json
 import sys
 import threading
@@ -14,7 +12,7 @@ EVENT_NOTIFICATION, WITH_DATA = 0x1030_0028, 2
 ACTION_KEYS = {0x090C: 1, 0x9800: 2, 0x9804: 4}  # registers of the device key, the group key and the group mask
 
 
-def hear_of_an_edge(camera: viva.Camera, address: str, told: dict[str, int]) -> None:
+def hear_of_an_edge(camera, address, told):
     """Have the camera's trigger input pulsed by an action command; note what the camera tells of it."""
     for register, key in ACTION_KEYS.items():
         camera.write_register(register, key.to_bytes(4, "big"))
@@ -29,7 +27,7 @@ def hear_of_an_edge(camera: viva.Camera, address: str, told: dict[str, int]) -> 
     told.update(data=bytes(event.data).hex(), second=with_data.id, second_data=bytes(with_data.data).hex())
 
 
-def main() -> None:
+def main():
     octets, out = int(sys.argv[1]), sys.argv[2]
     found = viva.discover(2000, None, True)
     camera = viva.connect_gige(found[0])

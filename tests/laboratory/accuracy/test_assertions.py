@@ -56,12 +56,7 @@ def test_s3_a_line_on_smooth_light_in_short_steps(contrast, dt_over_tau):
 
 
 @pytest.mark.parametrize(
-    ("name", "least", "most"),
-    [
-        ("hermite", 12, 40),
-        ("line", 3.5, 5),
-        ("v2e_exact_filter", 1.8, 2.2),
-    ],
+    ("name", "least", "most"), [("hermite", 12, 40), ("line", 3.5, 5), ("v2e_exact_filter", 1.8, 2.2)]
 )
 def test_s4_order_of_the_step(name, least, most):
     case = slow_sine(20.0 if name == "hermite" else 5.0)  # of slower light float32 decides, not the step
@@ -160,8 +155,7 @@ def test_a_signal_that_comes_back_fires_as_often_down_as_up_and_rests_in_between
         for t_ms in (1, 5):
             moved = ours.step(LightFrame(t_ns + t_ms * 1_000_000, light))
             on, off = on + int(moved.on.sum()), off + int((~moved.on).sum())
-        rest = ours.step(LightFrame(t_ns + 6 * 1_000_000, light))
-        assert len(rest) == 0
+        assert len(ours.step(LightFrame(t_ns + 6 * 1_000_000, light))) == 0
         t_ns += 6 * 1_000_000
     # Each pixel comes down to within a threshold of where it started.
     assert 0 <= on - off <= 20

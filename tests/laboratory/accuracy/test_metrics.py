@@ -8,11 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EVENT
-from laboratory.accuracy.scores import (
-    Stream,
-    compare,
-    compare_samples,
-)
+from laboratory.accuracy.scores import Stream, compare, compare_samples
 
 TRUTH = Stream.of([10, 20, 30, 15], [0, 0, 0, 1], [True, True, False, True], 3)
 

@@ -13,10 +13,7 @@ from emulator.cli.app import _main
 from laboratory.accuracy.peers import running, worker
 from laboratory.accuracy.peers.page import BEGIN, END
 from laboratory.accuracy.peers.running import BUNDLED, OURS, Adapter, run_adapter
-from laboratory.accuracy.peers.scoring import (
-    read_events,
-    score_events,
-)
+from laboratory.accuracy.peers.scoring import read_events, score_events
 from laboratory.accuracy.peers.sequences import SCENES, FolderError, export, open_folder
 from laboratory.accuracy.scenes import Dark, Flash, MovingEdge, SlowRamp
 from laboratory.accuracy.truth import ideal_events
@@ -180,8 +177,7 @@ def test_a_simulator_that_fails_is_reported_and_the_run_goes_on(how, folder, tmp
 @pytest.mark.system
 def test_a_simulator_that_does_not_end_is_stopped(folder, tmp_path):
     adapter = adapter_of(tmp_path, PEER.format("import threading; threading.Event().wait()"))
-    outcome = run(adapter, folder, tmp_path, limit_s=5.0)
-    assert outcome.failures == {"edge-1000": "no end after 5 s"}
+    assert run(adapter, folder, tmp_path, limit_s=5.0).failures == {"edge-1000": "no end after 5 s"}
     assert read_events(tmp_path, "ramp-1000").t_us.size == 0
 
 
@@ -271,8 +267,7 @@ def test_the_verbs_export_score_and_peers(folder, tmp_path, capsys):
         str(tmp_path / "difference.py:Difference"),
     ]
     assert _main([*command, *quick, "--page", str(page), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert told["simulators"]["difference"][0]["right"] == 1
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["simulators"]["difference"][0]["right"] == 1
     assert "|mine, by files|1000|" in page.read_text()
     assert (tmp_path / "pictures" / "simulators.png").stat().st_size
     assert _main(["accuracy", "score", str(tmp_path / "s"), str(tmp_path / "none")]) == 1

@@ -10,28 +10,12 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from laboratory.accuracy import report as charts
-from laboratory.accuracy.harness import (
-    CASES,
-    REFERENCE,
-    Case,
-    Method,
-    Swept,
-    events,
-    methods,
-    score,
-    truth,
-)
+from laboratory.accuracy.harness import CASES, REFERENCE, Case, Method, Swept, events, methods, score, truth
 from laboratory.accuracy.report import write_stability, write_work_precision
 from laboratory.accuracy.scenes import BlurredCheckerboard, SineGrating
 from laboratory.accuracy.scores import compare_samples
 from laboratory.accuracy.stability import SWEEPS, boundary, cells
-from laboratory.accuracy.sweeps import (
-    EFFECTS,
-    QUICK_EFFECTS,
-    effect_rows,
-    settings,
-    sweep,
-)
+from laboratory.accuracy.sweeps import EFFECTS, QUICK_EFFECTS, effect_rows, settings, sweep
 from laboratory.methods.grid import NoisyPixels
 from laboratory.verbs.accuracy import accuracy
 from tests.laboratory.accuracy.rows import row

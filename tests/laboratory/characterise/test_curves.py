@@ -56,8 +56,7 @@ def test_settled_pixels_stand_at_one_light_and_a_whole_threshold_away(light, ref
         trial = settled(without_readout(plain), light)
         trial.jump(after)
         trial.hold(round(20e9 * float(lags_s(plain, light)[0])))
-        events = trial.finish()
-        assert np.unique(trial.pixel(events)).size == fires
+        assert np.unique(trial.pixel(trial.finish())).size == fires
 
 
 @pytest.mark.parametrize(("mismatch", "light"), [(0.035, 1.0), (0.1, 1.0), (0.021, 0.05)])

@@ -14,14 +14,7 @@ from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import sensor_parameters
 from firmware_protocol.events import EVENT
-from laboratory.characterise.recordings import (
-    activity,
-    compare,
-    fit,
-    still_pixels,
-    toml,
-    write_comparison,
-)
+from laboratory.characterise.recordings import activity, compare, fit, still_pixels, toml, write_comparison
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Frame, Part
@@ -130,8 +123,7 @@ def test_still_pixels_are_those_away_from_what_moves(events):
     assert not still[:, :38].any()
     assert still[:, 43:].mean() > 0.99
     busy = np.bincount(events["y"].astype(int) * SIZE[0] + events["x"], minlength=PIXELS).argsort()[-HOT:]
-    hot = [one for one in busy if one % SIZE[0] > 43]
-    assert still.reshape(-1)[hot].mean() > 0.8
+    assert still.reshape(-1)[[one for one in busy if one % SIZE[0] > 43]].mean() > 0.8
 
 
 def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):
@@ -160,5 +152,4 @@ def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):
     rates = [found.streams["sensor"].rate_hz for found in (framed, uniform)]
     assert rates[0] == pytest.approx((0.1 + 2.0) / 2, rel=0.1)
     assert rates[1] == pytest.approx(1.0, rel=0.1)
-    apart = next(row for row in framed.rows() if row["statistic"] == "counts of the pixels, KS")
-    assert apart["sensor"] < 0.1
+    assert next(row for row in framed.rows() if row["statistic"] == "counts of the pixels, KS")["sensor"] < 0.1

@@ -47,8 +47,7 @@ def test_a_figure_is_compared_where_it_is_known():
     line = [Point("bandwidth", "s", x, 2000 * x) for x in (0.1, 1.0, 10.0)]
     assert compared("3 kHz", line).verdict == "differs"
     assert compared("3 kHz", line).low == pytest.approx(2000)
-    near = [dataclasses.replace(p, y=1.3 * p.y) for p in line]
-    assert compared("3 kHz", near).verdict == "as preset"
+    assert compared("3 kHz", [dataclasses.replace(p, y=1.3 * p.y) for p in line]).verdict == "as preset"
     assert compared("3 kHz", line[:1]).verdict == "not compared"  # the place lies outside
 
 

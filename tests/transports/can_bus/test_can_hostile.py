@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from tests.made_events import events_at
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
 from transports.can_bus.node import listen_can, peer_of
@@ -27,10 +27,7 @@ HANDSHAKE = b"< open can0 >< rawmode >"
 
 
 def events(n):
-    made = np.zeros(n, EVENT)
-    made["t"] = np.arange(n) * 10
-    made["x"] = np.arange(n) % 346
-    return made
+    return events_at(np.arange(n) * 10, x=np.arange(n) % 346)
 
 
 def port_of(bus):
@@ -93,38 +90,32 @@ async def joined(bus, sockets):
 @pytest.mark.system
 @pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
 @pytest.mark.parametrize("bitrate", [1_000_000, 125_000])
-def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage, bitrate):
+async def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage, bitrate):
     """The link is closed while it is in full swing, without a drain by its process."""
     parameters = CanLink(port=0, carriage=carriage, bitrate=bitrate, share=1.0, answer_ms=60_000)
     n = 1000
-
-    async def both():
-        device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
-        ring, clock = EventRing(n), MonotonicClock()
-        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
-        await link.endpoint.start()
-        there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
-        told = None
-        listening = asyncio.create_task(
-            listen_can(
-                there, lambda now: told is None or (now.events < told.delivered and clock.now_ns() < end_ns), clock
-            )
-        )
-        while not link.endpoint.report().use.carried:
-            link.tick()
-            await asyncio.sleep(0.001)
-        ring.start(FREE_RUNNING)
-        ring.push(events(n))
-        ring.publish(10**7)
-        while link.report().delivered < 200:
-            link.tick()
-            await asyncio.sleep(0.0005)
-        await link.close()
-        end_ns = clock.now_ns() + 120 * 10**9  # what came is there already
-        told = link.report(final=True)
-        return await listening, told
-
-    heard, told = asyncio.run(asyncio.wait_for(both(), 300))
+    device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
+    ring, clock = EventRing(n), MonotonicClock()
+    link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
+    await link.endpoint.start()
+    there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
+    told = None
+    listening = asyncio.create_task(
+        listen_can(there, lambda now: told is None or (now.events < told.delivered and clock.now_ns() < end_ns), clock)
+    )
+    while not link.endpoint.report().use.carried:
+        link.tick()
+        await asyncio.sleep(0.001)
+    ring.start(FREE_RUNNING)
+    ring.push(events(n))
+    ring.publish(10**7)
+    while link.report().delivered < 200:
+        link.tick()
+        await asyncio.sleep(0.0005)
+    await link.close()
+    end_ns = clock.now_ns() + 120 * 10**9  # what came is there already
+    told = link.report(final=True)
+    heard = await listening
     assert told.delivered == heard.events
     assert told.delivered + told.dropped + told.camera.flushed == n
     assert heard.digest == told.digest
@@ -248,21 +239,17 @@ def test_a_peer_outside_the_list_is_refused_and_counted(sockets):
     assert counts == {"connections refused: address not allowed": 1}
 
 
-def test_answers_that_find_no_room_are_bounded_and_counted():
+async def test_answers_that_find_no_room_are_bounded_and_counted():
     """Others ask for a flow control with every frame while the bus never has room for it."""
     clock = FakeClock(10**9)
-
-    async def run():
-        ring = EventRing(100)
-        device = partial(Instrument, (346, 260), InstrumentSettings())
-        parameters = CanLink(port=0, carriage="isotp")
-        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
-        endpoint = link.endpoint
-        first = Frame(parameters.isotp.receive, bytes([0x10, 20, 1, 2, 3, 4, 5, 6]))
-        for _ in range(2000):
-            endpoint._receive(0, first, clock.now_ns())
-        return len(endpoint._urgent), dict(endpoint.report().counts)
-
-    waiting, counts = asyncio.run(run())
+    ring = EventRing(100)
+    device = partial(Instrument, (346, 260), InstrumentSettings())
+    parameters = CanLink(port=0, carriage="isotp")
+    link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
+    endpoint = link.endpoint
+    first = Frame(parameters.isotp.receive, bytes([0x10, 20, 1, 2, 3, 4, 5, 6]))
+    for _ in range(2000):
+        endpoint._receive(0, first, clock.now_ns())
+    waiting, counts = len(endpoint._urgent), dict(endpoint.report().counts)
     assert waiting == 1024
     assert counts["answers dropped, the bus had no room"] == 2000 - 1024

@@ -12,13 +12,14 @@ import pytest
 from firmware_protocol.can_frames.canopen import Emergency, NmtCommand, NmtOrder, NodeState, scet
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.transport import IsoTpSender
-from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.events import EVENT, make_edges
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping
 from firmware_protocol.receiver.can import CanReceiver
 from tests.free_ports import free_port
+from tests.made_events import scattered
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
@@ -41,12 +42,7 @@ def parameters(**more):
 
 
 def stream(n, gap_us=40, seed=1):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(n, EVENT)
-    events["t"] = np.cumsum(rng.exponential(gap_us, n)).astype(np.uint64)
-    events["x"], events["y"] = rng.integers(0, SIZE[0], n), rng.integers(0, SIZE[1], n)
-    events["on"] = rng.integers(0, 2, n)
-    return events
+    return scattered(np.cumsum(np.random.default_rng(seed).exponential(gap_us, n)).astype(np.uint64), SIZE, seed)
 
 
 class Peer:
@@ -131,7 +127,7 @@ def test_every_event_sent_is_received(more):
 
 
 @pytest.mark.parametrize("share", [0.2, 0.6, 0.9])
-def test_the_load_is_kept_at_the_share_within_two_percent(share):
+async def test_the_load_is_kept_at_the_share_within_two_percent(share):
     clock = FakeClock(10**9)
     ring = EventRing(1 << 16)
     link = Link(
@@ -141,17 +137,12 @@ def test_the_load_is_kept_at_the_share_within_two_percent(share):
     ring.start(FREE_RUNNING)
     ring.push(stream(20_000))
     ring.publish(1_000_000)
-
-    async def half_a_second():
-        await link.endpoint.start()
-        for _ in range(1000):
-            link.tick()
-            clock.advance(500_000)
-        use = link.report().use
-        await link.close()
-        return use
-
-    use = asyncio.run(half_a_second())
+    await link.endpoint.start()
+    for _ in range(1000):
+        link.tick()
+        clock.advance(500_000)
+    use = link.report().use
+    await link.close()
     assert use.share == pytest.approx(share, rel=0.02)
     assert use.carried > 500
 
@@ -269,9 +260,7 @@ def test_a_bus_that_goes_away_comes_back():
 
 
 def edges_of(count):
-    edges = np.zeros(count, EDGE)
-    edges["t"], edges["kind"], edges["seq"] = 1000 * np.arange(count), 4, np.arange(count)
-    return edges
+    return make_edges(1000 * np.arange(count), 4, seq=np.arange(count))
 
 
 @pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
@@ -313,29 +302,24 @@ def test_a_link_that_is_cut_short_leaves_no_event_without_a_fate(carriage):
 
 
 @pytest.mark.socket
-def test_fd_frames_by_udp_multicast_come_once_and_to_the_others_only():
+async def test_fd_frames_by_udp_multicast_come_once_and_to_the_others_only():
     pytest.importorskip("msgpack")
     p = parameters(interface="udp_multicast", channel="239.74.163.2", fd=True, options={"port": free_port()})
-
-    async def both():
-        one, two = PythonCanBus(p, p.channel), PythonCanBus(p, p.channel)
-        try:
-            await asyncio.gather(one.open(), two.open())
-        except BusDown as reason:
-            pytest.skip(f"no multicast here: {reason}")
-        sent = [Frame(0x1A2, bytes([i]) * 64, fd=True, brs=True) for i in range(20)]
-        heard, own = [], []
-        for frame in sent:
-            one.send(frame)
-        end_s = time.monotonic() + PATIENCE_S
-        while len(heard) < len(sent):
-            assert time.monotonic() < end_s
-            heard += [h.frame for h in two.take()]
-            own += one.take()
-            await asyncio.sleep(0.001)
-        await asyncio.gather(one.close(), two.close())
-        return sent, heard, own
-
-    sent, heard, own = asyncio.run(both())
+    one, two = PythonCanBus(p, p.channel), PythonCanBus(p, p.channel)
+    try:
+        await asyncio.gather(one.open(), two.open())
+    except BusDown as reason:
+        pytest.skip(f"no multicast here: {reason}")
+    sent = [Frame(0x1A2, bytes([i]) * 64, fd=True, brs=True) for i in range(20)]
+    heard, own = [], []
+    for frame in sent:
+        one.send(frame)
+    end_s = time.monotonic() + PATIENCE_S
+    while len(heard) < len(sent):
+        assert time.monotonic() < end_s
+        heard += [h.frame for h in two.take()]
+        own += one.take()
+        await asyncio.sleep(0.001)
+    await asyncio.gather(one.close(), two.close())
     assert heard == sent
     assert own == []

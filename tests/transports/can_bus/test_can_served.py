@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.socketcand import SocketcandSession, frame_line
-from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from tests.made_events import events_at
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
@@ -66,7 +66,7 @@ def served():
 
 
 @pytest.mark.socket
-def test_python_can_hears_us_and_we_hear_it():
+async def test_python_can_hears_us_and_we_hear_it():
     ours = [Frame(0x1A2, bytes([i & 255, i >> 8])) for i in range(300)]
     theirs = [Frame(0x522, bytes([i])) for i in range(50)]
     got = []
@@ -78,25 +78,21 @@ def test_python_can_hears_us_and_we_hear_it():
             while len(got) < len(ours) and (message := bus.recv(120.0)) is not None:
                 got.append(from_message(message))
 
-    async def serve():
-        bus = served()
-        await bus.open()
-        assert not bus.has_listeners
-        thread = threading.Thread(target=client, args=(int(bus.address.rpartition(":")[2]),))
-        thread.start()
-        heard, to_send = [], list(ours)
-        while not bus.has_listeners:
-            await asyncio.sleep(0.001)
-        while thread.is_alive():
-            heard += bus.take()
-            while to_send and bus.send(to_send[0]):
-                to_send.pop(0)
-            await asyncio.sleep(0.0005)
+    bus = served()
+    await bus.open()
+    assert not bus.has_listeners
+    thread = threading.Thread(target=client, args=(int(bus.address.rpartition(":")[2]),))
+    thread.start()
+    heard, to_send = [], list(ours)
+    while not bus.has_listeners:
+        await asyncio.sleep(0.001)
+    while thread.is_alive():
         heard += bus.take()
-        await bus.close()
-        return heard
-
-    heard = asyncio.run(serve())
+        while to_send and bus.send(to_send[0]):
+            to_send.pop(0)
+        await asyncio.sleep(0.0005)
+    heard += bus.take()
+    await bus.close()
     assert got == ours
     assert [h.frame for h in heard] == theirs
     stamps = np.array([h.t_ns for h in heard])
@@ -120,35 +116,31 @@ def test_a_port_that_is_taken_is_named():
 
 @pytest.mark.socket
 @pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
-def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
+async def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
     rng = np.random.default_rng(2)
-    events = np.zeros(400, EVENT)
-    events["t"] = np.cumsum(rng.exponential(200, 400)).astype(np.uint64)
-    events["x"], events["y"] = rng.integers(0, 346, 400), rng.integers(0, 260, 400)
+    events = events_at(
+        np.cumsum(rng.exponential(200, 400)).astype(np.uint64), x=rng.integers(0, 346, 400), y=rng.integers(0, 260, 400)
+    )
     parameters = CanLink(port=0, carriage=carriage, answer_ms=60_000)  # a busy machine answers late
-
-    async def both():
-        device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
-        ring, clock = EventRing(1000), MonotonicClock()
-        link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
-        await link.endpoint.start()
-        there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
-        recorder = Recorder(tmp_path / "got.npz")
-        listening = asyncio.create_task(listen_can(there, lambda now: now.events < 400, clock, recorder))
-        while not (link.endpoint.report().use.carried or listening.done()):  # until the listener is there
-            link.tick()
-            await asyncio.sleep(0.001)
-        ring.start(clock.now_ns())
-        ring.push(events)
-        ring.publish(10**7)
-        while not listening.done():
-            link.tick()
-            await asyncio.sleep(0.0005)
-        await link.close()
-        recorder.close()
-        return listening.result(), link.report(final=True)
-
-    heard, told = asyncio.run(both())
+    device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
+    ring, clock = EventRing(1000), MonotonicClock()
+    link = Link(LinkSetup("can", ring, device, LinkFactory(CanEndpoint, parameters)), clock)
+    await link.endpoint.start()
+    there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
+    recorder = Recorder(tmp_path / "got.npz")
+    listening = asyncio.create_task(listen_can(there, lambda now: now.events < 400, clock, recorder))
+    while not (link.endpoint.report().use.carried or listening.done()):  # until the listener is there
+        link.tick()
+        await asyncio.sleep(0.001)
+    ring.start(clock.now_ns())
+    ring.push(events)
+    ring.publish(10**7)
+    while not listening.done():
+        link.tick()
+        await asyncio.sleep(0.0005)
+    await link.close()
+    recorder.close()
+    heard, told = listening.result(), link.report(final=True)
     assert heard.digest == told.digest
     assert (heard.events, heard.faults, heard.gone) == (400, 0, False)
     assert heard.jitter_us.max > 0

@@ -9,16 +9,7 @@ from hypothesis import strategies as st
 
 from transports.faults.bus import LostFrames
 from transports.faults.faulty_line import FaultyLine
-from transports.faults.line import (
-    BitFlips,
-    Burst,
-    InsertedBytes,
-    LostBytes,
-    Overrun,
-    Stall,
-    StuckLine,
-    WrongBaud,
-)
+from transports.faults.line import BitFlips, Burst, InsertedBytes, LostBytes, Overrun, Stall, StuckLine, WrongBaud
 from transports.faults.script import FaultPlan
 
 BYTES_PER_S = 300_000.0

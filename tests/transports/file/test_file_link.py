@@ -13,7 +13,7 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkFailed, LinkProcess
 from evstim.testing.link_contract import LinkContract, NoReader, event_stream
-from firmware_protocol.events import EDGE
+from firmware_protocol.events import make_edges
 from tests.transports.recording.test_files import read_all, read_until_damage
 from tests.transports.recording.test_live import waited
 from transports.file import FileLink
@@ -135,12 +135,10 @@ def test_a_file_that_cannot_be_opened_ends_the_start(tmp_path):
 
 def test_edges_are_in_the_file(tmp_path):
     ring = EdgeRing()
-    edges = np.zeros(3, EDGE)
-    edges["t"], edges["kind"] = [100, 200, 300], [2, 3, 2]
+    edges = make_edges([100, 200, 300], [2, 3, 2])
     ring.push(edges)
     link = opened(tmp_path / "a.aedat4", timing=Timing(edges=ring))
     link.start(FREE_RUNNING)
     link.push_all(event_stream(500), 2000)
-    report = link.stop(60.0)
-    assert report.edges_balanced
+    assert link.stop(60.0).edges_balanced
     assert read_all(tmp_path / "a.aedat4")[2]["t"].tolist() == [100, 200, 300]

@@ -23,10 +23,11 @@ from emulator.run.assembly import link_setups
 from emulator.sensor.frames import FrameSource
 from emulator.sensor.parameters import FrameParameters
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.events import EVENT, EdgeKind
+from firmware_protocol.events import EdgeKind
 from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.imu_samples import ImuScale, no_samples, physical
 from tests.firmware_protocol.evt2_words import by_the_tables
+from tests.made_events import scattered
 from tests.npz_records import load_edges, load_frames, load_imu
 from tests.transports.recording.test_other_readers import by_aedat, by_dv, by_dv_from_the_lower_right
 from tests.transports.word_readers import as_events, by_evlib, by_evt3, by_expelliarmus, by_faery
@@ -77,12 +78,7 @@ class Sent:
 
 
 def random_events():
-    rng = np.random.default_rng(5)
-    events = np.zeros(EVENTS, EVENT)
-    events["t"] = np.sort(rng.integers(0, LENGTH_US + 1, len(events)))
-    events["x"], events["y"] = rng.integers(0, 346, len(events)), rng.integers(0, 260, len(events))
-    events["on"] = rng.random(len(events)) < 0.5
-    return events
+    return scattered(np.sort(np.random.default_rng(5).integers(0, LENGTH_US + 1, EVENTS)))
 
 
 def random_samples():

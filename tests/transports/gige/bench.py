@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 
-from firmware_protocol.events import EVENT
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.imx636.triton2_registers import Triton2Settings
+from tests.made_events import steady
 from transports.faults.script import FaultPlan
 from transports.gige.endpoint import GigeEndpoint
 from transports.gige.host import GigeHost
@@ -103,8 +103,4 @@ class Refusing:
 
 
 def stream(count):
-    draw = np.random.default_rng(5)
-    events = np.zeros(count, EVENT)
-    events["t"] = 1 + np.arange(count) * GAP_US
-    events["x"], events["y"] = draw.integers(0, 1280, count), draw.integers(0, 720, count)
-    return events
+    return steady(count, 1, GAP_US, size=(1280, 720))

@@ -12,14 +12,10 @@ def unhurried(monkeypatch):
 
 
 @pytest.fixture
-def bench():
-    made = []
-
+def bench(at_end):
     def make(*faults, **more):
-        made.append(Bench(faults, **more))
-        return made[-1]
+        made = Bench(faults, **more)
+        at_end.callback(lambda: made.loop.is_closed() or made.close())
+        return made
 
-    yield make
-    for one in made:
-        if not one.loop.is_closed():
-            one.close()
+    return make

@@ -68,10 +68,7 @@ def test_blocks_that_wait_for_an_earlier_one_keep_the_clock_of_their_own_acquisi
 
 
 def test_packets_that_the_camera_keeps_no_more_are_not_sent_again(bench):
-    here = bench(
-        LostDatagrams(rate=0.01, count=0, for_s=1000.0),
-        RefusedResends(rate=0.5, count=0, for_s=1000.0),
-    )
+    here = bench(LostDatagrams(rate=0.01, count=0, for_s=1000.0), RefusedResends(rate=0.5, count=0, for_s=1000.0))
     host = here.connect()
     host.start(packet_size=576)
     here.run(stream(20_000), host)

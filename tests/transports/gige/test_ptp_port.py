@@ -28,13 +28,8 @@ def ports(monkeypatch):
 
 
 @pytest.fixture
-def opened(ports):
-    with contextlib.ExitStack() as stack:
-
-        def make(allow=()):
-            return stack.enter_context(contextlib.closing(PtpSockets(HOST, allow)))
-
-        yield make
+def opened(ports, at_end):
+    return lambda allow=(): at_end.enter_context(contextlib.closing(PtpSockets(HOST, allow)))
 
 
 @pytest.fixture

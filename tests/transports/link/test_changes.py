@@ -54,8 +54,7 @@ def test_a_host_that_never_pauses_is_followed_all_the_same():
     for k in range(100):
         device.factors = {"threshold_on": 2.0 + k / 100}
         watch.look(1000 * k, k * MS)
-    times_us = [settings.t_us for settings in watch.waiting]
-    assert times_us == [20_000, 41_000, 62_000, 83_000]
+    assert [settings.t_us for settings in watch.waiting] == [20_000, 41_000, 62_000, 83_000]
     assert [settings.sensor_factors["threshold_on"] for settings in watch.waiting] == [2.2, 2.41, 2.62, 2.83]
 
 

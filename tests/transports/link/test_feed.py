@@ -8,7 +8,8 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.clock import ClockSettings, ClockStep
-from firmware_protocol.events import EVENT, EdgeKind
+from firmware_protocol.events import EdgeKind
+from tests.made_events import events_at
 from tests.npz_records import load_edges
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming, PeriodicEdges
 from transports.link.endpoint import LinkFactory
@@ -28,10 +29,7 @@ RISING = EdgeTiming(EdgeKind.RISING)
 
 
 def stream(count, every_us):
-    events = np.zeros(count, EVENT)
-    events["t"] = np.arange(count) * every_us
-    events["x"], events["y"] = np.arange(count) % 346, np.arange(count) % 260
-    return events
+    return events_at(np.arange(count) * every_us, x=np.arange(count) % 346, y=np.arange(count) % 260)
 
 
 def linked(timing, path=None, origin_ns=ORIGIN_NS):
@@ -39,10 +37,7 @@ def linked(timing, path=None, origin_ns=ORIGIN_NS):
     ring, clock = EventRing(10_000), FakeClock(ORIGIN_NS)
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
     recorder = path and FileRecorder(path)
-    link = Link(
-        LinkSetup("loopback", ring, camera, LOOPBACK, recorder, timing=timing),
-        clock,
-    )
+    link = Link(LinkSetup("loopback", ring, camera, LOOPBACK, recorder, timing=timing), clock)
     asyncio.run(link.endpoint.start())
     ring.start(origin_ns)
     return link, ring, clock
@@ -63,8 +58,7 @@ def test_a_script_of_edges_is_delivered_at_its_times(tmp_path):
     close(link)
     edges, resets = load_edges(tmp_path / "a.npz")
     assert resets == [0]
-    rising = edges[edges["kind"] == EdgeKind.RISING]
-    assert rising["t"].tolist() == [1000 * k for k in range(1, 11)]
+    assert edges[edges["kind"] == EdgeKind.RISING]["t"].tolist() == [1000 * k for k in range(1, 11)]
     report = link.report(final=True)
     assert report.edges == EdgeReport(taken=10)
     assert report.camera.edges.offered == 10

@@ -7,13 +7,14 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT, empty_edges
+from firmware_protocol.events import empty_edges
 from firmware_protocol.instrument.event_path import block_settings
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.network_streams.coders import StreamFacts
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder
+from tests.made_events import scattered
 from transports.can_bus.kind import CanLink
 from transports.gige.kind import GigeLink
 from transports.link.kind import EVENT_OCTETS, CameraFacts, LinkKind, LinkParameters, possible_faults
@@ -66,11 +67,7 @@ CAMERA = CameraFacts("davis346", (346, 260))
 
 def spread_events(count, rate_hz):
     """Return events that are spread evenly over the pixels of CAMERA and over time."""
-    rng = np.random.default_rng(1)
-    events = np.zeros(count, EVENT)
-    events["t"] = np.sort(rng.integers(0, round(count / rate_hz * 1e6), count)) + 1
-    events["x"], events["y"], events["on"] = rng.integers(0, (346, 260, 2), (count, 3)).T
-    return events
+    return scattered(np.sort(np.random.default_rng(1).integers(0, round(count / rate_hz * 1e6), count)) + 1)
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,5 @@ def test_trains_are_merged_in_time_order_and_numbered():
 @given(st.lists(st.integers(0, 3000), max_size=8).map(sorted))
 def test_it_does_not_matter_how_they_are_asked_for(cuts):
     whole, source = ListedEdges(TRAINS).take(3000), ListedEdges(TRAINS)
-    parts = np.concatenate([source.take(until) for until in [*cuts, 3000]])
-    assert parts.tobytes() == whole.tobytes()
+    assert np.concatenate([source.take(until) for until in [*cuts, 3000]]).tobytes() == whole.tobytes()
     assert source.refused == 0

@@ -32,10 +32,7 @@ def reported(monkeypatch, priority, refuse=False):
     ours, theirs = multiprocessing.Pipe()
     ours.send(Stop(0.0))
     camera = partial(Davis346, Davis346Settings())
-    run_link(
-        LinkSetup("a", EventRing(16), camera, LOOPBACK, fifo_priority=priority),
-        theirs,
-    )
+    run_link(LinkSetup("a", EventRing(16), camera, LOOPBACK, fifo_priority=priority), theirs)
     while True:  # its changes come on the same connection
         report = ours.recv()
         if isinstance(report, LinkReport) and report.final:

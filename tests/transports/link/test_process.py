@@ -4,12 +4,11 @@ import asyncio
 import multiprocessing
 from functools import partial
 
-import numpy as np
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import Transfer
+from tests.made_events import steady
 from transports.link.deliveries import Deliveries, digest_of
 from transports.link.endpoint import LinkBroken, LinkFactory
 from transports.link.kind import Wiring
@@ -25,13 +24,7 @@ ORIGIN_NS = 1_000_000_000
 
 
 def stream(count, every_us=10, start_us=0, seed=1):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count) * every_us
-    events["x"] = rng.integers(0, 346, count)
-    events["y"] = rng.integers(0, 260, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return steady(count, start_us, every_us, seed)
 
 
 def loopback_link(tmp_path=None, ring=None, clock=None, start_delay_us=0):
@@ -197,19 +190,14 @@ class Stalled:
 
 
 @pytest.mark.parametrize(
-    ("turns", "turn_s", "left"),
-    [(20, 0.7, 0), (50, 0.0005, 0), (1000, 0.7, 1000 - 202), (5000, 0.0005, 5000 - 2002)],
+    ("turns", "turn_s", "left"), [(20, 0.7, 0), (50, 0.0005, 0), (1000, 0.7, 1000 - 202), (5000, 0.0005, 5000 - 2002)]
 )
-def test_the_drain_counts_the_links_own_time_and_has_an_end(turns, turn_s, left):
+async def test_the_drain_counts_the_links_own_time_and_has_an_end(turns, turn_s, left):
     clock = FakeClock(ORIGIN_NS)
     link = Stalled(clock, turns, turn_s)
     ours, theirs = multiprocessing.Pipe()
     ours.send(Stop(1.0))
-
-    async def drained():
-        await LinkLoop(link, theirs, clock).run()
-
-    asyncio.run(drained())
+    await LinkLoop(link, theirs, clock).run()
     assert link.left == left
 
 

@@ -82,10 +82,7 @@ def test_settings_come_back_whole():
 
 def linked(device, ring, endpoint=None, origin_ns=FREE_RUNNING):
     events, clock = EventRing(10_000), FakeClock(1_000_000_000)
-    link = Link(
-        LinkSetup("one", events, device, endpoint or LOOPBACK, readings=(ring,)),
-        clock,
-    )
+    link = Link(LinkSetup("one", events, device, endpoint or LOOPBACK, readings=(ring,)), clock)
     asyncio.run(link.endpoint.start())
     events.start(origin_ns)
     return link, events, clock

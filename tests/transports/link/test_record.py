@@ -3,6 +3,7 @@
 import numpy as np
 
 from firmware_protocol.events import EVENT, empty_edges, empty_events
+from tests.made_events import events_at
 from tests.npz_records import load_edges
 from transports.recording.part import Frame, Part
 from transports.recording.record import Recorder, load_record
@@ -10,9 +11,7 @@ from transports.recording.record import Recorder, load_record
 
 def test_a_record_holds_device_time_and_where_it_starts_anew(tmp_path):
     path = tmp_path / "run.npz"
-    events = np.zeros(6, EVENT)
-    events["t"] = [5, 15, 25, 40, 50, 60]
-    events["x"] = range(6)
+    events = events_at([5, 15, 25, 40, 50, 60], x=range(6))
     recorder = Recorder(path)
     recorder.append(Part(events[:2]))
     recorder.append(Part(events[2:3]))

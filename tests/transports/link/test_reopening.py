@@ -9,7 +9,7 @@ from transports.link.pacing import FakeClock
 PERIOD_NS = 1000
 
 
-def test_attempts_follow_each_other_a_period_apart_until_one_succeeds():
+async def test_attempts_follow_each_other_a_period_apart_until_one_succeeds():
     clock, attempts = FakeClock(10_000), []
 
     async def attempt():
@@ -18,20 +18,17 @@ def test_attempts_follow_each_other_a_period_apart_until_one_succeeds():
             raise OSError(f"attempt {len(attempts)} failed")
         return "port"
 
-    async def work():
-        again = Reopening(clock, PERIOD_NS, attempt)
-        again.lost("unplugged")
-        assert again.why == "unplugged"
-        found = []
-        for _ in range(60):
-            if (opened := again.poll()) is not None:
-                found.append((clock.now_ns(), opened))
-                break
-            await asyncio.sleep(0)
-            clock.advance(100)
-        return found, again.why
-
-    found, why = asyncio.run(work())
+    again = Reopening(clock, PERIOD_NS, attempt)
+    again.lost("unplugged")
+    assert again.why == "unplugged"
+    found = []
+    for _ in range(60):
+        if (opened := again.poll()) is not None:
+            found.append((clock.now_ns(), opened))
+            break
+        await asyncio.sleep(0)
+        clock.advance(100)
+    why = again.why
     assert len(attempts) == 3
     assert attempts[0] == 11_000
     assert all(later - earlier >= PERIOD_NS for earlier, later in itertools.pairwise(attempts))

@@ -10,16 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 from transports.link.deliveries import DeliveryTally
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing
 
 
-def events_at(times):
-    events = np.zeros(len(times), EVENT)
-    events["t"] = times
-    events["x"] = np.arange(len(times)) % 346
-    return events
+def ramp(times):
+    return events_at(times, x=np.arange(len(times)) % 346)
 
 
 @given(st.integers(1, 50), st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), max_size=20))
@@ -27,7 +24,7 @@ def test_a_ring_gives_back_what_it_took_in_order(capacity, pushes_and_takes):
     ring = EventRing(capacity)
     t, pushed, taken = 0, [], []
     for push, take in pushes_and_takes:
-        batch = events_at(range(t, t + push))
+        batch = ramp(range(t, t + push))
         n = ring.push(batch)
         t += push
         pushed.extend(batch["t"][:n])
@@ -46,7 +43,7 @@ def test_neither_a_ring_nor_a_tally_needs_a_folder(monkeypatch):
 
     monkeypatch.setattr(tempfile, "mkstemp", refuse)
     ring, tally = EventRing(1 << 20), DeliveryTally()
-    tally.delivered = ring.push(events_at([5]))
+    tally.delivered = ring.push(ramp([5]))
     assert (tally.delivered, ring.waiting) == (1, 1)
 
 
@@ -62,16 +59,16 @@ def woken(ring):
 def test_a_writer_wakes_a_reader_that_sleeps_beyond_its_events_once_for_each_sleep():
     ring = EventRing(100)
     ring.sleep(1000)
-    ring.push(events_at([1000, 1001]))
+    ring.push(ramp([1000, 1001]))
     ring.publish(2000)
     assert not woken(ring)  # both are due when it wakes anyway
     ring.sleep(1500)
-    ring.push(events_at([1499, 1600]))
+    ring.push(ramp([1499, 1600]))
     assert not woken(ring)  # not published
     ring.publish(2500)
     assert woken(ring)
     ring.woken()
-    ring.push(events_at([1499]))
+    ring.push(ramp([1499]))
     ring.publish(2600)
     assert not woken(ring)  # it is awake
 
@@ -96,7 +93,7 @@ def test_wake_ups_that_nobody_reads_do_not_stop_the_writer():
 
 def _write(ring, count):
     for start in range(0, count, 1000):
-        batch = events_at(range(start, start + 1000))
+        batch = ramp(range(start, start + 1000))
         while len(batch):
             batch = batch[ring.push(batch) :]
         ring.publish(start + 999)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import socket
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -11,8 +12,8 @@ from virtual_loop import VirtualLoop
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.plain_device import PlainDevice
-from firmware_protocol.events import EVENT
 from firmware_protocol.usb.usbip import ImportRequest
+from tests.made_events import events_at
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbUnplugged
 from transports.link.edges import EdgeTrain, ListedEdges
@@ -138,22 +139,8 @@ class Bench:
 
 
 @pytest.fixture
-def new_bench():
-    made = []
-
-    def make(*args, **more):
-        made.append(Bench(*args, **more))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-
-
-def events_at(*times_us):
-    events = np.zeros(len(times_us), EVENT)
-    events["t"] = times_us
-    return events
+def new_bench(at_end):
+    return lambda *args, **more: at_end.enter_context(closing(Bench(*args, **more)))
 
 
 def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_bench):
@@ -167,7 +154,7 @@ def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_
 def test_single_events_leave_a_tenth_of_a_millisecond_after_their_time(new_bench):
     bench = new_bench(LinkFactory(LoopbackEndpoint, LoopbackLink()))
     bench.publish_all(1)
-    bench.ring.push(events_at(*range(10_300, 990_000, 10_000)))
+    bench.ring.push(events_at(range(10_300, 990_000, 10_000)))
     report = bench.run(1)
     assert report.delivered == 98
     assert 0 < report.latency.max <= 501  # half a millisecond after the last tick
@@ -179,7 +166,7 @@ def test_late_events_wake_a_sleeping_link(new_bench):
     bench.ring.start(ORIGIN_NS)
     late_ms = [20 + 7.13 * k for k in range(100)]  # somewhere in each sleep of 1 ms
     for ms in late_ms:
-        bench.at(ms, partial(bench.ring.push, events_at(int(1000 * ms))))
+        bench.at(ms, partial(bench.ring.push, events_at([int(1000 * ms)])))
         bench.at(ms, partial(bench.ring.publish, int(1000 * ms)))
     report = bench.run(1)
     assert report.delivered == 100
@@ -195,13 +182,12 @@ def test_a_link_that_is_not_paced_follows_each_publication_at_once(new_bench, st
 
     def publish(k):
         behind.append((k - 1) * step_us - bench.ring.settled_us)
-        bench.ring.push(events_at(k * step_us - 1))
+        bench.ring.push(events_at([k * step_us - 1]))
         bench.ring.publish(k * step_us)
 
     for k in range(1, 101):
         bench.at(0.01 * k, partial(publish, k))
-    report = bench.run(0.1)
-    assert report.delivered == 100
+    assert bench.run(0.1).delivered == 100
     assert max(behind) == 0
     assert len(bench.ticks_ns) <= 100 + 25 + 4
 
@@ -292,8 +278,7 @@ def test_edges_of_a_list_are_applied_at_their_time(new_bench):
     report = bench.run(1)
     assert report.edges.taken == 10
     assert report.edges.worst_late_us == 0
-    ticks_us = {(t_ns - ORIGIN_NS) // 1000 for t_ns in bench.ticks_ns}
-    assert {10_500 + 50_000 * k for k in range(10)} <= ticks_us
+    assert {10_500 + 50_000 * k for k in range(10)} <= {(t_ns - ORIGIN_NS) // 1000 for t_ns in bench.ticks_ns}
 
 
 def test_the_end_of_the_session_ends_a_link_that_sleeps(new_bench):

@@ -85,8 +85,7 @@ def test_the_camera_takes_edges_while_a_client_for_them_is_there():
     with closing(DvReader(link)):
         link.start(FREE_RUNNING)
         link.push_all(next(parts), 20_000)
-        before = edges_when(link, lambda edges: edges.ignored >= 19)
-        assert before.delivered == 0
+        assert edges_when(link, lambda edges: edges.ignored >= 19).delivered == 0
         triggers = dv.io.NetworkReader("127.0.0.1", port)
         while not link.listen().counts.get("triggers: clients"):
             time.sleep(0.01)

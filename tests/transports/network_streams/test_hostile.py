@@ -147,10 +147,7 @@ def test_an_address_that_is_not_allowed_gets_nothing():
 
 
 def test_a_port_that_is_taken_says_what_to_do():
-    with (
-        socket.create_server(("127.0.0.1", 0)) as other,
-        pytest.raises(LinkFailed, match="another port"),
-    ):
+    with socket.create_server(("127.0.0.1", 0)) as other, pytest.raises(LinkFailed, match="another port"):
         opened(f'kind = "tcp"\nport = {other.getsockname()[1]}')
 
 

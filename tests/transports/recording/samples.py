@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, make_edges
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
@@ -24,10 +24,7 @@ def sample_events(count=20_000, seed=3):
 
 
 def sample_edges(events):
-    edges = np.zeros(6, EDGE)
-    edges["t"] = events["t"][10:-10:3400][:6]
-    edges["kind"] = [EdgeKind.RISING, EdgeKind.FALLING] * 3
-    return edges
+    return make_edges(events["t"][10:-10:3400][:6], [EdgeKind.RISING, EdgeKind.FALLING] * 3)
 
 
 def write(path, name, events, edges=None, unix_us=UNIX_US, piece=999):

@@ -6,7 +6,7 @@ from rosbags.rosbag1 import Writer as Bag1
 from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 from tests.transports.recording.samples import SIZE
 from transports.recording.files import OpenRecording, iter_events, read_events
 from transports.recording.format import FORMATS
@@ -17,12 +17,6 @@ pytestmark = pytest.mark.usefixtures("forked_readers")
 
 LEFT, RIGHT = "/left/events", "/right/events"
 UNIX_US = 1_700_000_000_000_000
-
-
-def events_at(times, x=0):
-    events = np.zeros(len(times), EVENT)
-    events["t"], events["x"] = times, x
-    return events
 
 
 @pytest.fixture(params=["ros1", "ros2"])
@@ -52,7 +46,7 @@ def bag(request, tmp_path):
 
 
 def test_the_events_of_two_cameras_are_read_by_their_topics(bag):
-    path = bag([(LEFT, events_at([5, 9])), (RIGHT, events_at([7], 3)), (LEFT, events_at([20]))])
+    path = bag([(LEFT, events_at([5, 9])), (RIGHT, events_at([7], x=3)), (LEFT, events_at([20]))])
     with pytest.raises(
         RecordingError, match=rf"{LEFT} \(2 messages\), {RIGHT} \(1 messages\): choose a topic by --topic"
     ):
@@ -66,7 +60,7 @@ def test_the_events_of_two_cameras_are_read_by_their_topics(bag):
 
 
 def test_arrays_of_prophesee_are_those_of_dvs_msgs(bag):
-    path = bag([("/prophesee/camera/cd_events_buffer", events_at([5, 9], 8))], "prophesee_event_msgs")
+    path = bag([("/prophesee/camera/cd_events_buffer", events_at([5, 9], x=8))], "prophesee_event_msgs")
     events = read_events(path)
     assert (events["t"].tolist(), events["x"].tolist()) == ([0, 4], [8, 8])
 

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 from tests.transports.recording.samples import SIZE, sample_events, write
 from transports.recording.files import OpenRecording, iter_events, read_events
 from transports.recording.format import FORMATS
@@ -37,8 +37,7 @@ def aedat4(path, times):
 
     packets = b""
     for t in times:
-        events = np.zeros(1, EVENT)
-        events["t"] = t
+        events = events_at([t])
         write(path, "aedat4", events, unix_us=0)
         content = path.read_bytes()
         head = Aedat4Head(content)

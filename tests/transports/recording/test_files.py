@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.events import EDGE, EVENT, make_edges
+from tests.made_events import events_at
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import FORMATS, format_to_write, with_addition
@@ -16,12 +17,6 @@ pytestmark = pytest.mark.system
 EVENTS = sample_events()
 EDGES = sample_edges(EVENTS)
 DATED = {"aedat4", "aedat2", "dsec", "ros1", "ros2"}
-
-
-def events_at(times):
-    events = np.zeros(len(times), EVENT)
-    events["t"] = times
-    return events
 
 
 def read_all(path, size=None):
@@ -111,9 +106,7 @@ def test_each_clock_has_a_file_of_its_own(tmp_path):
 
 
 def edge_at(t_us):
-    edge = np.zeros(1, EDGE)
-    edge["t"], edge["kind"] = t_us, 2
-    return edge
+    return make_edges(t_us, 2)
 
 
 @pytest.mark.usefixtures("forked_readers")

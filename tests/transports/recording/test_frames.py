@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT, empty_events
+from firmware_protocol.events import empty_events
+from tests.made_events import events_at
 from tests.npz_records import load_frames
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
@@ -20,9 +21,7 @@ def frame(t_us, origin=(0, 0), shape=(260, 346)):
 
 
 def events(n=10):
-    some = np.zeros(n, EVENT)
-    some["t"] = np.arange(n) * 1000
-    return some
+    return events_at(np.arange(n) * 1000)
 
 
 def test_frames_written_to_aedat4_are_read_by_faery(tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
 from tests.transports.recording.test_files import DATED, read_all, read_until_damage
 from transports.recording.format import FORMATS
@@ -23,12 +24,6 @@ FACTS = Facts(SIZE, "DAVIS346_00000346")
 EVENTS = sample_events()
 LIVE = [name for name, form in FORMATS.items() if form.live]
 UNIX_US = 1_700_000_000_123_000
-
-
-def events_at(times):
-    events = np.zeros(len(times), EVENT)
-    events["t"] = times
-    return events
 
 
 @pytest.fixture(autouse=True)
@@ -141,8 +136,7 @@ def test_events_that_come_faster_than_they_can_be_written_are_counted(tmp_path, 
     recorder.close()
     assert recorder.missing["events"] > 100_000
     assert f"lacks {recorder.missing['events']} events: they came faster" in recorder.trouble
-    events = read_all(tmp_path / "a.aedat4")[1]
-    assert len(events) == 300_000 - recorder.missing["events"]
+    assert len(read_all(tmp_path / "a.aedat4")[1]) == 300_000 - recorder.missing["events"]
 
 
 def test_a_run_that_is_not_paced_waits_and_loses_nothing(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from firmware_protocol.device.plain_device import own_time
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EVENT, EdgeKind, make_edges
 from firmware_protocol.evt.words import evt3_header
 from tests.firmware_protocol.evt2_words import by_the_tables
 from tests.firmware_protocol.gige_host import Host as GigeHost
@@ -39,8 +39,7 @@ def device_of(model, kind):
 
 
 def offer_pulses(device):
-    edges = np.zeros(COUNT, EDGE)
-    edges["t"], edges["kind"] = RISES, EdgeKind.PULSE
+    edges = make_edges(RISES, EdgeKind.PULSE)
     device.offer_edges(edges)
     device.advance(2 * COUNT * PERIOD_US)
 

@@ -12,15 +12,11 @@ from line_bench import Bench
 
 
 @pytest.fixture
-def bench():
-    made = []
-
+def bench(at_end):
     def make(**settings):
-        made.append(Bench(**settings))
-        asyncio.run(made[-1].open())
-        return made[-1]
+        made = Bench(**settings)
+        at_end.callback(lambda: made.closed or made.close())
+        asyncio.run(made.open())
+        return made
 
-    yield make
-    for each in made:
-        if not each.closed:
-            each.close()
+    return make

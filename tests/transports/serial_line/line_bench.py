@@ -11,6 +11,7 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.instrument import SerialReceiver
+from tests.made_events import steady
 from transports.faults.script import FaultPlan
 from transports.link.kind import Wiring
 from transports.link.pacing import FakeClock
@@ -26,12 +27,7 @@ PATIENCE_S = 120.0
 
 
 def stream(count, every_us=20, start_us=0):
-    rng = np.random.default_rng(start_us)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count) * every_us
-    events["x"], events["y"] = rng.integers(0, 346, count), rng.integers(0, 260, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return steady(count, start_us, every_us, start_us)
 
 
 class Bench:

@@ -5,24 +5,15 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 
 import pytest
 import serial
 
+from tests.waiting import until
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import DescriptorPort, PtyPort, ThreadedPort, open_port, remove_abandoned
 
 PATIENCE_S = 120.0
-
-
-def until(condition):
-    """Wait for something that another thread or the kernel does; fail when it does not."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not (value := condition()):
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.001)
-    return value
 
 
 @pytest.fixture
@@ -258,10 +249,7 @@ def test_a_failure_of_the_thread_is_raised_by_the_next_write():
     port.close()
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("port", ""), ("baud", 10), ("stop_bits", 3), ("break_ms", -1)],
-)
+@pytest.mark.parametrize(("field", "value"), [("port", ""), ("baud", 10), ("stop_bits", 3), ("break_ms", -1)])
 def test_parameters_refuse_nonsense_by_the_key(field, value):
     with pytest.raises(ValueError, match=field):
         SerialLink(**{field: value})

@@ -7,10 +7,11 @@ import pytest
 from line_bench import ORIGIN_NS, PATIENCE_S
 
 from emulator.rig.loading import RigError, parse_rig
-from firmware_protocol.events import EVENT, EdgeKind
+from firmware_protocol.events import EdgeKind
 from firmware_protocol.evt.evt2 import Evt2Decoder
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.instrument.settings import InstrumentSettings
+from tests.made_events import events_at
 from tests.transports.word_readers import MANY, OCTETS, check_words, rows, spif_events
 from transports.link.rings import FREE_RUNNING
 
@@ -157,8 +158,7 @@ def test_the_next_reader_gets_a_stream_of_its_own(bench):
     b = bench(format="evt3", baud=9600)
     Wire(b).run(1)
     b.ring.start(ORIGIN_NS)
-    events = np.zeros(30, EVENT)
-    events["t"], events["y"] = 4200 + 100 * np.arange(30), 7
+    events = events_at(4200 + 100 * np.arange(30), y=7)
     b.give(events, 7200)
     b.run(9, read=False)
     b.port.close()

@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+from contextlib import closing
 from functools import partial
 
 import numpy as np
@@ -91,16 +92,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
-    made = []
-
-    def make(*faults, **more):
-        made.append(Bench(faults, **more))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+def bench(at_end):
+    return lambda *faults, **more: at_end.enter_context(closing(Bench(faults, **more)))
 
 
 def test_a_telecommand_of_another_library_is_done_and_answered(bench):
@@ -124,13 +117,7 @@ def test_several_telecommands_in_a_datagram_are_done_in_order(bench):
 
 @pytest.mark.parametrize(
     ("octets", "refused"),
-    [
-        (b"", 0),
-        (b"\x18", 1),
-        (bytes(5), 1),
-        (b"\xff" * 2000, 1),
-        (bytes.fromhex("1aa0c0000006291101000081e8"), 1),
-    ],
+    [(b"", 0), (b"\x18", 1), (bytes(5), 1), (b"\xff" * 2000, 1), (bytes.fromhex("1aa0c0000006291101000081e8"), 1)],
 )
 def test_octets_that_are_no_telecommand_are_counted_and_stop_nothing(bench, octets, refused):
     b = bench()
@@ -176,8 +163,7 @@ def test_nobody_listens_is_counted(bench):
     for _ in range(4):
         b.clock.advance(TICK_NS)
         b.link.tick()
-    counts = b.link.report().counts
-    assert counts["datagrams refused: no program listens"] > 0
+    assert b.link.report().counts["datagrams refused: no program listens"] > 0
     assert b.link.report().delivered == 2000
     b.socket = udp_port()
     b.socket.setblocking(False)

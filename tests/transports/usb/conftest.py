@@ -1,7 +1,5 @@
 """A USB device of a few lines, a USB/IP server in a thread of its own, and a USB bus behind pyusb."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import threading
@@ -12,7 +10,7 @@ import pytest
 
 from evstim.testing.fake_usb import FakeUsbBus
 from firmware_protocol.usb.descriptors import Speed
-from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.device import Identity, Stall, Transfer, UsbDevice
 from transports.usb.usbip.connection import ConnectionSettings
 from transports.usb.usbip.server import UsbipServer
 
@@ -22,36 +20,36 @@ STREAM_ENDPOINT = 2
 class FakeDevice(UsbDevice):
     """Answers a descriptor request, keeps one register, and hands out the chunks it was given."""
 
-    def __init__(self) -> None:
-        self.log: list[str] = []
-        self.chunks: deque[bytes] = deque()
-        self.given: list[bytes] = []
-        self.sent_data: list[bytes] = []
-        self.lost_data: list[bytes] = []
+    def __init__(self):
+        self.log = []
+        self.chunks = deque()
+        self.given = []
+        self.sent_data = []
+        self.lost_data = []
         self.halted = False
         self.register = bytes(4)
         self.events = threading.Condition()
 
-    def note(self, entry: str) -> None:
+    def note(self, entry):
         with self.events:
             self.log.append(entry)
             self.events.notify_all()
 
-    def wait_for(self, entry: str, times: int = 1) -> None:
+    def wait_for(self, entry, times=1):
         with self.events:
             assert self.events.wait_for(lambda: self.log.count(entry) >= times, 120), (entry, times, self.log)
 
     @property
-    def identity(self) -> Identity:
+    def identity(self):
         return Identity(0x152A, 0x841A, 0x0206, Speed.SUPER)
 
-    def attached(self) -> None:
+    def attached(self):
         self.note("attached")
 
-    def detached(self) -> None:
+    def detached(self):
         self.note("detached")
 
-    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+    def control(self, setup, data):
         match setup.request:
             case 0x06:
                 return bytes([18, 1, 0, 3, 0, 0, 0, 9, 0x2A, 0x15, 0x1A, 0x84, 0x06, 0x02, 1, 2, 3, 1])
@@ -69,7 +67,7 @@ class FakeDevice(UsbDevice):
                 raise ValueError("a fault in the device model")
         raise Stall(f"unknown request {setup.request:#x}")
 
-    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+    def read(self, endpoint, max_bytes):
         if endpoint == 1:
             return None
         if endpoint != STREAM_ENDPOINT or self.halted:
@@ -83,11 +81,11 @@ class FakeDevice(UsbDevice):
         self.given.append(chunk)
         return Transfer(data=chunk)
 
-    def sent(self, transfer: Transfer) -> None:
+    def sent(self, transfer):
         self.sent_data.append(transfer.data)
         self.note("sent")
 
-    def lost(self, transfer: Transfer) -> None:
+    def lost(self, transfer):
         self.lost_data.append(transfer.data)
         self.note("lost")
 
@@ -95,13 +93,13 @@ class FakeDevice(UsbDevice):
 class ServerThread:
     """A USB/IP server whose event loop runs in another thread, so that a test can block on its sockets."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.loop = asyncio.new_event_loop()
-        self.faults: list[dict] = []
+        self.faults = []
         self.loop.set_exception_handler(lambda loop, context: self.faults.append(context))
         self._thread = threading.Thread(target=self.loop.run_forever)
         self._thread.start()
-        self._sockets: list[socket.socket] = []
+        self._sockets = []
         self.server = UsbipServer({})
 
     def start(self, devices, settings=None, **kwargs):
@@ -118,26 +116,26 @@ class ServerThread:
 
         return self.run(wrapped())
 
-    def feed(self, device: FakeDevice, *chunks: bytes) -> None:
+    def feed(self, device, *chunks):
         def feed():
             device.chunks.extend(chunks)
             self.server.pump()
 
         self.call(feed)
 
-    def connect(self) -> socket.socket:
+    def connect(self):
         sock = socket.create_connection(("127.0.0.1", self.server.port), 120)
         self._sockets.append(sock)
         return sock
 
-    def pair(self) -> socket.socket:
+    def pair(self):
         ours, theirs = socket.socketpair()
         ours.settimeout(120)
         self._sockets.append(ours)
         self.run(self.server.serve(theirs))
         return ours
 
-    def close(self) -> None:
+    def close(self):
         for sock in self._sockets:
             sock.close()
         self.run(self.server.close(linger_s=0))

@@ -1,11 +1,10 @@
 """A USB/IP host of a few lines, byte by byte."""
 
-import socket
 import struct
 import time
 
 from firmware_protocol.usb.device import SetupPacket
-from firmware_protocol.usb.usbip import DeviceListRequest, DeviceRecord, ImportRequest, Submit
+from firmware_protocol.usb.usbip import DeviceListRequest, ImportRequest, Submit
 from transports.usb.usbip.client import UsbipHost, Wire, connect
 
 GET_DEVICE = SetupPacket(0x80, 0x06, 0x0100, 0, 18)
@@ -14,7 +13,7 @@ IMPORT_REPLY_BYTES = 320
 HEADER = 48
 
 
-def list_devices(port: int) -> tuple[DeviceRecord, ...]:
+def list_devices(port):
     """Return the devices that a server on this machine offers."""
     wire = Wire(connect("127.0.0.1", port, 120.0))
     wire.send(bytes(DeviceListRequest()))
@@ -23,7 +22,7 @@ def list_devices(port: int) -> tuple[DeviceRecord, ...]:
     return reply.devices
 
 
-def read(sock: socket.socket, n: int) -> bytes:
+def read(sock, n):
     data = b""
     while len(data) < n:
         part = sock.recv(n - len(data))
@@ -33,13 +32,13 @@ def read(sock: socket.socket, n: int) -> bytes:
     return data
 
 
-def read_urb(sock: socket.socket) -> tuple[int, int, int]:
+def read_urb(sock):
     """Give (command, seqnum, status) of a reply without data."""
     command, seqnum, _, _, _, status = struct.unpack_from(">IIIIIi", read(sock, HEADER))
     return command, seqnum, status
 
 
-def is_closed(sock: socket.socket) -> bool:
+def is_closed(sock):
     """True when the server ends the connection, whatever it still says before."""
     sock.settimeout(120)
     try:
@@ -52,14 +51,14 @@ def is_closed(sock: socket.socket) -> bool:
     return True
 
 
-def attached(bench) -> socket.socket:
+def attached(bench):
     sock = bench.connect()
     sock.sendall(bytes(ImportRequest("1-1")))
     read(sock, IMPORT_REPLY_BYTES)
     return sock
 
 
-def assert_serves(bench, device) -> None:
+def assert_serves(bench, device):
     """The next host gets the device and an answer."""
     before = device.log.count("detached")
     with UsbipHost(bench.connect(), "1-1", timeout_s=120) as host:
@@ -67,10 +66,10 @@ def assert_serves(bench, device) -> None:
     device.wait_for("detached", before + 1)
 
 
-def submit(seqnum: int = 1, **fields) -> bytes:
+def submit(seqnum=1, **fields):
     urb = {"devid": 0x10002, "is_in": True, "endpoint": 2, "length": 100} | fields
     return bytes(Submit(seqnum, **urb))
 
 
-def patched(message: bytes, offset: int, value: int) -> bytes:
+def patched(message, offset, value):
     return message[:offset] + struct.pack(">i", value) + message[offset + 4 :]

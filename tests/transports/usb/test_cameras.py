@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evstim.testing.link_contract import event_stream
-from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.events import EVENT, EdgeKind, make_edges
 from firmware_protocol.gen31.device import BOARDS, Gen31, Gen31Settings
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
@@ -33,10 +33,7 @@ CAMERAS = {
     "SilkyEvCam VGA": lambda: Gen31(Gen31Settings(**USUAL, board=BOARDS["silkyevcam_vga"])),
     "EVK3 VGA": lambda: Gen31(Gen31Settings(**USUAL, board=BOARDS["evk3_vga"])),
 }
-NAMES = {
-    "EVK4": ("CCam5 Imx636 Event-Based Camera", "psee,ccam5_imx636"),
-    "EVK3 GenX320": (None, "psee,cx3_genx320"),
-}
+NAMES = {"EVK4": ("CCam5 Imx636 Event-Based Camera", "psee,ccam5_imx636"), "EVK3 GenX320": (None, "psee,cx3_genx320")}
 FPGA = "CCam5 FPGA Event-Based Camera", "psee,ccam5_fpga"
 
 
@@ -73,8 +70,7 @@ def test_it_reports_the_identity(model):
 
 
 def test_events_and_edges_arrive_and_edges_only_where_they_are_wanted(each):
-    edges = np.zeros(1, EDGE)
-    edges["t"], edges["kind"] = 700, EdgeKind.RISING
+    edges = make_edges(700, EdgeKind.RISING)
     host = driver_of(DirectHost(each))
     each.advance(500)
     for wanted, ignored in ((True, 0), (False, 1)):

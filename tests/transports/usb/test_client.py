@@ -1,7 +1,5 @@
 """The user-space host against servers that stop, lie or vanish: each ends in an error that says whose fault it was."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading
@@ -10,14 +8,7 @@ import pytest
 
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity, SetupPacket
-from firmware_protocol.usb.usbip import (
-    DeviceListReply,
-    DeviceRecord,
-    ImportReply,
-    OpStatus,
-    Submitted,
-    Unlinked,
-)
+from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus, Submitted, Unlinked
 from transports.usb.host import DeviceAbsent, DeviceBusy, PeerBroken, PeerGone, TransferTimeout
 from transports.usb.usbip.client import UsbipHost
 
@@ -32,7 +23,7 @@ def script():
     """Gives start(steps): a socket whose other end reads n bytes and answers, for each (n, answer), then closes."""
     threads, sockets = [], []
 
-    def play(sock: socket.socket, steps: list[tuple[int, bytes]]) -> None:
+    def play(sock, steps):
         # The host may leave in the middle.
         with sock, contextlib.suppress(ConnectionError):
             for n, answer in steps:
@@ -40,7 +31,7 @@ def script():
                     n -= len(part)
                 sock.sendall(answer)
 
-    def start(*steps: tuple[int, bytes], hold: bool = False) -> socket.socket:
+    def start(*steps, hold=False):
         ours, theirs = socket.socketpair()
         # Held open until the host leaves: it sends nothing more.
         waits = [(1 << 20, b"")] if hold else []

@@ -62,49 +62,8 @@ class TestLoopback(UsbContract):
         return Plugged(DirectHost(device), lambda function, *args: function(*args))
 
 
-class TestDavis240cOnUsbip(TestUsbip):
-    camera = DAVIS240C
-
-
-class TestDavis240cOnGadget(TestGadget):
-    camera = DAVIS240C
-
-
-class TestDavis240cOnFakeBus(TestFakeBus):
-    camera = DAVIS240C
-
-
-class TestDavis240cOnLoopback(TestLoopback):
-    camera = DAVIS240C
-
-
-class TestDvxplorerOnUsbip(TestUsbip):
-    camera = DVXPLORER
-
-
-class TestDvxplorerOnGadget(TestGadget):
-    camera = DVXPLORER
-
-
-class TestDvxplorerOnFakeBus(TestFakeBus):
-    camera = DVXPLORER
-
-
-class TestDvxplorerOnLoopback(TestLoopback):
-    camera = DVXPLORER
-
-
-class TestMicroOnUsbip(TestUsbip):
-    camera = DVXPLORER_MICRO
-
-
-class TestMicroOnGadget(TestGadget):
-    camera = DVXPLORER_MICRO
-
-
-class TestMicroOnFakeBus(TestFakeBus):
-    camera = DVXPLORER_MICRO
-
-
-class TestMicroOnLoopback(TestLoopback):
-    camera = DVXPLORER_MICRO
+for _name, _camera in (("Davis240c", DAVIS240C), ("Dvxplorer", DVXPLORER), ("Micro", DVXPLORER_MICRO)):
+    for _cable in (TestUsbip, TestGadget, TestFakeBus, TestLoopback):
+        _test = f"Test{_name}On{_cable.__name__[4:]}"
+        globals()[_test] = type(_test, (_cable,), {"camera": _camera, "__module__": __name__})
+del _cable

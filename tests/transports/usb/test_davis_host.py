@@ -1,7 +1,5 @@
 """A driver's whole life with our own camera, over USB/IP."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,6 +8,7 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity
+from tests.made_events import scattered
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import PeerGone, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.usbip.client import UsbipHost
@@ -19,12 +18,8 @@ pytestmark = pytest.mark.socket
 SMALL = StreamSettings(transfer_bytes=8192, transfers=8)
 
 
-def events(n: int, start_us: int, seed: int = 1) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    batch = np.zeros(n, EVENT)
-    batch["t"] = start_us + np.sort(rng.integers(0, 20_000, n))
-    batch["x"], batch["y"], batch["on"] = rng.integers(0, 346, n), rng.integers(0, 260, n), rng.integers(0, 2, n)
-    return batch
+def events(n, start_us, seed=1):
+    return scattered(start_us + np.sort(np.random.default_rng(seed).integers(0, 20_000, n)), seed=seed)
 
 
 @pytest.fixture
@@ -44,7 +39,7 @@ def cable(bench):
     return open_camera
 
 
-def read_all(driver: DavisHost, n: int) -> np.ndarray:
+def read_all(driver, n):
     parts = [np.zeros(0, EVENT)]
     while sum(map(len, parts)) < n:
         part = driver.read(120)
@@ -86,7 +81,7 @@ def test_every_event_arrives_as_it_was(cable, layout):
 class Scripted:
     """A reader that gives what it was given."""
 
-    def __init__(self, *transfers: bytes) -> None:
+    def __init__(self, *transfers):
         self._transfers = list(transfers)
 
     def read(self, timeout_s):

@@ -10,7 +10,7 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.dvxplorer.registers import SYSTEM
 from firmware_protocol.events import EDGE
-from firmware_protocol.imu_samples import no_samples
+from tests.made_events import samples_at
 from transports.usb.cameras import driver_of
 from transports.usb.davis_host import DavisHost
 from transports.usb.dvxplorer_host import DvxplorerHost
@@ -21,10 +21,7 @@ SETTINGS = DvxplorerSettings(serial="00000042", start_delay_us=0, imu_unit=3)
 
 
 def samples(count, start_us):
-    out = no_samples(count)
-    out["t"], out["scale"] = start_us + np.arange(count), 0xEA
-    out["counts"] = np.arange(7 * count).reshape(count, 7)
-    return out
+    return samples_at(start_us + np.arange(count), np.arange(7 * count).reshape(count, 7))
 
 
 def edges(*moments):

@@ -1,7 +1,5 @@
 """Any bytes at all: the server keeps its books, lets go of the device, and serves the next host."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 
@@ -30,7 +28,7 @@ unlinks = st.builds(Unlink, seqnum=small, devid=u32, victim=small)
 pieces = st.one_of(submits.map(bytes), unlinks.map(bytes), st.binary(max_size=60), st.just(bytes(ImportRequest("1-1"))))
 
 
-async def play(device, pieces: list[bytes]) -> bytes:
+async def play(device, pieces):
     """Send the pieces one after the other to a new server, vanish, and ask it for its devices."""
     server = UsbipServer({"1-1": device})
     loop = asyncio.get_running_loop()

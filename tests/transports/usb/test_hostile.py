@@ -1,7 +1,5 @@
 """Peers that break the protocol, stop, vanish, or race: each has a defined end, and the server serves the next host."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import struct
@@ -135,7 +133,7 @@ def test_what_is_reported_sent_arrives_even_when_the_server_hangs_up(served, dev
     (connection,) = served.server._connections
     assert served.call(connection._transport.get_write_buffer_size) <= 48 + 1000
     closing = asyncio.run_coroutine_threadsafe(served.server.close(linger_s=120), served.loop)
-    received: list[bytes | None] = []
+    received = []
     with pytest.raises(PeerGone):
         received.extend(iter(lambda: stream.read(120), None))
     host.close()

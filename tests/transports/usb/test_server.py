@@ -62,8 +62,7 @@ def test_close_takes_back_what_is_pending_and_loses_no_data(served, device):
         served.feed(device, b"later")
         assert host.control_in(GET_DEVICE)
         assert device.given == []
-        again = host.stream(2, 8192, 32)
-        assert again.read(120) == b"later"
+        assert host.stream(2, 8192, 32).read(120) == b"later"
 
 
 def test_second_import_is_refused_as_busy_until_the_first_host_leaves(served, device):

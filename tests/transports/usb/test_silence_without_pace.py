@@ -8,8 +8,8 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
-from firmware_protocol.events import empty_events
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
+from tests.made_events import events_at
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FifoOverflow, UsbSilence
 from transports.link.kind import Wiring
@@ -27,10 +27,7 @@ EVENTS, SECOND_US = 400_000, 1_000_000
 
 
 def a_second_of_events():
-    events = empty_events(EVENTS)
-    events["t"] = np.arange(EVENTS) * SECOND_US // EVENTS
-    events["x"] = np.arange(EVENTS) % 346
-    return events
+    return events_at(np.arange(EVENTS) * SECOND_US // EVENTS, x=np.arange(EVENTS) % 346)
 
 
 async def reports_of(camera, fault):

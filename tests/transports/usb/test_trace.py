@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 from collections import Counter
+from contextlib import closing
 
 import pytest
 
@@ -132,17 +133,9 @@ def urb(number, data=b""):
 
 
 @pytest.fixture
-def trace(tmp_path):
+def trace(tmp_path, at_end):
     """Makes traces, and closes them."""
-    made = []
-
-    def make(**options):
-        made.append(UrbTrace(tmp_path / "usb", Davis346(), Ticks(), **options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    return lambda **more: at_end.enter_context(closing(UrbTrace(tmp_path / "usb", Davis346(), Ticks(), **more)))
 
 
 def test_unlinks_tell_how_they_found_their_urbs(trace, tmp_path):

@@ -1,7 +1,5 @@
 """The usbip tool of Linux, unmodified: it lists our cameras and understands a refusal. The guest tests attach."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 
@@ -16,7 +14,7 @@ pytestmark = [
 ]
 
 
-def usbip(port: int, *words: str) -> str:
+def usbip(port, *words):
     done = subprocess.run([TOOL, "--tcp-port", str(port), *words], capture_output=True, text=True, timeout=120)
     return done.stdout + done.stderr
 

@@ -14,19 +14,13 @@ from emulator.rig.loading import load_rig, with_options
 from emulator.run.changes import Change
 from emulator.run.outcome import Ledger, LinkLedger, RunResult, judge
 from emulator.run.pacing import Lateness
-from emulator.run.report.content import (
-    SCHEMA,
-    Circumstances,
-    ReportContent,
-    fates,
-    happenings,
-    report_schema,
-)
+from emulator.run.report.content import SCHEMA, Circumstances, ReportContent, fates, happenings, report_schema
 from emulator.run.report.files import begin_files, write_report
 from emulator.run.report.modelled import Effect, Modelled, Part
 from emulator.run.report.observation import Observation
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.events import EVENT
+from tests.made_events import scattered
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import LatencySummary
 from transports.link.report import LinkReport
@@ -62,11 +56,9 @@ def full(name="usb"):
 
 
 def seen_of(count=1000, size=(20, 10)):
-    rng, events = np.random.default_rng(1), np.zeros(count, EVENT)
-    events["t"] = np.sort(rng.integers(0, 1_000_000, count))
-    events["x"], events["y"] = rng.integers(0, size[0], count), rng.integers(0, size[1], count)
     seen = Observation(size)
-    seen.take(events, np.ones(size[::-1], np.float32), 1_000_000)
+    times = np.sort(np.random.default_rng(1).integers(0, 1_000_000, count))
+    seen.take(scattered(times, size), np.ones(size[::-1], np.float32), 1_000_000)
     return seen
 
 
@@ -129,11 +121,7 @@ def test_every_rule_has_its_figure_and_bound(written):
 
 def test_faults_triggers_and_commands_are_marked_once_each():
     marked = [(one.label, one.lane, one.t_s, one.until_s) for one in happenings(full())]
-    assert marked == [
-        ("F1", "fault", 0.2, 0.4),
-        ("T1", "trigger", 0.5, None),
-        ("C1", "command", 0.6, None),
-    ]
+    assert marked == [("F1", "fault", 0.2, 0.4), ("T1", "trigger", 0.5, None), ("C1", "command", 0.6, None)]
 
 
 def test_the_fates_of_a_link_sum_to_what_it_was_given():

@@ -56,8 +56,7 @@ def test_with_a_tolerance_the_effects_left_out_are_those_that_the_sensor_lacks()
     left = {one.effect for one in found.effects if one.state == "left out"}
     assert {"leak", "mismatch", "refractory period", "noise"} <= left
     assert (found.tolerance_us, found.tolerated_wrong_share) == (1e6, 0.5)
-    kept = {one.effect for one in found.effects if one.state == "modelled"}
-    assert "dark current" in kept
+    assert "dark current" in {one.effect for one in found.effects if one.state == "modelled"}
 
 
 @pytest.mark.parametrize("is_driven", [False, True])

@@ -7,6 +7,7 @@ from emulator.run.outcome import RunStatus
 from emulator.run.pacing import Lateness
 from emulator.run.report.observation import INTERVAL_EDGES_US, Observation, PictureStrip, RateSeries
 from firmware_protocol.events import EVENT
+from tests.made_events import events_at, scattered
 from transports.link.feed import EdgeReport
 from transports.link.report import LinkReport
 
@@ -14,12 +15,7 @@ SIZE = (20, 10)
 
 
 def stream(count, until_us=5_000_000, seed=3):
-    rng = np.random.default_rng(seed)
-    events = np.zeros(count, EVENT)
-    events["t"] = np.sort(rng.integers(0, until_us, count))
-    events["x"], events["y"] = rng.integers(0, SIZE[0], count), rng.integers(0, SIZE[1], count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    return scattered(np.sort(np.random.default_rng(seed).integers(0, until_us, count)), SIZE, seed)
 
 
 def observed(events, pieces):
@@ -57,9 +53,7 @@ def test_intervals_are_those_of_the_sampled_pixels(pieces):
 def test_a_long_run_has_longer_bins_and_no_more_of_them():
     series = RateSeries()
     for second in range(0, 7200, 10):
-        events = np.zeros(3, EVENT)
-        events["t"] = second * 1_000_000 + np.array([0, 1, 2])
-        events["on"] = [True, False, False]
+        events = events_at(second * 1_000_000 + np.array([0, 1, 2]), on=[True, False, False])
         series.take(events)
     assert len(series.events) <= 2000
     assert series.bin_us == 6_400_000

@@ -26,7 +26,7 @@ def renderer(request):
     """Run each test with both renderers; the second where there is a GL library."""
     if request.param is GlBodies:
         request.getfixturevalue("gl")
-    globals()["Bodies"] = request.param
+    request.module.Bodies = request.param
 
 
 CAMERA = Pinhole.of_field((64, 48), 30.0)

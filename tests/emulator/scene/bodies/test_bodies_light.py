@@ -18,16 +18,9 @@ from emulator.scene.bodies.mesh import find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, SpinPath
+from tests.emulator.scene.bodies.test_bodies import renderer as renderer
 
 Bodies = GlBodies
-
-
-@pytest.fixture(autouse=True, params=[RasterBodies, GlBodies], ids=["cpu", "gl"])
-def renderer(request):
-    """Run each test with both renderers; the second where there is a GL library."""
-    if request.param is GlBodies:
-        request.getfixturevalue("gl")
-    globals()["Bodies"] = request.param
 
 
 NS = 1_000_000_000

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.bodies.cast_shadow import (
-    build_tree,
-    dim,
-    edge_area,
-    seen_above,
-)
+from emulator.scene.bodies.cast_shadow import build_tree, dim, edge_area, seen_above
 from emulator.scene.bodies.lit_surface import lit_surface, shadow_triangles
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 

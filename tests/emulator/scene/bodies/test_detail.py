@@ -15,14 +15,7 @@ from emulator.photometry.reflectance import Sun
 from emulator.scene.bodies.albedo import clouded
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.regolith import (
-    Law,
-    coarser,
-    detailed,
-    features,
-    smallest_feature_m,
-    weathered,
-)
+from emulator.scene.bodies.regolith import Law, coarser, detailed, features, smallest_feature_m, weathered
 from emulator.scene.bodies.smooth_ground import potential, smooth_ground
 from emulator.scene.bodies.table import BodiesParameters, BodyTable, Clouds, Regolith
 from emulator.trajectory.parameters import Keyframe, KeyframePath

@@ -202,11 +202,7 @@ def test_facets_are_as_small_as_the_glint_needs_however_small_the_planet_is_in_t
 def test_meshes_carry_water_through_every_change():
     mesh = clouded(load_mesh(find_shape("globe"), RADIUS_M), Clouds(seed=2), 8e5)
     shown = dataclasses.replace(mesh, albedo=2 * mesh.water)  # what happens to albedo happens to water
-    for changed in (
-        near_in_memory(shown),
-        split_sides(shown, np.ones(shown.faces.shape, bool)),
-        coarser(shown, 1.5e6),
-    ):
+    for changed in (near_in_memory(shown), split_sides(shown, np.ones(shown.faces.shape, bool)), coarser(shown, 1.5e6)):
         assert changed is not shown
         np.testing.assert_allclose(changed.albedo, 2 * changed.water, rtol=1e-12)
     for smooth in (True, False):

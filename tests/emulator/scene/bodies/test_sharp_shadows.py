@@ -14,12 +14,7 @@ from emulator.scene.bodies.cast_shadow import build_tree
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.shadow_polygons import (
-    Dark,
-    SharpShadows,
-    Surroundings,
-    receivers_of,
-)
+from emulator.scene.bodies.shadow_polygons import Dark, SharpShadows, Surroundings, receivers_of
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
 from emulator.trajectory.building import build_trajectory
@@ -117,8 +112,7 @@ def test_no_point_lies_in_two_shadows(shapes, turn):
     """A ring, whose sides and lower face cover each other, and whose triangles meet in corners of the shadow."""
     found, _ = shadows(shapes, unit(math.cos(turn), math.sin(turn), 1.0), "ring", "box", "cross")
     axis = np.arange(400) * 0.01 - 4.0003
-    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    assert (covers(found, grid) > 1).sum() == 0
+    assert (covers(found, np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)) > 1).sum() == 0
 
 
 def test_corners_move_as_the_sun_does(shapes):

@@ -2,9 +2,7 @@
 
 import trimesh
 
-from emulator.scene.bodies.mesh import Mesh
 
-
-def volume_m3(mesh: Mesh) -> float:
+def volume_m3(mesh):
     """Return the enclosed volume of a closed mesh."""
     return float(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume)

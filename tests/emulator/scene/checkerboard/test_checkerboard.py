@@ -124,11 +124,7 @@ def test_a_tenth_of_a_second_is_exactly_that():
     assert Cycle(0.1, 0.75).turns(5 * NS) == 0.25
 
 
-@given(
-    st.floats(-1e6, 1e6),
-    st.floats(0, 1),
-    st.integers(-MONTH_NS, MONTH_NS),
-)
+@given(st.floats(-1e6, 1e6), st.floats(0, 1), st.integers(-MONTH_NS, MONTH_NS))
 def test_phase_is_exact(rate_hz, start, t_ns):
     with localcontext() as context:
         context.prec = 400

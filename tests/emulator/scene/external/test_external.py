@@ -137,19 +137,15 @@ def test_pushed_images_cannot_go_back():
             lit(scene, 10)
 
 
-def test_times_that_do_not_go_on_are_an_error():
-    with (
-        scene_of(lambda _, k: k, {"images": "pushed"}, times_ms=[0, 10, 10, 20]) as (scene, _),
-        pytest.raises(SceneError, match="not later than the one before"),
-    ):
-        lit(scene, 15)
+NANOSECONDS = r"image 1 is 1 ns after the one before.*nanoseconds; does the renderer give"
 
 
-def test_milliseconds_in_the_place_of_nanoseconds_are_an_error():
-    with (
-        scene_of(lambda _, k: k, {"images": "pushed"}, times_ms=[0, 1e-6, 2e-6, 3e-6]) as (scene, _),
-        pytest.raises(SceneError, match=r"image 1 is 1 ns after the one before.*nanoseconds; does the renderer give"),
-    ):
+@pytest.mark.parametrize(
+    ("times_ms", "why"), [([0, 10, 10, 20], "not later than the one before"), ([0, 1e-6, 2e-6, 3e-6], NANOSECONDS)]
+)
+def test_times_that_do_not_go_on_and_milliseconds_for_nanoseconds_are_an_error(times_ms, why):
+    images = scene_of(lambda _, k: k, {"images": "pushed"}, times_ms=times_ms)
+    with images as (scene, _), pytest.raises(SceneError, match=why):
         lit(scene, 15)
 
 

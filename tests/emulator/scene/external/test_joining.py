@@ -1,34 +1,32 @@
 """Light between two images: closed forms of moving smooth patterns, edges in front of a background, and agreement."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from emulator.scene.external.joining import Joined, Pair, TimedImage, front_motion
+from emulator.scene.external.joining import Joined, TimedImage, front_motion
 
 _SIZE = (48, 40)
 _T_NS = 10_000_000
 _Floats = npt.NDArray[np.float32]
 
 
-def _places() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _places():
     rows, columns = np.mgrid[: _SIZE[1], : _SIZE[0]]
     return rows + 0.5, columns + 0.5
 
 
-def _blob(row: float, column: float, sigma_px: float = 4.0) -> _Floats:
+def _blob(row, column, sigma_px=4.0):
     rows, columns = _places()
     squared = (rows - row) ** 2 + (columns - column) ** 2
     return np.asarray(1 + np.exp(-squared / (2 * sigma_px**2)), np.float32)
 
 
-def _flow(x_px_s: float, y_px_s: float) -> _Floats:
+def _flow(x_px_s, y_px_s):
     return np.tile(np.array([x_px_s, y_px_s], np.float32), (_SIZE[1], _SIZE[0], 1))
 
 
-def _written(pair: Pair, t_ns: int, threads: int = 1) -> tuple[_Floats, _Floats]:
+def _written(pair, t_ns, threads=1):
     joined = Joined(_SIZE, threads=threads)
     light, rate = np.zeros(_SIZE[::-1], np.float32), np.zeros(_SIZE[::-1], np.float32)
     joined.write(pair, t_ns, light, rate)
@@ -36,18 +34,18 @@ def _written(pair: Pair, t_ns: int, threads: int = 1) -> tuple[_Floats, _Floats]
     return light, rate
 
 
-def test_images_alone_are_joined_by_a_line() -> None:
+def test_images_alone_are_joined_by_a_line():
     a, b = np.full(_SIZE[::-1], 1, np.float32), np.full(_SIZE[::-1], 3, np.float32)
     light, rate = _written((TimedImage(0, a), TimedImage(_T_NS, b)), _T_NS // 4)
     np.testing.assert_allclose(light, 1.5, rtol=1e-6)
     np.testing.assert_allclose(rate, 200, rtol=1e-6)
 
 
-def test_rates_give_the_cubic_of_hermite() -> None:
+def test_rates_give_the_cubic_of_hermite():
     """A cubic in time is its own interpolant."""
     ones = np.ones(_SIZE[::-1], np.float32)
 
-    def cubic(s: float) -> tuple[float, float]:
+    def cubic(s):
         return 5 + 2 * s - 3 * s**2 + 1.5 * s**3, (2 - 6 * s + 4.5 * s**2) / (_T_NS * 1e-9)
 
     images = [TimedImage(k * _T_NS, ones * cubic(k)[0], rate=ones * cubic(k)[1]) for k in (0, 1)]
@@ -57,7 +55,7 @@ def test_rates_give_the_cubic_of_hermite() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.9, 1.0])
-def test_motion_moves_a_smooth_pattern(share: float) -> None:
+def test_motion_moves_a_smooth_pattern(share):
     """A blob moves 6.7 px from one image to the next, and keeps its form.
 
     Only its top may be cut, to the brightest of the four pixels around it: at most 0.7 px away, 0.5 / (2 * 16) lower.
@@ -73,7 +71,7 @@ def test_motion_moves_a_smooth_pattern(share: float) -> None:
     np.testing.assert_allclose(rate, slope, atol=0.04 * np.abs(slope).max())
 
 
-def _covered(angle: float, place_px: float) -> _Floats:
+def _covered(angle, place_px):
     """Return the share of each pixel that is on the bright side of a straight edge, by 32 x 32 points each."""
     points = (np.arange(32) + 0.5) / 32
     rows = (np.arange(_SIZE[1])[:, None] + points).reshape(-1, 1)
@@ -83,7 +81,7 @@ def _covered(angle: float, place_px: float) -> _Floats:
 
 
 @pytest.mark.parametrize("angle_deg", [0, 20, 45, 110, 200, 271])
-def test_an_edge_before_black_arrives_in_each_pixel_at_its_own_time(angle_deg: float) -> None:
+def test_an_edge_before_black_arrives_in_each_pixel_at_its_own_time(angle_deg):
     """A straight edge moves 1.3 px between two images: light is its share of each pixel, and black stays black."""
     angle = np.radians(angle_deg)
     flow = _flow(130 * np.cos(angle), 130 * np.sin(angle))
@@ -101,14 +99,14 @@ def test_an_edge_before_black_arrives_in_each_pixel_at_its_own_time(angle_deg: f
         assert agree.mean() > 0.995  # not where the edge passes a corner of a pixel within the 40 us
 
 
-def test_a_point_that_accelerates_is_followed() -> None:
+def test_a_point_that_accelerates_is_followed():
     """From 500 to 800 px/s it moves 6.5 px, and half way in time 2.875 px, not 3.25."""
     pair = TimedImage(0, _blob(20, 20), _flow(500, 0)), TimedImage(_T_NS, _blob(20, 26.5), _flow(800, 0))
     light, _ = _written(pair, _T_NS // 2)
     np.testing.assert_allclose(light, _blob(20, 22.875), atol=0.016)
 
 
-def _disc(column: float, v_px_s: float, t_ns: int, *, with_depth: bool) -> TimedImage:
+def _disc(column, v_px_s, t_ns, *, with_depth):
     """Return a disc of light 5 and radius 8 px in front of a background of stripes that stands still."""
     rows, columns = _places()
     cover = np.clip(8.5 - np.hypot(rows - 20, columns - column), 0, 1)
@@ -121,7 +119,7 @@ def _disc(column: float, v_px_s: float, t_ns: int, *, with_depth: bool) -> Timed
 
 
 @pytest.mark.parametrize("with_depth", [True, False])
-def test_an_object_hides_and_uncovers_what_is_behind_it(with_depth: bool) -> None:
+def test_an_object_hides_and_uncovers_what_is_behind_it(with_depth):
     images = [_disc(18 + 10 * k, 1000.0, k * _T_NS, with_depth=with_depth) for k in (0, 1)]
     truth = _disc(23, 1000.0, 0, with_depth=False).light
     light, _ = _written((images[0], images[1]), _T_NS // 2)
@@ -135,7 +133,7 @@ def test_an_object_hides_and_uncovers_what_is_behind_it(with_depth: bool) -> Non
     assert wrong.mean() < 0.25 * without.mean()
 
 
-def test_the_derivative_is_that_of_the_light() -> None:
+def test_the_derivative_is_that_of_the_light():
     images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=True) for k in (0, 1)]
     pair = images[0], images[1]
     light, rate = _written(pair, 3_000_000)
@@ -145,7 +143,7 @@ def test_the_derivative_is_that_of_the_light() -> None:
     assert agree.mean() > 0.97  # not where a surface appears within the 10 us
 
 
-def test_threads_give_the_same_light() -> None:
+def test_threads_give_the_same_light():
     images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=True) for k in (0, 1)]
     pair, t_ns = (images[0], images[1]), 3_333_333
     light, rate = _written(pair, t_ns)
@@ -154,7 +152,7 @@ def test_threads_give_the_same_light() -> None:
     np.testing.assert_array_equal(rate, again[1])
 
 
-def test_motion_out_of_every_bound_stays_within_the_image() -> None:
+def test_motion_out_of_every_bound_stays_within_the_image():
     light = np.random.default_rng(1).random(_SIZE[::-1], np.float32)
     wild = np.random.default_rng(2).choice([-1e9, 1e9, 3e8, 0.0], (*_SIZE[::-1], 2)).astype(np.float32)
     out, _ = _written((TimedImage(0, light, wild), TimedImage(_T_NS, light, -wild)), _T_NS // 3)

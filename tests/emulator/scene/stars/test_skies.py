@@ -14,14 +14,7 @@ from emulator.photometry.reflectance import SUN_W_M2
 from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import load_rig
 from emulator.scene.stars.catalogue import irradiance_w_m2, load_stars
-from emulator.scene.stars.skies import (
-    SUN_G,
-    DrawnField,
-    draw_field,
-    load_gaia,
-    stars_per_deg2,
-    sunlight_lux,
-)
+from emulator.scene.stars.skies import SUN_G, DrawnField, draw_field, load_gaia, stars_per_deg2, sunlight_lux
 from emulator.scene.stars.stars import StarField, stars_of
 from emulator.scene.stars.table import STARS, StarsParameters
 from emulator.sensor.presets import IMX636_W_M2

@@ -168,8 +168,7 @@ def test_the_refractory_period_after_the_acknowledge_can_change():
 
 def test_a_lone_event_leaves_after_a_row_and_an_event_time():
     readout = ArbiterReadOut(sensor(event_ns=900.0, row_ns=100))
-    events = readout.push(crossings([(5000, 3, 4, True)]), 10_000)
-    assert events.tolist() == [(6, 3, 4, True)]
+    assert readout.push(crossings([(5000, 3, 4, True)]), 10_000).tolist() == [(6, 3, 4, True)]
 
 
 def test_a_full_frame_leaves_at_the_rate_of_the_bus_and_loses_what_fires_again_meanwhile():
@@ -196,8 +195,7 @@ def test_rows_take_turns():
     rows = sorted([*busy, (1005, 1, 30, False)])
     readout = ArbiterReadOut(sensor())
     events = readout.push(crossings(rows), 20_000)
-    at = int(np.flatnonzero(events["y"] == 30)[0])
-    assert events["t"][at] <= 1 + (2 * (100 + 70 * 80)) // 1000
+    assert events["t"][int(np.flatnonzero(events["y"] == 30)[0])] <= 1 + (2 * (100 + 70 * 80)) // 1000
 
 
 def test_time_does_not_go_back():

@@ -123,8 +123,7 @@ def test_a_pixel_is_busy_from_the_read_of_its_column_on():
     """Column 0 is read every 16 us: the first event leaves at 16 us, and the pixel is busy until 36 us."""
     found = crossings([1, 20_000, 35_999, 36_000], [0, 0, 0, 0], [True] * 4)
     readout = ScanReadOut(parameters(reset=ResetParameters(at_acknowledge=True), refractory_us=20.0))
-    events = np.concatenate([readout.push(found, END_NS), readout.finish()])
-    assert events["t"].tolist() == [16, 48]
+    assert np.concatenate([readout.push(found, END_NS), readout.finish()])["t"].tolist() == [16, 48]
     assert (readout.lost_busy, readout.lost_at_readout, readout.read_out) == (2, 2, 2)
 
 

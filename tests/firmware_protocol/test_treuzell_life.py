@@ -1,15 +1,22 @@
-"""The whole life of a camera on one of Prophesee's boards, told at random.
+"""The whole life of each camera on one of Prophesee's boards, told at random.
 
 Every event and edge has exactly one fate, and the words say the events.
 """
 
+from functools import partial
+
+import gen31_host
+import genx320_host
 import numpy as np
 from camera_life import CameraLife
 from evk4_requests import DATA, START, STOP, Host
-from hypothesis import stateful
+from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
+from firmware_protocol.evt.evt2 import Evt2Decoder
 from firmware_protocol.evt.evt3 import Evt3Decoder
+from firmware_protocol.gen31.device import Gen31, Gen31Settings
+from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 
 
@@ -20,13 +27,10 @@ class Life(CameraLife):
     OPENED, STARTED, STOPPED = ((0x7000, 0x0007_0001), (0x7004, 1 << 10)), START, STOP
     INTERRUPTIONS = (*STOP, (0x40_0004, 1), (0x9008, 0x645), (0x9028, 0), (0x0004, 0xF000_5442))
     DECODER = Evt3Decoder
-
-    @staticmethod
-    def new_camera():
-        return Evk4(Evk4Settings(fifo_bytes=1024, start_delay_us=100))
+    CAMERA, SETTINGS = Evk4, Evk4Settings
 
     def __init__(self):
-        super().__init__(self.new_camera())
+        super().__init__(self.CAMERA(self.SETTINGS(fifo_bytes=1024, start_delay_us=100)))
         self.host = Host(self.camera)
         self.start()
 
@@ -79,3 +83,33 @@ class Life(CameraLife):
     @stateful.invariant()
     def room_is_not_negative(self):
         assert self.camera.room_events >= 0
+
+
+class LifeInEvt21(Life):
+    """The same, of a camera whose host chose EVT2.1."""
+
+    OPENED = ((0x7000, 0x0007_0003), *Life.OPENED[1:])
+    DECODER = partial(Evt2Decoder, "evt21-legacy")
+
+
+class LifeOfGenx320(Life):
+    """A GenX320 in EVT2.1."""
+
+    OPENED, STARTED, STOPPED = ((0x7044, 2),), genx320_host.START, genx320_host.STOP
+    INTERRUPTIONS = (*STOPPED, (0x001C, 1), (0x9008, 0x195), (0x9028, 0), (0x0000, 0xC02), (0x7044, 0), (0x7044, 1))
+    DECODER = partial(Evt2Decoder, "evt21")
+    CAMERA, SETTINGS = Genx320, Genx320Settings
+
+
+class LifeOfGen31(Life):
+    """A Gen 3.1."""
+
+    OPENED, STARTED, STOPPED = ((0x01A0, 1),), gen31_host.START, gen31_host.STOP
+    INTERRUPTIONS = (*STOPPED, *STARTED, (0x0248, 0xC9), (0x0204, 0x23), (0x0500, 0), (0x01A0, 0))
+    CAMERA, SETTINGS = Gen31, Gen31Settings
+
+
+TestLife, TestLifeInEvt21 = Life.TestCase, LifeInEvt21.TestCase
+TestLifeOfGenx320, TestLifeOfGen31 = LifeOfGenx320.TestCase, LifeOfGen31.TestCase
+TestLife.settings = TestLifeInEvt21.settings = settings(stateful_step_count=25)
+TestLifeOfGenx320.settings = TestLifeOfGen31.settings = settings(stateful_step_count=25, max_examples=30)
