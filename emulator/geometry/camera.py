@@ -29,7 +29,8 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
+
+from firmware_protocol.events import Float32s, Floats, UInt16s
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,6 @@ class Pinhole:
         return Pinhole(self.width + 2 * margin_px, self.height + 2 * margin_px, self.focal_px)
 
 
-Floats = npt.NDArray[np.float64]
-
 Given = Literal["poses", "depth", "flow", "labels"]
 
 
@@ -122,9 +121,9 @@ class Seen:
     labels : (height, width) uint16.
     """
 
-    depth: npt.NDArray[np.float32]
-    flow: npt.NDArray[np.float32]
-    labels: npt.NDArray[np.uint16]
+    depth: Float32s
+    flow: Float32s
+    labels: UInt16s
 
     @classmethod
     def of(cls, width: int, height: int) -> Seen:

@@ -33,12 +33,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.photometry.reflectance import LUMENS_A_WATT
 from firmware_protocol.bounds import check_bounds
+from firmware_protocol.events import Floats
 
 _WAVELENGTH_M = 555e-9
 _ELECTRON_C, _PLANCK_J_S, _LIGHT_M_S = 1.602176634e-19, 6.62607015e-34, 299_792_458.0
@@ -154,8 +154,6 @@ class LensParameters:
         spread = abs(away - focus) / max(1 - focal_m * focus, 1e-9)
         return focal_m * focal_m / self.f_number * spread / (chip.pitch_um * 1e-6)
 
-
-Floats = npt.NDArray[np.float64]
 
 _STEPS = 30
 

@@ -8,28 +8,15 @@ import numpy as np
 
 from emulator.light import NOTHING, Region
 from emulator.raster.bands import draw_bands, nearest_facets
-from emulator.raster.layout import (
-    BAND,
-    FACET_FIELDS,
-    VERTEX_FIELDS,
-    Data,
-    Float32s,
-    Floats,
-    Ints,
-    Lists,
-    Owners,
-    Scratch,
-    Screen,
-    View,
-)
+from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Data, Lists, Owners, Scratch, Screen, View
 from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
 from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
 from emulator.threads import ThreadPool
+from firmware_protocol.events import Float32s, Floats, Int32s
 
 _FIRST_PAIRS = 1 << 14
 _RUNS_A_THREAD = 4  # of bands: with 6 a light frame took 3 % more processor time
-
 
 _NO_OWNERS = Owners.of(0, 0)
 
@@ -101,13 +88,13 @@ class Renderer:
             self._draw(window, light, rate, owners)
         return touched
 
-    def nearest(self, view: View, out: Ints) -> None:
+    def nearest(self, view: View, out: Int32s) -> None:
         """Write the row of `facets` that is the nearest at each pixel's middle, (height, width) int32; -1 for none."""
         self._prepare(view)
         scratch = self._scratches[0]
         nearest_facets(self.data, self._lists, scratch.depth, scratch.nearest, scratch.held, out)
 
-    def corners(self) -> Ints:
+    def corners(self) -> Int32s:
         """Return a vertex of each of `facets`, (m,): its first that was not made by a cut at the nearest depth."""
         return np.ascontiguousarray(self._drawn.faces[:, 0])
 
@@ -136,7 +123,7 @@ class Renderer:
         self._pool.each(draw, -(-(last - first) // run))
 
     @property
-    def shades(self) -> Ints:
+    def shades(self) -> Int32s:
         """Entries of the radiance at the corners of `facets`, (m, 3)."""
         return self._drawn.shades
 

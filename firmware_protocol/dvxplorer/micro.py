@@ -43,7 +43,7 @@ from enum import Enum
 import numpy as np
 
 from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
-from firmware_protocol.dvxplorer.filters import ChipFilters, Mask, polarity_format, sampled
+from firmware_protocol.dvxplorer.filters import ChipFilters, polarity_format, sampled
 from firmware_protocol.dvxplorer.frame_stream import FrameStream, SampleOutput
 from firmware_protocol.dvxplorer.registers import (
     SIZE,
@@ -55,6 +55,7 @@ from firmware_protocol.dvxplorer.registers import (
     scan_us,
     sensor_factors,
 )
+from firmware_protocol.events import Mask
 from firmware_protocol.fx3.camera import DEBUG_ENDPOINT, FLUSH, LOG_LEVEL, REGISTER, Parts
 from firmware_protocol.fx3.registers import (
     Access,

@@ -26,10 +26,9 @@ from functools import partial
 from heapq import heappop, heappush
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.device.items import Items
-from firmware_protocol.events import EdgeKind, Edges, Events, make_edges
+from firmware_protocol.events import EdgeKind, Edges, Events, Mask, make_edges
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.gige.control import (
     EDGE_EVENT,
@@ -368,9 +367,6 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         return remembered
 
 
-_Mask = npt.NDArray[np.bool_]
-
-
 class RangeSelection:
     """Registers of ranges and of the rate control, applied to events."""
 
@@ -414,7 +410,7 @@ class _Ranges:
         self._offsets = np.zeros(MOST_RANGES, np.int64)
         self._selected = self._used = 0
         self.on = False
-        self.mask: _Mask = np.ones(pixels, np.bool_)
+        self.mask: Mask = np.ones(pixels, np.bool_)
 
     def write(self, name: str, value: int) -> None:
         """Follow a write to a register, by its name in RangeRegisters; `count` is that of the ranges in use."""

@@ -48,7 +48,6 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.albedo import clouded, smooth_step, with_albedo
-from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.curved_sides import split_round
 from emulator.scene.bodies.grain import (
     CRATER_REACH,
@@ -68,12 +67,11 @@ from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
 from emulator.scene.files import Kind, cached_arrays
 from firmware_protocol.compiled import checksum_of
+from firmware_protocol.events import Floats, Int64s
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-
-Longs = npt.NDArray[np.int64]
 
 FADED = 1.5
 _PER_FEATURE = 8  # numbers between 0 and 1 that shape one of them
@@ -352,7 +350,7 @@ def _not_turned_over(mesh: Mesh, moved: Floats) -> Floats:
     return mesh.vertices
 
 
-def _near(tree: cKDTree, group: Features, reach: float, more_m: float) -> tuple[Longs, Longs]:
+def _near(tree: cKDTree, group: Features, reach: float, more_m: float) -> tuple[Int64s, Int64s]:
     """Return pairs of a feature and a point of the tree within `reach` of its radius, and `more_m`."""
     lists = tree.query_ball_point(group.places, reach * group.diameters_m / 2 + more_m)
     feature = np.repeat(np.arange(len(lists)), [len(points) for points in lists])

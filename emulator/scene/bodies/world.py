@@ -17,11 +17,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
-from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.grain import Octaves
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.models import load_bodies
@@ -31,6 +29,7 @@ from emulator.trajectory.building import build_trajectories, build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError, instants_over
+from firmware_protocol.events import Float32s, Floats
 
 log = logging.getLogger(__name__)
 
@@ -174,7 +173,7 @@ class BodyWorld:
         """Counts of poses received from outside, and of light frames from inside a body."""
         return live_counts(self.camera, *self.paths) | self.inside.counts
 
-    def notes(self, first_frame: npt.NDArray[np.float32]) -> tuple[str, ...]:
+    def notes(self, first_frame: Float32s) -> tuple[str, ...]:
         """Return remarks on faults of the shapes, on detail that was left out, and on a black first frame."""
         black = () if first_frame.any() else ("the first light frame is black: the camera sees no sunlit side",)
         return (*self._notes, *black)

@@ -28,12 +28,13 @@ from emulator.light import Light, Region, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
 from emulator.scene.kind import SizedScene
-from emulator.scene.stars.catalogue import Boxes, Floats, Stars, boxes_of, clear, irradiance_w_m2, load_stars, splat
+from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError
+from firmware_protocol.events import Floats
 
 _REACH = 2.0  # standard deviations
 
