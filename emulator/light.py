@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Rays, SceneGeometry
+from transports import Closing
 
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
@@ -99,7 +100,7 @@ class SceneEnded(SceneError):
     """A scene has come to its regular end: there is no more light to draw."""
 
 
-class Scene(ABC):
+class Scene(Closing):
     """Light that changes with time.
 
     A scene is a context manager: it acquires resources of the machine (a GL context) in the constructor, in the thread
@@ -144,7 +145,7 @@ class Scene(ABC):
         """Named counts of the scene during the run, for the summary."""
         return {}
 
-    def stop(self) -> None:  # noqa: B027 most scenes wait for no other program
+    def stop(self) -> None:  # most scenes wait for no other program
         """Limit the time of the present light frame to a second, where another program draws it; for a signal handler.
 
         A frame that takes longer ends by SceneEnded.
@@ -189,12 +190,6 @@ class Scene(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release the resources of the scene; a second call does nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class OtherLight(Scene):

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ from emulator.run.link_process import starting_a_process
 from emulator.run.outcome import Rates, RunStatus
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Events
+from transports import Closing
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
@@ -180,7 +181,7 @@ def with_trigger_button(setups: Sequence[LinkSetup[Any]]) -> tuple[list[LinkSetu
     ], sink
 
 
-class LivePage:
+class LivePage(Closing):
     """The page of one run, in a process of its own; raises OSError where it cannot listen at `address`.
 
     `url` is the address to open in a browser; the page of a run that was started again keeps it.
@@ -207,12 +208,6 @@ class LivePage:
         theirs.close()
         listener.close()
         self._outbox = Outbox(self._pipe)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def show(
         self,

@@ -34,13 +34,14 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from emulator.rig.kinds import convert_fault, faults_of
 from emulator.rig.loading import Rig
 from emulator.run.outcome import RunStatus
 from emulator.tables.typed_table import TableError
 from firmware_protocol.events import EdgeKind
+from transports import Closing
 
 if TYPE_CHECKING:
     from emulator.run.session import Session
@@ -104,7 +105,7 @@ def _answer_to(path: Path, line: bytes) -> Message:
         return _parsed(client.makefile("rb").readline(_MOST_ANSWER_BYTES))
 
 
-class ControlSocket:
+class ControlSocket(Closing):
     """The run's end of the socket. The constructor may raise OSError; `close` removes the socket."""
 
     def __init__(self, rig: str) -> None:
@@ -117,12 +118,6 @@ class ControlSocket:
             self._socket.close()
             raise
         self._clients: list[_Client] = []  # the oldest first
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def poll(self, answer: Callable[[Message], Message]) -> None:
         """Answer the requests that have come; return at once."""

@@ -25,7 +25,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,7 @@ from firmware_protocol.bounds import whole_number
 from firmware_protocol.device.items import Reading, ReadingKind
 from firmware_protocol.events import Events, Kept, empty_edges, join_events
 from firmware_protocol.recordings.part import Frame, ImuRecords
+from transports import Closing
 from transports.file import FileLink
 from transports.link.deliveries import DeliveredParts
 from transports.link.pacing import MonotonicClock
@@ -162,7 +163,7 @@ class _Program:
             self.changed.notify_all()
 
 
-class Simulation:
+class Simulation(Closing):
     """A rig in step with this program. A context manager; `close` ends the run as well.
 
     The camera, and each body with a name that the rig moves or that `bodies` contains, follows the rig's path until
@@ -333,12 +334,6 @@ class Simulation:
         self._stop()
         if self._error is not None and not was_ended:
             raise self._error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def _shared(self) -> list[object]:

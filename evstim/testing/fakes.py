@@ -29,7 +29,6 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Self
 
 import can
 import numpy as np
@@ -39,6 +38,7 @@ from firmware_protocol.events import Events
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
+from transports import Closing
 from transports.can_bus.bus import CanBus, TimedFrame, from_message, to_message
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
@@ -176,7 +176,7 @@ class FakeCanBus:
             self._ring.close()
 
 
-class FakeSerialPort:
+class FakeSerialPort(Closing):
     """The computer's side of the line.
 
     Parameters
@@ -207,12 +207,6 @@ class FakeSerialPort:
         self._commands = self._profile.command_unwrapper()
         self._line = bytearray()
         self._t_us = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def show(self, events: Events, until_us: int | None = None) -> None:
         """Give the camera events (n,) EVENT of stream time, sorted, and let time go on to `until_us` (their last)."""

@@ -32,6 +32,7 @@ from firmware_protocol.usb.usbip import (
     UrbStatus,
     UsbipError,
 )
+from transports import Closing
 from transports.usb.host import (
     DeviceAbsent,
     DeviceBusy,
@@ -108,7 +109,7 @@ class Wire:
 _FLAG_IN = 0x200
 
 
-class UsbipHost:
+class UsbipHost(Closing):
     """Device attached over USB/IP.
 
     Raises DeviceAbsent or DeviceBusy if the server has no such device or another host holds it; PeerGone, PeerBroken
@@ -185,12 +186,6 @@ class UsbipHost:
             with contextlib.suppress(UsbHostError):
                 stream.close()
         self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     # Methods for streams.
 
