@@ -37,7 +37,7 @@ from msgspec import Meta
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.photometry.reflectance import LUMENS_A_WATT
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded
 from firmware_protocol.events import Floats
 
 _WAVELENGTH_M = 555e-9
@@ -71,7 +71,7 @@ _Coefficient = Annotated[float, Meta(ge=-10, le=10)]
 
 
 @dataclass(frozen=True)
-class LensParameters:
+class LensParameters(Bounded):
     """The lens of a camera, for scenes in units of radiance.
 
     Attributes
@@ -110,9 +110,6 @@ class LensParameters:
     halo: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
     halo_px: Annotated[float, Meta(ge=0.5, le=10_000)] = 2.0
     halo_power: Annotated[float, Meta(ge=0.1, le=10)] = 1.5
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def chip_share(self) -> float:

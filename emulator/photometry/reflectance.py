@@ -54,7 +54,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from firmware_protocol.bounds import Share, check_bounds
+from firmware_protocol.bounds import Bounded, Share, check_bounds
 from firmware_protocol.events import Floats
 
 _TINY = 1e-12
@@ -71,11 +71,8 @@ def _seeliger(mu0: Floats, mu: Floats) -> Floats:
     return np.asarray(mu0 / np.maximum(mu0 + np.abs(mu), _TINY))
 
 
-class _Law:
+class _Law(Bounded):
     """Bounds and GLSL text of a law."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def glsl(self) -> str:
         """Return the law as GLSL: unlit points are black, and the cosine of emission counts by its magnitude."""
