@@ -28,11 +28,11 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.reception import InstrumentReception
+from transports.reception import InstrumentReception, Reception
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
-from transports.usb.cameras import CameraReception, receive
+from transports.usb.cameras import receive
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory
@@ -58,12 +58,12 @@ class _Receiver:
         if not self._mine.poll(30.0) or self._mine.recv() != "started":
             raise BenchFailed("the receiver did not start")
 
-    def finish(self, total: int) -> CameraReception:
+    def finish(self, total: int) -> Reception:
         """Return the reception, once it has `total` events."""
         self._total.value = total
         if not self._mine.poll(60.0):
             raise BenchFailed("the receiver did not get all events within a minute")
-        reception: CameraReception = self._mine.recv()
+        reception: Reception = self._mine.recv()
         self._process.join(10.0)
         return reception
 
@@ -73,7 +73,7 @@ def _receive(address: str, control: Connection, total: Any) -> None:
     camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=10.0))
     started = False
 
-    def goes_on(now: CameraReception) -> bool:
+    def goes_on(now: Reception) -> bool:
         nonlocal started
         if not started:
             control.send("started")
@@ -112,7 +112,7 @@ def usbip_events() -> float:
     return pushed / seconds * 1e-6
 
 
-def _check(pushed: int, reception: CameraReception, report: LinkReport) -> None:
+def _check(pushed: int, reception: Reception, report: LinkReport) -> None:
     if report.delivered != pushed or report.dropped or report.dropped_in_device:
         raise BenchFailed(f"{pushed} events pushed, {report}")
     if (reception.events, reception.digest, reception.faults) != (pushed, report.digest, 0):

@@ -31,7 +31,8 @@ from laboratory.bench.streams import BenchFailed
 from laboratory.realtime.variants import Variant
 from transports.link.pacing import MonotonicClock
 from transports.output_file import TemporaryFolder
-from transports.usb.cameras import CameraReception, driver_of, receive
+from transports.reception import Reception
+from transports.usb.cameras import driver_of, receive
 from transports.usb.host import CameraHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
@@ -208,7 +209,7 @@ def _attached(port: int, deadline_s: float) -> CameraHost[Any]:
 def _read_camera(camera: CameraHost[Any]) -> Received:
     first_s: float | None = None
 
-    def goes_on(now: CameraReception) -> bool:
+    def goes_on(now: Reception) -> bool:
         nonlocal first_s
         if first_s is None and now.events:
             first_s = time.monotonic()
