@@ -80,10 +80,6 @@ class Pinhole:
         """From the boresight to a corner."""
         return math.atan(math.hypot(self.width, self.height) / 2 / self.focal_px)
 
-    def widened(self, margin_px: int) -> Pinhole:
-        """Return the camera with a margin on every side, for effects that need light beyond the frame's edge."""
-        return Pinhole(self.width + 2 * margin_px, self.height + 2 * margin_px, self.focal_px)
-
 
 Given = Literal["poses", "depth", "flow", "labels"]
 

@@ -121,11 +121,6 @@ class LensParameters(Bounded):
         """Light relative to the sensor's reference, a unit of radiance, on the axis."""
         return self.chip_share * LUMENS_A_WATT / self.reference_lux
 
-    @property
-    def distorts(self) -> bool:
-        """True if straight lines are bent."""
-        return any((self.k1, self.k2, self.k3, self.p1, self.p2))
-
     def chip_lux(self, light: float) -> float:
         """Return the illuminance of the chip at a relative light."""
         return light * self.reference_lux

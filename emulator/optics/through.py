@@ -209,7 +209,8 @@ class Through(OtherLight):
         inner = camera
         if places is not None:  # a bent image needs light from beyond the edges of a straight one
             beyond_px = np.abs(places).max(axis=(1, 2)) - np.array([camera.width, camera.height]) / 2
-            inner = camera.widened(math.ceil(max(0, *beyond_px)) + 1)
+            margin_px = math.ceil(max(0, *beyond_px)) + 1
+            inner = Pinhole(camera.width + 2 * margin_px, camera.height + 2 * margin_px, camera.focal_px)
         super().__init__(build(inner))
         middle = inner.width / 2, inner.height / 2
         self._bent = None if places is None else Bilinear(places[0] + middle[0], places[1] + middle[1], inner.size)
@@ -277,7 +278,7 @@ class Through(OtherLight):
 
 def _places(lens: LensParameters, camera: Pinhole) -> Floats | None:
     """Return columns and rows of pixels in a frame without distortion, from its middle; None without distortion."""
-    if not lens.distorts:
+    if not any((lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)):
         return None
     try:
         return np.array(straight_columns_and_rows(Distortion.of(lens), camera))

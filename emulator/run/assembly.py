@@ -62,9 +62,8 @@ from transports.registry import imported
 if TYPE_CHECKING:
     from emulator.plan.plan import LineLoad, Plan
     from emulator.run.truth.source import RunTruth
-    from emulator.sensor.imu import Carried, Gravity, ImuSource
+    from emulator.sensor.imu import Carried, Gravity
     from emulator.sensor.parameters import ImuParameters
-    from firmware_protocol.imu_samples import ImuSettings
 
 
 def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
@@ -141,11 +140,6 @@ def initial_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
     return {kind: () if has_host else settings for kind, settings in _driver_settings(rig).items()}
 
 
-def plain_camera(rig: Rig) -> Callable[[], PlainDevice]:
-    """Return the factory of the device of a link that takes frames and samples, for its process."""
-    return partial(PlainDevice, readings=initial_readings(rig), pulse_us=_pulse_us(rig))
-
-
 def _pulse_us(rig: Rig) -> int:
     return Trigger.pulse_us if rig.trigger is None else rig.trigger.pulse_us
 
@@ -159,14 +153,8 @@ def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
         )
         settings[ReadingKind.FRAMES] = dataclasses.astuple(frames)
     if rig.camera.imu is not None:
-        settings[ReadingKind.IMU] = dataclasses.astuple(host_imu_settings(rig.camera.imu.unit))
-    return settings
-
-
-def host_imu_settings(unit: str) -> ImuSettings:
-    """Return the settings that the drivers of an inertial unit's cameras write by default."""
-    number = IMU_UNITS[unit]
-    settings: ImuSettings = imported(IMU_DRIVERS[number])(number)
+        unit = IMU_UNITS[rig.camera.imu.unit]
+        settings[ReadingKind.IMU] = dataclasses.astuple(imported(IMU_DRIVERS[unit])(unit))
     return settings
 
 
@@ -266,15 +254,10 @@ def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -
     """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
     sources = _frame_sources(rig, sensor)
     if rig.camera.imu is not None:
-        sources.append(imu_source(rig, rig.camera.imu, scene))
+        from emulator.sensor.imu import ImuSource, ImuUnit
+
+        sources.append(ImuSource(ImuUnit(rig.camera.imu, carried(rig, rig.camera.imu, scene), rig.run.seed)))
     return sources
-
-
-def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
-    """Return the source of inertial samples on the path of the scene's camera."""
-    from emulator.sensor.imu import ImuSource, ImuUnit
-
-    return ImuSource(ImuUnit(imu, carried(rig, imu, scene), rig.run.seed))
 
 
 def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
@@ -462,7 +445,8 @@ def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
 
 def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any], is_master: bool) -> Callable[[], Any]:
     if kind.serves == "plain":
-        return plain_camera(rig) if kind.has_readings else partial(PlainDevice, pulse_us=_pulse_us(rig))
+        readings = initial_readings(rig) if kind.has_readings else {}
+        return partial(PlainDevice, readings=readings, pulse_us=_pulse_us(rig))
     if kind.serves == "gige":
         return _gige_camera(rig, link)
     return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind, is_master)

@@ -122,13 +122,10 @@ class RowKicks:
                 pixel, read = lines.pixels(*self._size)
                 pixel, first = np.unique(pixel, return_index=True)
                 read = read[first]
-                added = self._added[kind][pixel] * self._strength(lines.frame, kind)[read]
+                spread = normal(self._seed, Purpose.APS_KICK, lines.frame, _OF_FRAMES + kind)
+                added = self._added[kind][pixel] * (1 + self._frame_spread * spread)[read]
                 groups.append(_Before(pixel, lines.t_ns[read], added, self._levels.of(pixel)))
         return groups
-
-    def _strength(self, frame: Int64s, kind: int) -> Floats:
-        """Return the kicks of frames relative to their mean."""
-        return np.asarray(1 + self._frame_spread * normal(self._seed, Purpose.APS_KICK, frame, _OF_FRAMES + kind))
 
     def end(self, groups: list[_Before], crossings: Crossings, t0_ns: int, t1_ns: int) -> Crossings:
         """Return a step's crossings with the effect of the reads; some events may come in a later step."""

@@ -91,11 +91,6 @@ _LEAPS = [
 """Days that begin just after a leap second."""
 
 
-def scale_of(time_system: str) -> str:
-    """Return the scale of a TIME_SYSTEM here: TAI where it can be converted to that, else its name."""
-    return "TAI" if time_system == "UTC" or time_system in _BEHIND_TAI_NS else time_system
-
-
 def epoch_ns(text: str, time_system: str = "UTC") -> int:
     """Return an epoch on the scale of its time system, ns since 2000-01-01T00:00:00 of that; raises ValueError."""
     match = _EPOCH.match(text)
@@ -357,7 +352,9 @@ def _parse(
     frame = meta.get("REF_FRAME") or meta.get("REF_FRAME_A" if a_is_world else "REF_FRAME_B", "")
     methods = sorted({s.meta["INTERPOLATION_METHOD"] for s in segments if "INTERPOLATION_METHOD" in s.meta})
     notes = tuple(f"INTERPOLATION_METHOD {m}: attitudes lie on a spline of rotations instead" for m in methods)
-    return CcsdsPath(Segmented(built), scale_of(segments[0].time_system), axes_of(frame), notes)
+    scale = segments[0].time_system
+    scale = "TAI" if scale == "UTC" or scale in _BEHIND_TAI_NS else scale
+    return CcsdsPath(Segmented(built), scale, axes_of(frame), notes)
 
 
 def _segments(text: str, read: Callable[[dict[str, str], list[str]], Floats]) -> Iterator[_Samples]:

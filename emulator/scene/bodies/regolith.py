@@ -109,11 +109,6 @@ def number_above(law: Law, diameter_m: float) -> float:
     return float(law.number * diameter_m**-law.power)
 
 
-def faded(diameters_m: Floats, smallest_m: float) -> Floats:
-    """Return the share of their height, 0 to 1, that features have when `smallest_m` is the smallest there is."""
-    return smooth_step((diameters_m / smallest_m - 1) / (FADED - 1))
-
-
 def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: float) -> Features:
     """Return the features of a body between two sizes."""
     first, last = math.floor(math.log2(smallest_m)), math.ceil(math.log2(max(largest_m, smallest_m)))
@@ -121,7 +116,8 @@ def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: floa
     places, normals, sizes, lots = (np.concatenate(parts) for parts in zip(*octaves, strict=True))
     chosen = np.flatnonzero((sizes > smallest_m) & (sizes <= largest_m))
     chosen = chosen[np.argsort(-sizes[chosen], kind="stable")]
-    return Features(places[chosen], normals[chosen], sizes[chosen], faded(sizes[chosen], smallest_m), lots[chosen])
+    heights = smooth_step((sizes[chosen] / smallest_m - 1) / (FADED - 1))  # shares of their own
+    return Features(places[chosen], normals[chosen], sizes[chosen], heights, lots[chosen])
 
 
 def _octave(mesh: Mesh, law: Law, seed: int, k: int) -> tuple[Floats, Floats, Floats, Floats]:
