@@ -24,6 +24,7 @@ import can
 
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.kind import CanLink
+from transports.link.pacing import wall_less_monotonic_ns
 
 
 class BusDown(OSError):
@@ -323,17 +324,6 @@ class PythonCanBus(CanBus):
         cure = _CURES.get(code, "").format(p=p, channel=self._channel, kind=kind) or _cure_by_text(p, str(error))
         message = str(error).partition("Traceback")[0].rstrip()  # python-can's socketcand appends a traceback
         return f"CAN bus {self.address}: {message}; {cure}"
-
-
-def wall_less_monotonic_ns() -> int:
-    """Return the difference of the two clocks by the fastest of three readings: a process may be stopped within one."""
-    readings = []
-    for _ in range(3):
-        before_ns = time.monotonic_ns()
-        wall_ns = time.time_ns()
-        after_ns = time.monotonic_ns()
-        readings.append((after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2))
-    return min(readings)[1]
 
 
 def _has_ended(connection: socket.socket) -> bool:
