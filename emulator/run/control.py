@@ -42,6 +42,7 @@ from emulator.run.outcome import RunStatus
 from emulator.tables.typed_table import TableError
 from firmware_protocol.events import EdgeKind
 from transports import Closing
+from transports.link.loop import EndFault, Happen, InjectFault
 
 if TYPE_CHECKING:
     from emulator.run.session import Session
@@ -282,7 +283,7 @@ class FaultInjection:
             at = ".".join(str(part) for part in error.path)
             return {"error": f"{at}: {error}" if at else str(error)}
         report = status.links.get(fault.link)
-        self._session.inject(fault, self._by)
+        self._session.order(fault.link, InjectFault(fault, self._by))
         return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
 
     def _end(self, link: str, number: int, status: RunStatus) -> Message:
@@ -293,7 +294,7 @@ class FaultInjection:
             return {"error": f"there is no fault {number} on link {link!r}"}
         if record.ended_us is not None:
             return {"error": f"{record.kind} on {link} is over since {record.ended_us / 1e6:.3f} s"}
-        self._session.end_fault(link, number, self._by)
+        self._session.order(link, EndFault(number, self._by))
         return {"link": link, "kind": record.kind}
 
     def _trigger(self, kind: str, link: object) -> Message:
@@ -304,7 +305,7 @@ class FaultInjection:
         if not names:
             return {"error": f"link {link!r}: there is {', '.join(present)}"}
         for name in names:
-            self._session.happen(name, _EDGES[kind], self._by)
+            self._session.order(name, Happen(_EDGES[kind], self._by))
         return {"links": names}
 
 

@@ -203,7 +203,7 @@ class Faulty(Generic[S]):
     withholds : True while a fault withholds data from the host, and the camera's buffer is not emptied.
     """
 
-    carrier: ClassVar[str]
+    carrier: ClassVar[str] = "this kind of link"
     withholds: bool = False
 
     def __init__(self, plan: FaultPlan, of_carrier: Any = None) -> None:

@@ -24,7 +24,6 @@ from firmware_protocol.device.event_device import EventDevice, HostAdjusted, Sta
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.recordings.part import Facts
 from transports.faults.kinds import Fault
-from transports.faults.script import FaultRecord
 from transports.link.deliveries import Deliveries, DeliveryTally, RecorderFactory
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.feed import ClockReport, Feed, Timing
@@ -131,14 +130,16 @@ class Link:
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
-        self._tally.delivered = self._device.delivered - sum(fault.events_lost for fault in self._faults)
+        self._tally.delivered = self._device.delivered - sum(
+            fault.events_lost for fault in self.endpoint.faulty.records
+        )
         if self._deliveries.recording is not None and not self._device.waiting_items:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
     def _feed_due(self, origin_ns: int, now_us: int) -> int:
         """Feed the due data; return the number of events."""
         if origin_ns == FREE_RUNNING:
-            bounded = self._device.streaming and not self._withholds
+            bounded = self._device.streaming and not self.endpoint.faulty.withholds
             room = self._device.room_events if bounded else _TAKE_LIMIT
             return self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
         due_us = (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us
@@ -167,7 +168,7 @@ class Link:
     @property
     def next_ns(self) -> int:
         """Time at which the next tick is due if neither a request nor a publication comes before."""
-        if self._watch.is_behind or self._next_fault_us <= self._feed.reached_us:
+        if self._watch.is_behind or self.endpoint.faulty.next_us <= self._feed.reached_us:
             return self.soonest_ns
         if not self.is_paced and self._lags:
             waited_for = self._watch.acts and self._ring.now_us > self._seen_us
@@ -206,27 +207,10 @@ class Link:
         origin_ns = self._ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return self.ticked_ns + REST_NS
-        due_us = min(self._next_fault_us, self._feed.restart_us)
+        due_us = min(self.endpoint.faulty.next_us, self._feed.restart_us)
         if not self.is_at_rest:
             due_us = min(due_us, self._feed.due_us + _GATHER_US)
         return origin_ns + (due_us + self._holdback_us) * 1000
-
-    @property
-    def _faults(self) -> tuple[FaultRecord, ...]:
-        faulty = self.endpoint.faulty
-        return () if faulty is None else faulty.records
-
-    @property
-    def _next_fault_us(self) -> int:
-        """Stream time at which a fault of the rig begins; the past while one is active."""
-        faulty = self.endpoint.faulty
-        return FOREVER_US if faulty is None else faulty.next_us
-
-    @property
-    def _withholds(self) -> bool:
-        """True while a fault withholds data from the host: stream time must not wait for the host then."""
-        faulty = self.endpoint.faulty
-        return faulty is not None and faulty.withholds
 
     @property
     def changes(self) -> deque[CameraSettings | Occurrence]:
@@ -240,15 +224,13 @@ class Link:
     def inject(self, fault: Fault, by: str = "") -> None:
         """Begin a fault, on behalf of `by`."""
         faulty = self.endpoint.faulty
-        if faulty is None:
-            raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
         faulty.inject(fault)
         self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}", faulty.records[-1].number))
 
     def end_fault(self, number: int, by: str = "") -> None:
         """End a fault on behalf of `by`; one that is over already is left as it is."""
         faulty = self.endpoint.faulty
-        if faulty is not None and faulty.end(number):
+        if faulty.end(number):
             kind = next(record.kind for record in faulty.records if record.number == number)
             self._watch.add(Occurrence(self._feed.reached_us, by, f"end of fault {kind}", number))
 
@@ -265,7 +247,7 @@ class Link:
         """
         if self._watch.pending is not None:
             return self._feed.reached_us
-        if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
+        if self.endpoint.faulty.withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
         if not isinstance(self._device, StartsSilent) or self._device.silent_until_us <= self._device.now_us:
@@ -287,7 +269,7 @@ class Link:
         """Return the report of the link; the final report counts the data left in the ring as dropped."""
         counters = self._device.counters
         left = self._ring.waiting if final else 0
-        faults = self._faults
+        faults = self.endpoint.faulty.records
         endpoint = self.endpoint.report()
         adjusted = self._device if isinstance(self._device, HostAdjusted) else None
         destroyed = sum(fault.events_lost for fault in faults)
