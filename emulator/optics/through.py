@@ -203,7 +203,6 @@ class Through(OtherLight):
         build: Callable[[Pinhole], Scene],
         threads: int = 0,
     ) -> None:
-        self._size = size
         camera = lens.pinhole(size)
         places = _places(lens, camera)
         inner = camera
@@ -212,6 +211,7 @@ class Through(OtherLight):
             margin_px = math.ceil(max(0, *beyond_px)) + 1
             inner = Pinhole(camera.width + 2 * margin_px, camera.height + 2 * margin_px, camera.focal_px)
         super().__init__(build(inner))
+        self.size = size
         middle = inner.width / 2, inner.height / 2
         self._bent = None if places is None else Bilinear(places[0] + middle[0], places[1] + middle[1], inner.size)
         self._rays = None if places is None else bent_rays(Distortion.of(lens), places[0], places[1], inner)
@@ -226,11 +226,6 @@ class Through(OtherLight):
         self._workers = None if self._taps is None else BlurWorkers(self._taps, blurs_last, threads)
         self._blurred = [np.zeros(shape, np.float32) for _ in range(2)] if self._bent is not None else []
         self._arrays = LastArrays()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
 
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene, along the rays that the lens bends."""
@@ -255,10 +250,10 @@ class Through(OtherLight):
     def _pass(self, outs: tuple[Light, ...]) -> None:
         """Apply the lens to the light of the scene, where it may differ from the contents of `outs`."""
         changed = self.scene.changed if self._arrays.are(*outs) and self._bent is None else None
-        self.changed = None if changed is None else changed.grown(self._reach_px, self._size)
+        self.changed = None if changed is None else changed.grown(self._reach_px, self.size)
         if self.changed is not None and self.changed.empty:
             return
-        part = (self.changed or Region(0, self._size[1], 0, self._size[0])).bounds
+        part = (self.changed or Region(0, self.size[1], 0, self.size[0])).bounds
         pictures: Sequence[Light] = self._inner[: len(outs)]
         if self._bent is None and self._workers is not None:
             self._workers(pictures, part, outs)

@@ -357,12 +357,7 @@ class SampledBoard(Scene):
     def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int], samples: int = 1024) -> None:
         if parameters.rotation_deg:
             raise SceneError("the sampled board lies along the rows of pixels: scene.rotation_deg must be 0")
-        self._p, self._size, self._samples = parameters, size, samples
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
+        self._p, self.size, self._samples = parameters, size, samples
 
     @property
     def motion_bound_px_s(self) -> float:
@@ -372,8 +367,8 @@ class SampledBoard(Scene):
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`, (height, width) float32."""
         direction, moved_px = math.radians(self._p.direction_deg), self._p.speed_px_s * t_ns * 1e-9
-        right = self._wave(self._size[0], moved_px * math.cos(direction))
-        down = self._wave(self._size[1], moved_px * math.sin(direction))
+        right = self._wave(self.size[0], moved_px * math.cos(direction))
+        down = self._wave(self.size[1], moved_px * math.sin(direction))
         middle, half = (self._p.bright + self._p.dark) / 2, (self._p.bright - self._p.dark) / 2
         out[:] = middle + half * np.outer(down, right)
 

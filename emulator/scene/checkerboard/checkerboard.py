@@ -122,7 +122,7 @@ class Checkerboard(SizedScene):
             return
         board = self._board(t_ns)
         if self._sin == 0.0:
-            (width, height), half = self._size, self._half
+            (width, height), half = self.size, self._half
             wave_x, slope_x = _box_waves(width, board.cos, board.u)
             wave_y, slope_y = _box_waves(height, board.cos, board.v)
             by_slope = wave_y * (half * np.float32(-float(self._u.rate_hz)))
@@ -143,7 +143,7 @@ class Checkerboard(SizedScene):
 
     def _light_of(self, t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
         light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
-        _listed(pixels, self._size, self._board(t_ns), light, rate)
+        _listed(pixels, self.size, self._board(t_ns), light, rate)
         return light, rate
 
 

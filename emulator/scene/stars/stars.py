@@ -141,7 +141,7 @@ class StarField(SizedScene):
         camera = self.camera_path.pose(self.path_time.scene_ns(t_ns))
         in_view = self._near(camera)
         seen = self._seen(self._directions[in_view], camera)
-        return np.array(self._size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[in_view]
+        return np.array(self.size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[in_view]
 
     def close(self) -> None:
         """Close the sockets of live poses."""
@@ -157,10 +157,10 @@ class StarField(SizedScene):
             rate.fill(0)
         clear(self._boxes, sky, light, rate)  # always, so that the kernel is loaded before the run begins
         before, self._boxes = self._boxes, np.empty((len(points), 4), np.int64)
-        boxes_of(points, self._sigma_px, self._size, self._boxes)
+        boxes_of(points, self._sigma_px, self.size, self._boxes)
         splat(points, self._sigma_px, self._boxes, light, rate)
         boxes = np.concatenate([before, self._boxes])
-        self.changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
+        self.changed = Region(0, self.size[1], 0, self.size[0], boxes) if hold_last else None
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the light frame, (n, 5).
@@ -174,7 +174,7 @@ class StarField(SizedScene):
         moving_after, _ = self._moving(after_ns, after)
         behind = self._seen(np.vstack([self._directions[stars], moving_before]), before)
         ahead = self._seen(np.vstack([self._directions[stars], moving_after]), after)
-        focal, middle = self._pinhole.focal_px, np.array(self._size) / 2
+        focal, middle = self._pinhole.focal_px, np.array(self.size) / 2
         place = middle + focal / 2 * (ahead[:, :2] + behind[:, :2])
         light = np.concatenate([self._irradiance[stars], shine]) * focal**2 * self._lens.light_per_radiance
         speed = focal / (2e-9 * _APART_NS) * (ahead[:, :2] - behind[:, :2])

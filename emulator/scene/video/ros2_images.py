@@ -231,7 +231,7 @@ class Ros2Images(JoinedFrames):
         is_float = levels.dtype.kind == "f"
         light = linear_light(levels, Frames(levels).full_scale, is_linear=is_float or self._p.levels == "linear")
         arrival_ns = self._scene_clock.scene_ns(message.written_ns)  # never after now
-        self._images.add(self._log_light(resampled(light, self._size)), image.header.stamp_ns, arrival_ns)
+        self._images.add(self._log_light(resampled(light, self.size)), image.header.stamp_ns, arrival_ns)
 
     def _log_light(self, light: Float32s | np.float32) -> Float32s:
         return np.asarray(np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white)), np.float32)

@@ -424,7 +424,7 @@ class Video(JoinedFrames):
             while len(self._kept) >= 3:
                 del self._kept[next(iter(self._kept))]
             light = linear_light(self._frames.levels[k], self._frames.full_scale, is_linear=self._is_linear)
-            light = resampled(light, self._size)
+            light = resampled(light, self.size)
             self._kept[k] = np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white))
         return self._kept[k]
 
