@@ -263,13 +263,8 @@ class Sensor:
 
     @property
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited, or that were still busy: `lost_busy`."""
+        """Crossings of pixels whose request still waited, or that were still busy after the acknowledge."""
         return self._readout.lost_at_readout
-
-    @property
-    def lost_busy(self) -> int:
-        """Of these, crossings in the refractory period after the acknowledge, with `reset.at_acknowledge`."""
-        return self._readout.lost_busy
 
     @property
     def read_out(self) -> int:
@@ -292,11 +287,6 @@ class Sensor:
         This is the measure of whether frames are close enough together.
         """
         return self.pixels.undersampled_share
-
-    @property
-    def quiet_nan(self) -> int:
-        """Pixel-steps whose light was NaN or infinite."""
-        return self.pixels.quiet_nan
 
     def warm_up(self) -> None:
         """Compile the kernels, or load them from disk, by flashing a light at a few pixels like these."""

@@ -70,6 +70,8 @@ _RING_EVENTS = 1 << 16
 class _Wire(CanBus):
     """The camera's side: frames that it sends, with the time at which they left, and frames of the computer."""
 
+    address = "memory"
+
     def __init__(self, clock: FakeClock) -> None:
         self._clock = clock
         self.from_camera: deque[tuple[int, Frame]] = deque()
@@ -94,11 +96,6 @@ class _Wire(CanBus):
         heard = list(self.to_camera)
         self.to_camera.clear()
         return heard
-
-    @property
-    def address(self) -> str:
-        """Return the place of the bus."""
-        return "memory"
 
 
 class FakeCanBus:

@@ -153,6 +153,8 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         True if a receiver notices when data leave: they then leave at their own time, not some milliseconds later.
     """
 
+    settings_version = 0  # its settings never change
+
     def __init__(
         self,
         capacity: int = _CAPACITY,
@@ -191,11 +193,6 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
     @property
     def _waiting(self) -> Numbers:
         return self._queue.waiting
-
-    @property
-    def settings_version(self) -> int:
-        """A constant: its settings never change."""
-        return 0
 
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT, as many as fit; raises ValueError if they go back in time."""

@@ -415,8 +415,8 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
     def _input_settings(self) -> InputSettings:
         """Settings of the external input, read again after a change."""
         report_from_us = self._silent_until_us if self._gate.words else None
-        if self._input_settings_of != (self._settings_version, report_from_us):
-            self._input_settings_of = self._settings_version, report_from_us
+        if self._input_settings_of != (self.settings_version, report_from_us):
+            self._input_settings_of = self.settings_version, report_from_us
             self._input_now = InputSettings.of(self._registers, report_from_us)
         return self._input_now
 
@@ -514,7 +514,7 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
             self._turn(before, self._gate)
 
     def _follow_registers(self) -> None:
-        self._settings_version += 1
+        self.settings_version += 1
         self._gate = self._run_gate()
         self._readings.follow(words=self._gate.words)
         self._filters.follow(self._registers, self._now_us)

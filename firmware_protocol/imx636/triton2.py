@@ -197,7 +197,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
 
     def obey(self, order: Order) -> None:
         """Execute an order that the control channel has accepted."""
-        self._settings_version += 1
+        self.settings_version += 1
         match order:
             case Write(address, value):
                 self._memory.write(address, value)

@@ -366,7 +366,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
             case _:
                 self._answer(command)
                 return
-        self._settings_version += 1
+        self.settings_version += 1
         self._executed.append(repr(command))
 
     def _answer(self, request: Telecommand) -> None:

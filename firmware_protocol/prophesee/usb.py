@@ -301,7 +301,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
 
     def write_register(self, address: int, value: int) -> None:
         """Execute a host's write to the sensor; raises LookupError if there is no register."""
-        self._settings_version += 1
+        self.settings_version += 1
         had_time = self._registers.time_runs
         self._registers.write(address, value)
         self._selection.written(address)
@@ -320,7 +320,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
             self._silence_end_us = self._now_us + self.settings.start_delay_us
 
     def _power_on(self) -> None:
-        self._settings_version += 1
+        self.settings_version += 1
         self._standard.power_on()
         self._registers.power_on()
         self._selection.reset()
