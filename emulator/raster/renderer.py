@@ -13,7 +13,7 @@ from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
 from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
 from emulator.threads import ThreadPool
-from firmware_protocol.events import Float32s, Floats, Int32s
+from firmware_protocol.events import Float32s, Int32s
 
 _FIRST_PAIRS = 1 << 14
 _RUNS_A_THREAD = 4  # of bands: with 6 a light frame took 3 % more processor time
@@ -65,11 +65,6 @@ class Renderer:
         self._make_room(topology)
         self._scratches = [_new_scratch(screen, len(topology.faces)) for _ in range(threads)]
         self._pool = ThreadPool(threads)
-
-    @property
-    def facets(self) -> Floats:
-        """Facets of the last light frame, (m, 16), see `layout`."""
-        return self._facets
 
     def draw(
         self, view: View, light: Float32s, rate: Float32s, before: Region | None = None, owners: Owners = _NO_OWNERS
@@ -131,7 +126,7 @@ class Renderer:
     def data(self) -> Data:
         """All that was drawn last."""
         t = self._drawn
-        return Data(self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds, t.over)
+        return Data(self._vertices, t.faces, t.across, t.smooth, self.facets, self._kinds, t.over)
 
     @property
     def _lists(self) -> Lists:
@@ -139,7 +134,7 @@ class Renderer:
 
     def _make_room(self, topology: Topology) -> None:
         self._vertices = np.zeros((topology.vertices, VERTEX_FIELDS))
-        self._facets = np.zeros((len(topology.faces), FACET_FIELDS))
+        self.facets = np.zeros((len(topology.faces), FACET_FIELDS))
         self._kinds = np.zeros(len(topology.faces), np.uint8)
         self._spans = np.zeros((len(topology.faces), 2), np.int32)
 
@@ -166,7 +161,7 @@ class Renderer:
             self._project(t, view)
         entries = set_up(
             self._vertices, t.faces, t.shades, t.two_sided, t.over, view.radiance, view.radiance_rate,
-            (screen.height, screen.width), self._facets, self._kinds, self._spans, self._touched
+            (screen.height, screen.width), self.facets, self._kinds, self._spans, self._touched
         )  # fmt: skip
         if entries > len(self._listed):
             self._listed = np.zeros(2 * entries, np.int32)

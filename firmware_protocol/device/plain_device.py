@@ -154,6 +154,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
     """
 
     settings_version = 0  # its settings never change
+    streaming = True
 
     def __init__(
         self,
@@ -166,19 +167,13 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         self._settings = dict(readings)
         self.takes_edges = True
         self.is_watched = True
-        self._running = True
         self._queue = ItemQueue()
         self._fates = Fates(readings={str(kind): Counts() for kind in readings})
 
     @property
-    def streaming(self) -> bool:
-        """True unless its link has reported that no receiver is present."""
-        return self._running
-
-    @property
     def at_rest(self) -> bool:
         """True while no receiver notices when data leave."""
-        return not (self._running and self.is_watched)
+        return not (self.streaming and self.is_watched)
 
     @property
     def room_events(self) -> int:
@@ -207,7 +202,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         """Queue edges (n,) EDGE, as many as fit: both changes of a pulse."""
         counts = self._fates.edges
         counts.offered += len(edges)
-        if self._running and self.takes_edges:
+        if self.streaming and self.takes_edges:
             changes = level_changes(edges, self._pulse_us)
             fitting = changes[: max(0, self._capacity - self._waiting.edges - counts.queued)]
             counts.added += len(changes) - len(edges)
@@ -238,7 +233,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
     def _fitting(self, counts: Counts, offered: int, room: int) -> int:
         """Count items that were offered; return the number of those that are queued."""
         counts.offered += offered
-        if not self._running:
+        if not self.streaming:
             counts.not_running += offered
             return 0
         fitting = min(offered, room)
@@ -261,7 +256,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
 
     def run(self, running: bool) -> None:
         """Set the presence of a receiver; the content that waits when the last one leaves is flushed."""
-        self._running = running
+        self.streaming = running
         if not running:
             self._flush(self._queue)
 

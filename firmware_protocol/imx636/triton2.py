@@ -215,7 +215,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
     @property
     def time(self) -> DeviceTime:
         """The device's clock."""
-        return DeviceTime(self._starts, 1000 * (self._now_us - self._epoch_us))
+        return DeviceTime(self._starts, 1000 * (self._now_us - self.epoch_us))
 
     @property
     def streaming(self) -> bool:
@@ -324,7 +324,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         if self.message_destination is not None and notification:
             for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
                 data = kind.to_bytes(4, "big") if notification == NOTIFY_WITH_DATA else b""
-                self.messages.queue(EDGE_EVENT, self._outflow.stamp_ns(max(time_us, self._epoch_us)), data)
+                self.messages.queue(EDGE_EVENT, self._outflow.stamp_ns(max(time_us, self.epoch_us)), data)
 
     @property
     def _running(self) -> bool:
@@ -335,16 +335,16 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         return self.biases
 
     def _select(self, events: Events) -> Selected:
-        return self._selection.apply(events, self._epoch_us)
+        return self._selection.apply(events, self.epoch_us)
 
     def _on_start(self, value: int) -> int:
         if value and not self._acquiring:
             self._acquiring = True
             self._starts += 1
-            self._epoch_us = self._now_us
+            self.epoch_us = self._now_us
             self._silence_end_us = self._now_us + self.settings.start_delay_us
             before = self._outflow
-            self._outflow = BlockOutflow(self._epoch_us, self.settings, before.number)
+            self._outflow = BlockOutflow(self.epoch_us, self.settings, before.number)
             self._outflow.shift_ns = before.shift_ns
         return 0
 

@@ -189,7 +189,7 @@ class MessageReader:
         except BlockError:
             self.counts["bad_blocks"] += 1
             return
-        self.counts["events_dropped" if message.kind is MessageKind.EVENTS else "edges_dropped"] += block.dropped
+        self.counts["events_dropped" if message.kind is MessageKind.EVENTS else "edges_dropped"] += block.header.dropped
         self._inbox.put_events(block.events)
         self._inbox.put_edges(block.edges)
 

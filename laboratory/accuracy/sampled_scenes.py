@@ -357,7 +357,9 @@ class SampledBoard(Scene):
     def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int], samples: int = 1024) -> None:
         if parameters.rotation_deg:
             raise SceneError("the sampled board lies along the rows of pixels: scene.rotation_deg must be 0")
-        self._p, self.size, self._samples = parameters, size, samples
+        self._p = parameters
+        self.size = size
+        self._samples = samples
 
     @property
     def motion_bound_px_s(self) -> float:

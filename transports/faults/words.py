@@ -166,7 +166,8 @@ def _is_wrap(words: Words) -> npt.NDArray[np.bool_]:
 
 class _Ahead(WordStage):
     def room(self, max_bytes: int) -> int:
-        return max(0, max_bytes - 2 * self._fault.wraps)
+        wraps: int = self._fault.wraps
+        return max(0, max_bytes - 2 * wraps)
 
     def change(self, sent: SentWords) -> SentWords:
         timing = np.flatnonzero(sent.words >= _WRAP)  # a wrap anywhere else would also change the current low bits

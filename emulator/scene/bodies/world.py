@@ -81,8 +81,8 @@ class Arrangement:
     @property
     def turn_bound_rad_s(self) -> float:
         """Upper bound of the angular speed of all points of bodies as seen from the camera, at the closest ranges."""
-        return self._camera.turn_bound_rad_s + max(
-            (self._camera.speed_bound_m_s + self._speed_bound_m_s(k))
+        return self._camera.bounds.turn_rad_s + max(
+            (self._camera.bounds.speed_m_s + self._speed_bound_m_s(k))
             / max(float(range_m) - body.radius_m, 0.01 * body.radius_m)
             for k, (range_m, body) in enumerate(zip(self.ranges_m, self._bodies, strict=True))
         )
@@ -100,7 +100,7 @@ class Arrangement:
         speed, arm_m = 0.0, self._bodies[k].radius_m
         for j in self._ancestry(k):
             path = self._bodies[j].path
-            speed += path.speed_bound_m_s + path.turn_bound_rad_s * arm_m
+            speed += path.bounds.speed_m_s + path.bounds.turn_rad_s * arm_m
             arm_m += float(self._offsets_m[j])
         return speed
 

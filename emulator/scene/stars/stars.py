@@ -121,7 +121,7 @@ class StarField(SizedScene):
         if self._paths:
             return math.inf
         stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
-        return self.camera_path.turn_bound_rad_s * self.path_time.factor * self._pinhole.focal_px * stretch
+        return self.camera_path.bounds.turn_rad_s * self.path_time.factor * self._pinhole.focal_px * stretch
 
     @property
     def counts(self) -> Mapping[str, int]:

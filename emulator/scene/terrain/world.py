@@ -242,7 +242,7 @@ class TerrainWorld:
 
     def _moving_px_s(self, scene_ns: int) -> float:
         """Return the speed of the ground in the light frame, from the path's speed, turning and height then."""
-        if not math.isfinite(self.camera.speed_bound_m_s):
+        if not math.isfinite(self.camera.bounds.speed_m_s):
             return math.inf
         speed, turn = measured_bounds(self.camera.pose, [scene_ns, scene_ns + _APART_NS])
         height_m = self.height_m(scene_ns, self.camera.pose(scene_ns))

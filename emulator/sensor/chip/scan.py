@@ -144,14 +144,9 @@ class ScanReadOut(ReadOut):
         self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64), new_busy(parameters)
         self._queue = _Scan(0, 0, 0, 0, 0, 0)
 
-    @property
-    def scan_us(self) -> float:
-        """Time of a scan of all columns without events, us."""
-        return self._scan_us
-
     def set_scan_us(self, scan_us: float) -> None:
         """Set the time of a scan from the next column on, above 0."""
-        self._scan_us = scan_us
+        self.scan_us = scan_us
         self._timing = self._timing._replace(column_ps=max(1, round(scan_us * 1e6 / self._timing.width)))
 
     def _serve(self, arrivals: Arrivals, until_ns: int) -> int:

@@ -85,8 +85,6 @@ def test_constant_acceleration_between_keyframes_is_exact():
 class _Helix(Trajectory):
     """A circle with climb, turning with it: poses alone, so that its motion comes from differences."""
 
-    speed_bound_m_s = turn_bound_rad_s = math.inf
-
     def pose(self, t_ns):
         a = 2.0 * t_ns * 1e-9
         return Pose(np.array([100 * math.cos(a), 100 * math.sin(a), a]), quaternion_of_vector([0, 0, a]))

@@ -27,10 +27,10 @@ def block(name, data, near_us=0):
         "name": name,
         "hex": data.hex(),
         "near_us": near_us,
-        "mode": decoded.mode.name,
-        "tick_us": decoded.tick_us,
-        "size": list(decoded.size),
-        "dropped": decoded.dropped,
+        "mode": decoded.header.mode.name,
+        "tick_us": decoded.header.tick_us,
+        "size": list(decoded.header.size),
+        "dropped": decoded.header.dropped,
     }
     if len(decoded.edges):
         return {**vector, "edges": [list(row) for row in decoded.edges.tolist()]}

@@ -31,16 +31,16 @@ def decoded(data):
     if block is None:
         assert slow is None
         return None
-    if block.mode != Mode.EDGE:
+    if block.header.mode != Mode.EDGE:
         check(block)
-    records = (block.events if block.mode != Mode.EDGE else block.edges).tolist()
+    records = (block.events if block.header.mode != Mode.EDGE else block.edges).tolist()
     assert records == slow
     return records
 
 
 def check(block):
     """What holds for any block that is accepted."""
-    events, (width, height) = block.events, block.size
+    events, (width, height) = block.events, block.header.size
     assert len(events) == block.header.count
     assert (events["x"] < width).all()
     assert (events["y"] < height).all()

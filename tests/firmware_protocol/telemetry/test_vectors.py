@@ -25,7 +25,12 @@ def named(vectors):
 def test_vectors_decode(vector):
     data = bytes.fromhex(vector["hex"])
     block = decode_block(data, vector["near_us"])
-    told = {"mode": block.mode.name, "tick_us": block.tick_us, "size": list(block.size), "dropped": block.dropped}
+    told = {
+        "mode": block.header.mode.name,
+        "tick_us": block.header.tick_us,
+        "size": list(block.header.size),
+        "dropped": block.header.dropped,
+    }
     header, records = slow_decoder.decode(data, vector["near_us"])
     assert told == header == {key: vector[key] for key in told}
     if "edges" in vector:
