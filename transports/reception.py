@@ -16,9 +16,9 @@ import numpy as np
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.receiver.instrument import SerialReceiver
+from firmware_protocol.recordings.part import Part
 from transports.link.deliveries import LatencySummary, digest_of
 from transports.link.pacing import Clock
-from transports.recording.part import Part
 from transports.recording.record import Recorder
 
 

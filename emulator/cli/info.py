@@ -14,8 +14,9 @@ import numpy.typing as npt
 from emulator.cli.checks import AS_IT_IS, Table, recording_of
 from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, Topic, print_result
 from emulator.run.truth.file import truth_in
+from firmware_protocol.recordings.part import Facts, Part
 from transports.recording.files import OpenRecording
-from transports.recording.part import Facts, Part, RecordingError
+from transports.recording.part import RecordingError
 
 
 def _truth_lines(content: Mapping[str, Any]) -> list[str]:

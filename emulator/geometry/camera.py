@@ -66,11 +66,6 @@ class Pinhole:
         return self.width, self.height
 
     @property
-    def field_of_view_deg(self) -> float:
-        """Of the picture's width, edge to edge."""
-        return math.degrees(2 * math.atan(self.width / 2 / self.focal_px))
-
-    @property
     def zoom(self) -> tuple[float, float]:
         """Focal length over half the frame's width and height, for GL's projection."""
         return 2 * self.focal_px / self.width, 2 * self.focal_px / self.height

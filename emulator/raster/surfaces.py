@@ -25,8 +25,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from emulator.geometry.camera import Pinhole, Rays, Seen
-from emulator.raster import Renderer, Screen, View, join, prepare
-from emulator.raster.layout import W, WHighest, WLowest, entry
+from emulator.raster.layout import Screen, View, W, WHighest, WLowest, entry
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import join, prepare
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
 from firmware_protocol.events import Float32s, Floats, Int32s, UInt16s
 

@@ -33,29 +33,6 @@ from firmware_protocol.bounds import Bounded, unshared
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
 from transports.registry import unknown
-from transports.usb.kind import LoopbackLink, UsbipLink
-
-__all__ = [
-    "Camera",
-    "LoopbackLink",
-    "Rig",
-    "RigError",
-    "RigSource",
-    "Run",
-    "Trigger",
-    "UsbipLink",
-    "Verdict",
-    "carries_second",
-    "find_rig",
-    "load_rig",
-    "parse_rig",
-    "read_rig",
-    "rig_of_table",
-    "second_rig",
-    "shipped_rigs",
-    "with_options",
-]
-
 
 _MOST_BYTES = 1 << 22  # the longest shipped rig has 4 KiB
 

@@ -31,8 +31,8 @@ import numpy as np
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.rig.kinds import CAMERA_MODELS, IMU_DRIVERS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
-from emulator.rig.loading import Rig, RigError, Run, carries_second, second_rig
-from emulator.rig.tables import OWN_METHODS, Trigger
+from emulator.rig.loading import Rig, RigError, carries_second, second_rig
+from emulator.rig.tables import OWN_METHODS, Run, Trigger
 from emulator.run.camera import CameraView, ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.sensor.chip.defects import at_temperature
@@ -45,6 +45,7 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.imu_samples import IMU_SAMPLE
+from firmware_protocol.recordings.part import Facts
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import RecorderFactory
@@ -56,7 +57,6 @@ from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.rings import EventRing, ReadingRing
 from transports.recording.format import with_addition
-from transports.recording.part import Facts
 from transports.registry import imported
 
 if TYPE_CHECKING:

@@ -196,11 +196,6 @@ class Decoder:
         self._imu = ImuReader()
         self.faults = WordFaults()
 
-    @property
-    def frames_incomplete(self) -> int:
-        """Frames that began and did not become complete."""
-        return self._frames.incomplete
-
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
         data = self._odd + data if self._odd else data

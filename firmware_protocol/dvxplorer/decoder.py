@@ -157,11 +157,6 @@ class GroupDecoder:
         self.faults = WordFaults()
         self.feed(b"")  # compiles the kernels now, not while words wait
 
-    @property
-    def time_us(self) -> int:
-        """Device time of the last timestamp or wrap."""
-        return int(self._state[_TIME])
-
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
         data = self._odd + data if self._odd else data

@@ -159,10 +159,6 @@ def write_parts(events: Bytes, edges: Bytes, width: int, states: _State, opening
     return _write_parts(events, edges, width, states, opening, rows)
 
 
-_WORDS_AN_EVENT = 4  # high part, low part, row, column
-_WORDS_AT_MOST_BESIDE = 4  # high part 0 of the start; both sides of a wrap and a step of the high part
-
-
 class Evt3Encoder(Coder):
     """Encoder of events and edges into words; each call continues where the last one ended.
 
@@ -185,14 +181,6 @@ class Evt3Encoder(Coder):
             lambda high: [HIGH << 12 | high & 0xFFF],
         )  # fmt: skip
         super().__init__(form, standalone=standalone, origin_us=origin_us, repeat_us=repeat_us)
-
-    @staticmethod
-    def max_bytes(n_events: int) -> int:
-        """Return the most bytes that `encode` returns for `n_events` events and edges together.
-
-        It holds while no time is more than 8.3 s after the newest one sent before; `advance` through silences.
-        """
-        return 2 * (_WORDS_AN_EVENT * n_events + _WORDS_AT_MOST_BESIDE)
 
 
 # Content of a state: full high part (-1: none yet), low part, row, column and polarity of the next vector.

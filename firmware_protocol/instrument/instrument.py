@@ -50,7 +50,7 @@ from firmware_protocol.packets.telecommands import (
     Telecommand,
     Verification,
 )
-from firmware_protocol.telemetry import BlockEncoder
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 _MOST_ANSWERS = 256
 _MOST_HZ = 0xFFFF_FFFF

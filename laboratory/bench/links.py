@@ -14,12 +14,12 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
-from emulator.rig.loading import UsbipLink, load_rig
+from emulator.rig.loading import load_rig
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.link_process import LinkProcess
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.scene.checkerboard.table import CheckerboardParameters
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from laboratory.bench.streams import SIZE, BenchFailed, saturated_stream, stars
@@ -34,6 +34,7 @@ from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
 from transports.usb.cameras import receive
 from transports.usb.davis_host import DavisHost
+from transports.usb.kind import UsbipLink
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import evstim
+from firmware_protocol.recordings.part import Facts, Part
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
 
 COUNT = 100_000  # more than one piece holds
 

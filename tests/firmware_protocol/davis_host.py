@@ -6,8 +6,8 @@ import struct
 
 import numpy as np
 
-from firmware_protocol.davis346 import Davis346
 from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.device import Davis346
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket
 

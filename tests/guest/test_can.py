@@ -25,7 +25,7 @@ from firmware_protocol.events import EVENT, Events, empty_events
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, RequestId, Stage, Stop, Verification
-from firmware_protocol.telemetry import as_received, decode_block
+from firmware_protocol.telemetry.reading import as_received, decode_block
 from tests.guest.machine import Guest
 from transports.link.deliveries import digest_of
 

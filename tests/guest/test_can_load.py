@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT, Events
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 from tests.firmware_protocol.telemetry.slow_decoder import decode
 from tests.guest.machine import CACHE, Guest
 

@@ -33,22 +33,18 @@ import numpy.typing as npt
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, Events, join_events
 from firmware_protocol.recordings.event_table import TableForm, TimeUnit
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, counts_of
 from transports import Closing
 from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
 from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
 from transports.recording.part import (
-    IMU,
     MOST_PIXELS,
     DamagedRecording,
-    Facts,
-    Frame,
     LibraryMissing,
-    Part,
     PipeReader,
     RecordingError,
     Size,
     Writer,
-    counts_of,
     encoded_facts,
     encoded_part,
     facts_of,

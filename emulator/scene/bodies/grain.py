@@ -33,8 +33,8 @@ import numpy.typing as npt
 from emulator.geometry.camera import Pinhole
 from emulator.light import Light, Region
 from emulator.photometry.reflection_kernels import Law, reflect
-from emulator.raster import Owners, Renderer
-from emulator.raster.layout import Data, W
+from emulator.raster.layout import Data, Owners, W
+from emulator.raster.renderer import Renderer
 from emulator.scene.bodies.compiled import ZERO, Numbers, Point, dot, entry, minus, plus, row
 from emulator.sensor.numerics.compiled import Real, lane
 from emulator.threads import ThreadPool

@@ -33,8 +33,8 @@ from emulator.geometry.attitude import Vector, unit
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import PLANET_ALBEDO, Water, air_light
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
-from emulator.raster import Facets, join, prepare
 from emulator.raster.surfaces import camera_from_body, motion_of
+from emulator.raster.topology import Facets, join, prepare
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
 from emulator.scene.bodies.compiled import Numbers, dot, entry, minus, row
 from emulator.scene.bodies.curved_sides import Sides, mark

@@ -27,7 +27,8 @@ import numpy as np
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import NOTHING, LastArrays, Light, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
-from emulator.raster import Renderer, Screen, View
+from emulator.raster.layout import Screen, View
+from emulator.raster.renderer import Renderer
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_thirds

@@ -299,13 +299,8 @@ class ReadOut(ABC):
 
     @property
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
+        """Crossings of pixels whose request still waited, or that were busy after their acknowledge."""
         return int(self._queue.lost + self._queue.busy)
-
-    @property
-    def lost_busy(self) -> int:
-        """Of these, crossings of pixels in the refractory period after the acknowledge."""
-        return int(self._queue.busy)
 
     @property
     def pending(self) -> int:

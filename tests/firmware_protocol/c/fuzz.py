@@ -13,7 +13,8 @@ import numpy as np
 from firmware_protocol.events import EVENT
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, decode_block
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 from tests.firmware_protocol.c.toolchain import Driver, build_driver
 
 SIZE = (346, 260)

@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE
-from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
+from firmware_protocol.telemetry.layout import BlockError
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 VECTORS = Path(__file__).parent.parent / "telemetry/vectors"
 GOOD = json.loads((VECTORS / "blocks.json").read_text())

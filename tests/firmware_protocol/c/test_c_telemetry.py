@@ -13,7 +13,9 @@ from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.framing import sealed
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder, BlockError, decode_block
+from firmware_protocol.telemetry.layout import BlockError
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 SIZE = (346, 260)
 MODES = {"ccsds-cobs": "C", "ccsds-slip": "S", "ccsds-kiss": "K", "csp-kiss": "X"}

@@ -23,7 +23,7 @@ from firmware_protocol.packets.telecommands import (
     Start,
     Stop,
 )
-from firmware_protocol.telemetry import as_received
+from firmware_protocol.telemetry.reading import as_received
 
 GOOD = [(Stage.ACCEPTANCE, None), (Stage.COMPLETION, None)]
 

@@ -13,8 +13,9 @@ import numpy as np
 from block_strategies import events_of, stream
 
 from firmware_protocol.events import EDGE, empty_events
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, decode_block
 from firmware_protocol.telemetry.layout import crc8
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 FOLDER = Path(__file__).parent / "vectors"
 DAVIS = (346, 260)

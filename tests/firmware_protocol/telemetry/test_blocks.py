@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE, empty_edges, empty_events
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, Mode, as_received, decode_block
-from firmware_protocol.telemetry.writing import write_block
+from firmware_protocol.telemetry.layout import Mode
+from firmware_protocol.telemetry.reading import as_received, decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings, write_block
 
 MODES = ["smallest", "flat", "rows", "bitmap"]
 

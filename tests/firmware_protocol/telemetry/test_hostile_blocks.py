@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from make_vectors import FOLDER, changed
 
-from firmware_protocol.telemetry import BlockEncoder, BlockError, Mode, Polarity, decode_block
-from firmware_protocol.telemetry.layout import Header, crc8
+from firmware_protocol.telemetry.layout import BlockError, Header, Mode, Polarity, crc8
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 GOOD = [bytes.fromhex(vector["hex"]) for vector in json.loads((FOLDER / "blocks.json").read_text())]
 

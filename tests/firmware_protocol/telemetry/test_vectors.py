@@ -10,7 +10,8 @@ import pytest
 import slow_decoder
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.telemetry import BlockError, decode_block
+from firmware_protocol.telemetry.layout import BlockError
+from firmware_protocol.telemetry.reading import decode_block
 
 EXAMPLES = (Path(__file__).parents[3] / "docs/traces/messages.txt").read_text()
 BLOCKS = json.loads((make_vectors.FOLDER / "blocks.json").read_text())

@@ -14,6 +14,7 @@ from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import sensor_parameters
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.part import Facts, Frame, Part
 from laboratory.characterise.recordings import (
     activity,
     compare,
@@ -24,7 +25,6 @@ from laboratory.characterise.recordings import (
 )
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Frame, Part
 
 SIZE = 200, 150
 SECONDS = 8.0

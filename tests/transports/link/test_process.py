@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import Transfer
 from transports.link.deliveries import Deliveries, digest_of

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.recordings.part import Facts, Part
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import FORMATS, format_to_write, with_addition
-from transports.recording.part import Facts, Part, RecordingError
+from transports.recording.part import RecordingError
 
 pytestmark = pytest.mark.system
 

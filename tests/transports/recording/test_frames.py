@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT, empty_events
+from firmware_protocol.recordings.part import Facts, Frame, Part
 from tests.npz_records import load_frames
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Frame, Part
 from transports.recording.record import Recorder, frame_record
 
 SIZE = (346, 260)
