@@ -18,9 +18,6 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from emulator.light import MachineLacks
 from emulator.live_page.axis import TimeAxis
 from emulator.live_page.controls import Repeats, fault_menu, totals
@@ -31,7 +28,7 @@ from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
 from emulator.run.outcome import Rates, RunStatus
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Float32s
 from transports import Closing
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.process import LinkSetup
@@ -212,7 +209,7 @@ class LivePage(Closing):
     def show(
         self,
         events: Events,
-        light: npt.NDArray[np.float32],
+        light: Float32s,
         now_us: int,
         readings: Sequence[tuple[ReadingKind, Readings]] = (),
     ) -> None:

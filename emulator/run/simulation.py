@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.camera import SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Scene, SceneError
@@ -45,7 +44,7 @@ from emulator.trajectory.parameters import FixedPath, LivePath, TrajectoryParame
 from emulator.trajectory.pose import Fixed, Pose, Timescale
 from firmware_protocol.bounds import whole_number
 from firmware_protocol.device.items import Reading, ReadingKind
-from firmware_protocol.events import Events, Kept, empty_edges, join_events
+from firmware_protocol.events import Events, Float32s, Kept, UInt16s, empty_edges, join_events
 from firmware_protocol.recordings.part import Frame, ImuRecords
 from transports import Closing
 from transports.file import FileLink
@@ -75,9 +74,9 @@ class SceneTruth(Kept):
     """
 
     poses: ScenePoses | None = None
-    depth: npt.NDArray[np.float32] | None = None
-    flow: npt.NDArray[np.float32] | None = None
-    labels: npt.NDArray[np.uint16] | None = None
+    depth: Float32s | None = None
+    flow: Float32s | None = None
+    labels: UInt16s | None = None
     names: tuple[str, ...] = ()
 
 

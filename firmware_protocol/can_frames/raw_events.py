@@ -54,11 +54,10 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.can_frames.canopen import ObjectError
 from firmware_protocol.can_frames.frame import fd_length
-from firmware_protocol.events import Edges, Events, empty_events, make_edges
+from firmware_protocol.events import Edges, Events, Int64s, empty_events, make_edges
 
 TICKS_US = (1, 10, 100, 1000)
 """Ticks, us, by their code."""
@@ -127,7 +126,7 @@ class EventsFrame:
     events: Events
 
 
-def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], npt.NDArray[np.int64]]:
+def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], Int64s]:
     """Pack events (n,), sorted, into the data of events frames; `seq` is that of the first.
 
     Returns the data of each frame, and the index of its first event, shape (frames,). Raises RawError if a pixel is
