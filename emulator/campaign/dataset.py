@@ -41,12 +41,12 @@ from emulator.campaign.loading import (
     located,
     parse_laws,
     table_of,
-    text_of,
 )
 from emulator.report.pictures import deep_png
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
+from emulator.tables.toml_text import dotted
 from emulator.tables.typed_table import KeyPath, TableError
 from firmware_protocol.events import Events, Float32s, Floats, Int64s, Kept, Mask, UInt16s, make_events
 from transports.link.pacing import MonotonicClock
@@ -120,7 +120,7 @@ def _check_varied(table: Mapping[str, Any]) -> None:
     if not isinstance(table.get("set", {}), dict):
         raise TableError(f"expected a table, got {table['set']!r}", ("set",))
     keys: list[tuple[str, KeyPath]] = [(key, (key,)) for key in table]
-    keys += [(text_of(path), path) for path in leaves({"set": table.get("set", {})})]
+    keys += [(dotted(path), path) for path in leaves({"set": table.get("set", {})})]
     for i, law in enumerate(parse_laws(table.get("parameters", []))):
         keys += [(f"set.{key}", ("parameters", i, "key")) for key in (law.key, *law.also)]
     for key, path in keys:

@@ -413,7 +413,9 @@ def _link_setup(
     rig = rig if is_master else dataclasses.replace(second_rig(rig), trigger=rig.trigger)
     facts = _facts(rig, kind)
     camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
-    wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
+    faults = tuple(fault for fault in rig.faults if fault.link == link.name)
+    plan = FaultPlan(link.name, faults, rig.run.seed, fault_log)
+    wiring = Wiring(plan, triggers.sink(link.name, ring), camera)
     made_by = LINKS.imported(kind.name, kind.endpoint)
     is_endpoint = isinstance(made_by, type) and issubclass(made_by, Endpoint)
     endpoint = LinkFactory(made_by, link, wiring) if is_endpoint else made_by(link, wiring)
@@ -448,12 +450,11 @@ def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any], is_master: bool
         readings = initial_readings(rig) if kind.has_readings else {}
         return partial(PlainDevice, readings=readings, pulse_us=_pulse_us(rig))
     if kind.serves == "gige":
-        return _gige_camera(rig, link)
+        gige = CAMERA_MODELS[rig.camera.model].gige
+        if gige is None:
+            raise RigError(f"{rig.name}: a {rig.camera.model} is no GigE Vision device")
+        return gige(rig.camera, link, _pulse_us(rig))
     return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind, is_master)
-
-
-def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
-    return FaultPlan(link.name, tuple(f for f in rig.faults if f.link == link.name), rig.run.seed, log)
 
 
 def _instrument(rig: Rig, link: Any) -> Callable[[], EventDevice]:
@@ -462,13 +463,6 @@ def _instrument(rig: Rig, link: Any) -> Callable[[], EventDevice]:
     biases_of = CAMERA_MODELS[rig.camera.model].commanded_biases
     biases = None if biases_of is None else biases_of(rig.camera)
     return partial(Instrument, rig.camera.size, link.instrument, biases)
-
-
-def _gige_camera(rig: Rig, link: LinkParameters) -> Callable[[], EventDevice]:
-    gige = CAMERA_MODELS[rig.camera.model].gige
-    if gige is None:
-        raise RigError(f"{rig.name}: a {rig.camera.model} is no GigE Vision device")
-    return gige(rig.camera, link, _pulse_us(rig))
 
 
 def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], UsbCamera]:

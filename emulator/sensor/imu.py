@@ -104,11 +104,9 @@ class ElementErrors:
 
     def _summed(self, total: Floats, first: int, last: int) -> Floats:
         """Return the sums after `first` to `last` steps, the first being `total`; added one by one."""
-        return np.cumsum(np.concatenate([total[None], self._steps(first, last)]), axis=0)
-
-    def _steps(self, first: int, last: int) -> Floats:
         index = np.arange(first, last)[:, None]
-        return np.asarray(self._step * normal(self._seed, Purpose.IMU_WALK, np.arange(AXES), index))
+        steps = self._step * normal(self._seed, Purpose.IMU_WALK, np.arange(AXES), index)
+        return np.cumsum(np.concatenate([total[None], steps]), axis=0)
 
 
 IMU_MOTION = np.dtype([("t", "<u8"), ("index", "<u8"), ("force", "<f8", 3), ("rate", "<f8", 3), ("temperature", "<f8")])

@@ -104,6 +104,13 @@ def dotted(path: KeyPath) -> str:
     return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
 
 
+def mistake_at(file: str, text: str, path: KeyPath, error: Exception) -> str:
+    """Return an error's message with the file, and with line and key of `path` where it has them."""
+    line = line_of(text, path)
+    at = f"{file}, line {line}" if line else file
+    return ": ".join(part for part in (at, dotted(path)[:200], shortened(error)) if part)
+
+
 def line_of(text: str, path: KeyPath) -> int | None:
     """Return the line (from 1) of the key or table at `path`, or of its nearest parent that has one."""
     lines: dict[KeyPath, int] = {}

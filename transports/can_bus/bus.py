@@ -206,9 +206,11 @@ class PythonCanBus(CanBus):
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
         """Pass a frame, stamped now, to the bus; False without room. The driver decides if an urgent one overtakes."""
-        bus = self._living()
+        bus, message = self._living(), to_message(frame)
+        if self._parameters.interface == "udp_multicast":
+            message.channel = self._signature
         try:
-            bus.send(self._message(frame))
+            bus.send(message)
         except can.CanOperationError as error:
             if error.error_code in _FULL or "buffer full" in str(error).lower():
                 return False
@@ -251,12 +253,6 @@ class PythonCanBus(CanBus):
             await asyncio.get_running_loop().run_in_executor(None, reader.join, 2 * _READ_TIMEOUT_S)
         if bus is not None:
             bus.shutdown()
-
-    def _message(self, frame: Frame) -> can.Message:
-        message = to_message(frame)
-        if self._parameters.interface == "udp_multicast":
-            message.channel = self._signature
-        return message
 
     def _living(self) -> can.BusABC:
         if self._failure is not None:

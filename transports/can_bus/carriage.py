@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,7 @@ class FrameSource(ABC):
         self._instrument = instrument
         self._deliveries = deliveries
         self._outgoing: Outgoing | None = None
+        self._frames: deque[Any] = deque()  # the remaining ones of the message in progress
         self.faults: Counter[str] = Counter()
         self.tracker: Tracker | None = None
 
@@ -67,9 +69,9 @@ class FrameSource(ABC):
     def next_frame(self, now_ns: int) -> Frame | None:
         """Return the next frame that may be sent now; None if there is none."""
 
-    @abstractmethod
     def left(self) -> Outgoing | None:
         """Record that the bus accepted the last frame; return the message that it ends, unless a tracker follows it."""
+        return None if self._frames else self._finished()
 
     def delivered(self, outgoing: Outgoing) -> None:
         """Record that all frames of a message were on the bus."""
@@ -86,6 +88,7 @@ class FrameSource(ABC):
 
     def drop(self) -> None:
         """Discard the message in progress, because the bus is lost."""
+        self._frames.clear()
         if self._outgoing is not None:
             self._instrument.lost(self._outgoing)
             self._outgoing = None
@@ -108,12 +111,13 @@ class FrameSource(ABC):
 class _RawEvents(FrameSource):
     """Events in frames that stand alone; `sender` encodes the events, clock and epoch frames."""
 
+    _frames: deque[Packed]
+
     def __init__(self, instrument: Instrument, deliveries: Deliveries, settings: RawSettings) -> None:
         super().__init__(instrument, deliveries)
         self._events_a_time = 4 * (FD_CELLS if settings.fd else 2)  # few: their fate is unknown when a bus is lost
         self._tick_us = instrument.tick_us
         self.sender = RawSender(settings)
-        self._frames: deque[Packed] = deque()
         self._load = Load.nothing()
         self._given = self._taken = 0  # events in the last frame returned; events of this message on the bus
         self._epoch_us = 0
@@ -155,7 +159,6 @@ class _RawEvents(FrameSource):
         return replace(outgoing, events=outgoing.events[:taken])
 
     def drop(self) -> None:
-        self._frames.clear()
         self._given = self._taken = 0
         self.sender.forget()
         super().drop()
@@ -184,11 +187,12 @@ class _RawEdges(FrameSource):
     must leave in the order in which it made them.
     """
 
+    _frames: deque[tuple[Frame, Edges]]
+
     def __init__(self, instrument: Instrument, deliveries: Deliveries, events: _RawEvents, identifier: int) -> None:
         super().__init__(instrument, deliveries)
         self._events = events
         self._identifier = identifier
-        self._frames: deque[tuple[Frame, Edges]] = deque()
         self._load = Load.nothing()
 
     def next_frame(self, now_ns: int) -> Frame | None:
@@ -215,11 +219,7 @@ class _RawEdges(FrameSource):
             self._frames += [(packed.frame, empty_edges()) for packed in before]
             self._frames.append((Frame(self._identifier, data), outgoing.edges[at : at + 1]))
 
-    def left(self) -> Outgoing | None:
-        return None if self._frames else self._finished()
-
     def drop(self) -> None:
-        self._frames.clear()
         self._events.sender.forget()
         super().drop()
 
@@ -286,6 +286,7 @@ class _CfpTransport(FrameSource):
     """Messages in CSP packets, fragmented by CFP 2, with telecommands in the other direction."""
 
     label = "CFP"
+    _frames: deque[Frame]
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanLink) -> None:
         super().__init__(instrument, deliveries)
@@ -293,7 +294,6 @@ class _CfpTransport(FrameSource):
         self._profile = Profile("csp", Addresses(csp_node=parameters.csp_address, csp_peer=parameters.csp_peer))
         self._commands = self._profile.command_unwrapper()
         self._receiver = CfpReceiver(parameters.csp_address)
-        self._frames: deque[Frame] = deque()
         self._packets = 0
         self.faults = self._receiver.faults
 
@@ -306,13 +306,6 @@ class _CfpTransport(FrameSource):
             self._frames += cfp_frames(packet, self._address, self._packets)
             self._packets += 1
         return self._frames.popleft() if self._frames else None
-
-    def left(self) -> Outgoing | None:
-        return None if self._frames else self._finished()
-
-    def drop(self) -> None:
-        self._frames.clear()
-        super().drop()
 
     def reader(self) -> Callable[[Frame], list[Received]]:
         addresses = Addresses(csp_node=self._address, csp_peer=self._peer)

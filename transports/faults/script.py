@@ -97,7 +97,11 @@ class Faults(Generic[S]):
     @property
     def records(self) -> tuple[FaultRecord, ...]:
         """Record of each fault."""
-        return tuple(self._record(injected) for injected in self._all)
+        trouble = "" if self._log is None else self._log.trouble
+        return tuple(
+            replace(effect.record, hits=effect.stage.hits, touched=effect.stage.touched, log_trouble=trouble)
+            for effect in self._all
+        )
 
     @property
     def lost(self) -> tuple[int, int]:
@@ -177,10 +181,6 @@ class Faults(Generic[S]):
         self.stages.remove(injected.stage)
         injected.record = replace(injected.record, ended_us=self._now_us)
         self._write(injected, "ended", hits=injected.stage.hits, touched=injected.stage.touched)
-
-    def _record(self, injected: _Injected[S]) -> FaultRecord:
-        trouble = "" if self._log is None else self._log.trouble
-        return replace(injected.record, hits=injected.stage.hits, touched=injected.stage.touched, log_trouble=trouble)
 
     def _write(self, injected: _Injected[S], effect: str, **details: object) -> None:
         if self._log is None:

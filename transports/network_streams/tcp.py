@@ -398,7 +398,8 @@ class TcpEndpoint(Endpoint):
         if (overdue := self._batches.overdue) is not None:
             for clients in self._groups:
                 clients.give_up(overdue)
-        while self._has_room and (taken := self._device.take(_MOST_EVENTS)) is not None:
+        paced = self._deliveries.paced
+        while self._clients.has_room(paced=paced) and (taken := self._device.take(_MOST_EVENTS)) is not None:
             self._send(taken)
         if len(self._clients) and not self._device.waiting:
             nothing = Items(empty_events(), empty_edges(), self._epoch_us)
@@ -437,10 +438,6 @@ class TcpEndpoint(Endpoint):
     @property
     def _groups(self) -> list[ClientGroup]:
         return [self._clients, *([] if self._trigger_clients is None else [self._trigger_clients])]
-
-    @property
-    def _has_room(self) -> bool:
-        return self._clients.has_room(paced=self._deliveries.paced)
 
     def _take_edges(self, has_clients: bool) -> None:
         """Let the camera take edges while any client receives them."""

@@ -13,11 +13,6 @@ def test_the_field_of_view_gives_the_focal_length():
     assert camera.zoom == pytest.approx((camera.focal_px / 173, camera.focal_px / 130))
 
 
-def test_a_margin_keeps_the_scale():
-    wide = Pinhole(346, 260, 500.0).widened(8)
-    assert (wide.size, wide.focal_px) == ((362, 276), 500.0)
-
-
 def test_the_widest_ray_goes_to_a_corner():
     assert Pinhole(600, 800, 500.0).widest_rad == pytest.approx(math.pi / 4)
 
