@@ -44,8 +44,8 @@ from emulator.campaign.sampling import Law, grid_digits, unit_points
 from emulator.rig.loading import Rig, rig_of_table
 from emulator.run.machine import pose_port
 from emulator.run.outcome import RunResult, good, judge
-from emulator.tables.toml_text import dotted, shortened
-from emulator.tables.typed_table import KeyPath, TableError
+from emulator.tables.toml_text import KeyPath, dotted, shortened
+from emulator.tables.typed_table import TableError
 from transports.registry import unknown
 
 Row = dict[str, Any]

@@ -46,8 +46,8 @@ from emulator.report.pictures import deep_png
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
-from emulator.tables.toml_text import dotted
-from emulator.tables.typed_table import KeyPath, TableError
+from emulator.tables.toml_text import KeyPath, dotted
+from emulator.tables.typed_table import TableError
 from firmware_protocol.events import Events, Float32s, Floats, Int64s, Kept, Mask, UInt16s, make_events
 from transports.link.pacing import MonotonicClock
 from transports.recording.format import FORMATS

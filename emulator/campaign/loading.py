@@ -36,15 +36,15 @@ from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.truth.file import LAYERS
 from emulator.run.truth.source import ABSENT, TruthRefused, TruthSelection, check_truth
 from emulator.tables.toml_text import (
+    KeyPath,
     TextFileError,
     TomlError,
     dotted,
-    mistake_at,
     read_text,
     read_toml,
     shortened,
 )
-from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types
+from emulator.tables.typed_table import TableError, convert, convert_kind, field_types
 from firmware_protocol.bounds import Share, check_bounds
 from transports.registry import unknown
 
@@ -444,7 +444,7 @@ def located(source: Source, error: TableError) -> CampaignError:
         file, text = source.author_file, source.author_text
         if error.path in OPTIONS:
             return CampaignError(f"{OPTIONS[error.path]}: {shortened(error)}")
-    return CampaignError(mistake_at(file, text, error.path, error))
+    return CampaignError(error.at(file, text))
 
 
 def _settings(table: dict[str, Any]) -> Settings:

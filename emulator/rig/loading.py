@@ -30,7 +30,6 @@ from emulator.scene.kind import SceneParameters
 from emulator.tables.toml_text import (
     TextFileError,
     TomlError,
-    mistake_at,
     read_text,
     read_toml,
 )
@@ -137,7 +136,7 @@ def parse_rig(text: str, file: str, name: str) -> Rig:
     except TomlError as error:
         raise RigError(error.at(file)) from error
     except TableError as error:
-        raise RigError(mistake_at(file, text, error.path, error)) from error
+        raise RigError(error.at(file, text)) from error
 
 
 def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None, pace: str | None = None) -> Rig:
