@@ -76,7 +76,7 @@ class FrameSource(ABC):
     def delivered(self, outgoing: Outgoing) -> None:
         """Record that all frames of a message were on the bus."""
         self._instrument.sent(outgoing)
-        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+        self._deliveries.add_items(outgoing)
 
     def lost(self, outgoing: Outgoing) -> None:
         """Record that the last frames of a message never reached the bus."""

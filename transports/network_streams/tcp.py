@@ -100,7 +100,7 @@ class ClientBatches:
             taken = batch.taken
             self._open_events -= len(taken.events)
             if batch.delivered:
-                self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
+                self._deliveries.add_items(taken)
 
 
 @dataclass(frozen=True)

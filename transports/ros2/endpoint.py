@@ -314,7 +314,7 @@ class Ros2Endpoint(Endpoint):
         self._counts["messages of events" if written else "messages that DDS refused"] += 1
         if written:
             self._device.sent(taken)
-            self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
+            self._deliveries.add_items(taken)
         else:
             self._device.lost(taken)
 
