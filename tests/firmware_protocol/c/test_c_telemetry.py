@@ -53,13 +53,13 @@ def python_says(name, data):
             blocks.append(decode_block(r.message.payload, r.message.t_us))
         except BlockError:
             refused += 1
-    other_size = [block for block in blocks if block.size != SIZE]
-    blocks = [block for block in blocks if block.size == SIZE]
+    other_size = [block for block in blocks if block.header.size != SIZE]
+    blocks = [block for block in blocks if block.header.size == SIZE]
     counters = {
         "packets": len(science),
         "missing": sum(r.missing for r in science),
         "blocks": [len(blocks), refused, len(other_size)],
-        "dropped": sum(block.dropped for block in blocks),
+        "dropped": sum(block.header.dropped for block in blocks),
     }
     events = np.concatenate([empty_events(), *(block.events for block in blocks)])
     return events, np.concatenate([empty_edges(), *(block.edges for block in blocks)]), counters
