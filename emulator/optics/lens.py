@@ -121,10 +121,6 @@ class LensParameters(Bounded):
         """Light relative to the sensor's reference, a unit of radiance, on the axis."""
         return self.chip_share * LUMENS_A_WATT / self.reference_lux
 
-    def chip_lux(self, light: float) -> float:
-        """Return the illuminance of the chip at a relative light."""
-        return light * self.reference_lux
-
     def chip_irradiance_w_m2(self, light: float) -> float:
         """Return the irradiance of the chip at a relative light, 400 to 700 nm."""
         return light * self.reference_lux / LUMENS_A_WATT

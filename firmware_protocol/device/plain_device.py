@@ -53,10 +53,6 @@ class _ItemsOfClock:
         edges["t"] = np.maximum(edges["t"], np.uint64(self.taken_us))
         self.edges = edges[np.argsort(edges["t"], kind="stable")]
 
-    def add_readings(self, readings: list[Reading]) -> None:
-        """Add readings of one kind, in the order of time."""
-        self.readings = sorted([*self.readings, *readings], key=_time_of) if readings else self.readings
-
     def take(self, limit: int, now_us: int) -> Items | None:
         """Return the first content, at most `limit` events; None if nothing waits that is certain to be first."""
         events = self._take_events(limit)
@@ -113,7 +109,8 @@ class ItemQueue:
             clock.events.append(events)
         if len(edges):
             clock.add_edges(edges)
-        clock.add_readings(readings)
+        if readings:
+            clock.readings = sorted([*clock.readings, *readings], key=_time_of)
         self.waiting = self.waiting.plus(Numbers(len(events), len(edges), count_kinds(readings)))
 
     def restart_clock(self, now_us: int) -> None:
