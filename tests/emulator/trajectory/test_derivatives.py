@@ -11,7 +11,7 @@ from emulator.geometry.camera import Cycle
 from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Elements, Orbit
-from emulator.trajectory.live import SimulatedPath, known_motion
+from emulator.trajectory.live import SimulatedPath, TimedPose, known_motion
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
 
@@ -102,7 +102,9 @@ def test_differences_are_as_good_as_they_say():
 def _samples(period_ns, count, a):
     turn = np.array([0.1, 0.2, -0.3])
     return [
-        (k * period_ns, Pose(a * (k * period_ns * 1e-9) ** 2 / 2, quaternion_of_vector(turn * k * period_ns * 1e-9)))
+        TimedPose(
+            k * period_ns, Pose(a * (k * period_ns * 1e-9) ** 2 / 2, quaternion_of_vector(turn * k * period_ns * 1e-9))
+        )
         for k in range(count)
     ]
 
