@@ -216,7 +216,7 @@ def known_motion(poses: Sequence[TimedPose], t_ns: int) -> Motion:
     through three poses: the two around `t_ns` and the one before, or the next where there is none; 0 with two poses.
     Its error is that of the places times 4 / period^2.
     """
-    last = next((k for k, known in enumerate(poses) if known.t_ns >= t_ns), len(poses) - 1)
+    last = next((k for k, timed in enumerate(poses) if timed.t_ns >= t_ns), len(poses) - 1)
     last = max(last, 1)
     (before_ns, a, _), (after_ns, b, _) = poses[last - 1], poses[last]
     seconds = (after_ns - before_ns) * 1e-9
@@ -276,7 +276,7 @@ class SimulatedPath(ComingPoses):
             return self._start.pose(t_ns)
         if t_ns <= poses[0].t_ns or len(poses) == 1:
             return poses[0].pose
-        after = next((k for k, known in enumerate(poses) if known.t_ns >= t_ns), len(poses) - 1)
+        after = next((k for k, timed in enumerate(poses) if timed.t_ns >= t_ns), len(poses) - 1)
         return between(poses[after - 1], poses[after], t_ns)
 
     def motion(self, t_ns: int) -> Motion:
