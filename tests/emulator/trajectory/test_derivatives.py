@@ -121,6 +121,6 @@ def test_known_poses_of_constant_acceleration_and_rate_give_both():
 def test_a_simulated_path_is_at_rest_until_it_is_known_to_move():
     path = SimulatedPath(Fixed())
     assert not path.motion(0).velocity_m_s.any()
-    for t_ns, pose in _samples(10_000_000, 4, np.array([0, 0, 3.0])):
+    for t_ns, pose, _ in _samples(10_000_000, 4, np.array([0, 0, 3.0])):
         path.add(t_ns, pose)
     np.testing.assert_allclose(path.motion(25_000_000).acceleration_m_s2, [0, 0, 3.0], atol=1e-8)
