@@ -120,10 +120,11 @@ def unpack_clock(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class EventsFrame:
-    """Content of an events frame; `events` carry the full time, in us."""
+    """Content of an events frame; `events` carry the full time, in us; `dropped`: those before it, if it is one of FD."""
 
     seq: int
     events: Events
+    dropped: int = 0
 
 
 def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], Int64s]:
@@ -194,15 +195,6 @@ _SKIP = 31
 _LONGEST_SKIP = (1 << 19) - 1
 
 
-@dataclass(frozen=True)
-class FdEventsFrame:
-    """Content of an FD events frame; `events` carry the full time, in us."""
-
-    seq: int
-    dropped: int
-    events: Events
-
-
 def pack_fd_events(events: Events, tick_us: int, seq: int, dropped: int = 0) -> list[tuple[bytes, int]]:
     """Pack events (n,), sorted, into the data of FD events frames, each with its number of events.
 
@@ -237,7 +229,7 @@ def pack_fd_events(events: Events, tick_us: int, seq: int, dropped: int = 0) -> 
     return frames
 
 
-def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> FdEventsFrame:
+def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> EventsFrame:
     """Read an FD events frame, its time taken nearest to `near_us`; raises RawError on data that no sender makes."""
     if len(data) < _HEAD.size:
         raise RawError(f"an FD events frame has at least {_HEAD.size} bytes, not {len(data)}")
@@ -256,7 +248,7 @@ def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> FdEventsFrame:
         t += dt
         events[count] = t * tick_us, *_pixel(cell)
         count += 1
-    return FdEventsFrame(seq, dropped, events[:count])
+    return EventsFrame(seq, events[:count], dropped)
 
 
 _MARK = struct.Struct("<IBBH")
