@@ -120,7 +120,7 @@ def unpack_clock(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class EventsFrame:
-    """Content of an events frame; `events` carry the full time, in us; `dropped`: those before it, if it is one of FD."""
+    """Content of an events frame; `events` carry the full time, in us. `dropped`: those before a frame of FD."""
 
     seq: int
     events: Events
