@@ -26,12 +26,13 @@ from firmware_protocol.can_frames.transport import (
     IsoTpSettings,
     cfp_frames,
 )
-from firmware_protocol.events import Edges, copy_events, empty_edges, empty_events
+from firmware_protocol.device.items import Items
+from firmware_protocol.events import Edges, copy_events, empty_edges
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.addresses import Addresses, Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.kind import CanLink
-from transports.faults.bus import Load, Tracker
+from transports.faults.bus import Tracker
 from transports.link.deliveries import Deliveries
 
 
@@ -57,9 +58,9 @@ class FrameSource(ABC):
         return self._outgoing is None
 
     @property
-    def load(self) -> Load:
+    def load(self) -> Items:
         """Events and edges in the last frame returned."""
-        return Load.nothing()
+        return Items()
 
     def reader(self) -> Callable[[Frame], list[Received]] | None:
         """Return a function that decodes frames as the receiver does; None for frames that stand alone."""
@@ -118,12 +119,12 @@ class _RawEvents(FrameSource):
         self._events_a_time = 4 * (FD_CELLS if settings.fd else 2)  # few: their fate is unknown when a bus is lost
         self._tick_us = instrument.tick_us
         self.sender = RawSender(settings)
-        self._load = Load.nothing()
+        self._load = Items()
         self._given = self._taken = 0  # events in the last frame returned; events of this message on the bus
         self._epoch_us = 0
 
     @property
-    def load(self) -> Load:
+    def load(self) -> Items:
         return self._load
 
     @property
@@ -135,12 +136,12 @@ class _RawEvents(FrameSource):
         if not self._frames and self._outgoing is None:
             self._pack()
         if not self._frames:
-            self._load = Load.nothing()
+            self._load = Items()
             return None
         packed = self._frames.popleft()
         self._given = len(packed.events)
         if self.tracker is not None:
-            self._load = Load(packed.events, empty_edges(), self._epoch_us)
+            self._load = Items(packed.events, epoch_us=self._epoch_us)
         return packed.frame
 
     def left(self) -> Outgoing | None:
@@ -193,7 +194,7 @@ class _RawEdges(FrameSource):
         super().__init__(instrument, deliveries)
         self._events = events
         self._identifier = identifier
-        self._load = Load.nothing()
+        self._load = Items()
 
     def next_frame(self, now_ns: int) -> Frame | None:
         if self._outgoing is None:
@@ -204,12 +205,12 @@ class _RawEdges(FrameSource):
         if not self._frames:
             return None
         frame, edges = self._frames.popleft()
-        self._load = Load(empty_events(), edges, self._outgoing.epoch_us)
+        self._load = Items(edges=edges, epoch_us=self._outgoing.epoch_us)
         return frame
 
     @property
-    def load(self) -> Load:
-        return Load.nothing() if self._outgoing is None else self._load
+    def load(self) -> Items:
+        return Items() if self._outgoing is None else self._load
 
     def _pack(self, outgoing: Outgoing) -> None:
         own_edges = outgoing.edges.copy()
