@@ -15,7 +15,8 @@ from transports.faults.usb import ControlStall
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import StallError, StreamSettings
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.trace import Found, UrbTrace
+from transports.usb.usbip.connection import Found
+from transports.usb.usbip.trace import UrbTrace
 
 BEGUN_NS = 1_700_000_000_000_000_000
 FIELDS = [

@@ -36,6 +36,7 @@ import socket
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Protocol, TypeGuard
 
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
@@ -54,9 +55,16 @@ from firmware_protocol.usb.usbip import (
     UrbStatus,
     UsbipError,
 )
-from transports.usb.usbip.trace import Found, UrbTrace
 
 _HALF = 1 << 31
+
+
+class Found(Enum):
+    """State of the URB of an unlink."""
+
+    PENDING = "pending"
+    OVER = "over, or never seen"
+    STILL_TO_COME = "still to come"
 
 
 class EarlyUnlinks:
@@ -126,12 +134,25 @@ class Bus(Protocol):
         """Release the device of a connection that has ended."""
 
 
+class UrbObserver(Protocol):
+    """Observer of every URB, at its submission and at its end, and of unlinks."""
+
+    def submitted(self, urb: Submit) -> None:
+        """Register a new URB."""
+
+    def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
+        """Register its end, with the number of bytes moved and the data sent to the host."""
+
+    def unlinked(self, unlink: Unlink, state: Found) -> None:
+        """Register that the host cancels a URB, before that URB's end."""
+
+
 class Connection(asyncio.BufferedProtocol):
     """Server's end of one connection."""
 
     _transport: asyncio.Transport
 
-    def __init__(self, bus: Bus, settings: ConnectionSettings, observer: UrbTrace | None = None) -> None:
+    def __init__(self, bus: Bus, settings: ConnectionSettings, observer: UrbObserver | None = None) -> None:
         self._bus = bus
         self._settings = settings
         self._observer = observer

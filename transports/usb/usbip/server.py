@@ -22,8 +22,7 @@ from firmware_protocol.usb.device import UsbDevice
 from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus
 from transports.connections import Admission, Listener, Places, Seat
 from transports.network import AllowList, is_loopback
-from transports.usb.usbip.connection import Connection, ConnectionSettings
-from transports.usb.usbip.trace import UrbTrace
+from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +54,7 @@ class UsbipServer:
         settings: ConnectionSettings | None = None,
         places: Places = _PLACES,
         allow: Sequence[str] = (),
-        observer: UrbTrace | None = None,
+        observer: UrbObserver | None = None,
     ) -> None:
         self._devices = dict(devices)
         for busid in devices:

@@ -17,7 +17,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from itertools import count
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from firmware_protocol.usb.control import name_request
 from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from firmware_protocol.usb.usbip import FILE_HEADER, IN_PROGRESS, Submit, Unlink, UrbRecord, UrbStatus
 from transports.output_file import OutputFile
+from transports.usb.usbip.connection import Found
 
 
 def both_files(path: Path) -> tuple[Path, Path]:
@@ -52,14 +52,6 @@ _SHOWN_BYTES = 8
 _CONFIGURATION = SetupPacket(0x80, 6, 0x0200, 0, 0xFFFF)
 _ENDPOINT_DESCRIPTOR = 5
 _KIND_OF_ATTRIBUTES = (2, 0, 3, 1)  # for control, isochronous, bulk, interrupt: usbmon numbers them differently
-
-
-class Found(Enum):
-    """State of the URB of an unlink."""
-
-    PENDING = "pending"
-    OVER = "over, or never seen"
-    STILL_TO_COME = "still to come"
 
 
 @dataclass(frozen=True)
