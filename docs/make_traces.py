@@ -26,7 +26,7 @@ from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, Verification
 from firmware_protocol.receiver.can import CanReceiver
-from firmware_protocol.telemetry import decode_block
+from firmware_protocol.telemetry.reading import decode_block
 from transports.can_bus.carriage import sources
 from transports.can_bus.kind import CanLink
 from transports.serial_line.kind import SerialLink
@@ -115,7 +115,7 @@ def _serial() -> Iterator[tuple[str, str]]:
 class _NoDeliveries:
     """Deliveries that are not recorded."""
 
-    def add(self, *_: object) -> None:
+    def add_items(self, *_: object) -> None:
         """Ignore the delivery."""
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Rays, SceneGeometry
+from transports import Closing
 
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
@@ -99,7 +100,7 @@ class SceneEnded(SceneError):
     """A scene has come to its regular end: there is no more light to draw."""
 
 
-class Scene(ABC):
+class Scene(Closing):
     """Light that changes with time.
 
     A scene is a context manager: it acquires resources of the machine (a GL context) in the constructor, in the thread
@@ -109,10 +110,24 @@ class Scene(ABC):
     changed: Region | None = None
     """The part of the last frame that may differ from the one before it in the same arrays; None: all of it."""
 
-    @property
-    @abstractmethod
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
+    size: tuple[int, int]
+    """(width, height) in pixels."""
+
+    distance_m: float = math.inf
+    """Distance of most visible objects, for focus; infinite unless a scene gives a value."""
+
+    painter: Literal["cpu", "gl"] = "cpu"
+    """The painter: the CPU, unless GL draws the scene."""
+
+    renderer: str | None = None
+    """Name of the renderer: GL's own where GL draws; None where a scene gives none."""
+
+    has_rate: bool = False
+    """True: `light_and_rate` gives the exact time derivative of the light.
+
+    A derivative from two light frames is noise at edges (three to five times the signal in scenes of meshes), and makes
+    more wrong events than a straight line between single frames: a scene without a better one gives none.
+    """
 
     @property
     @abstractmethod
@@ -120,31 +135,16 @@ class Scene(ABC):
         """Upper bound of the speed of all points in the light frame, px/s. Infinite where it is not known."""
 
     @property
-    def distance_m(self) -> float:
-        """Distance of most visible objects, for focus; infinite unless a scene gives a value."""
-        return math.inf
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """Remarks for the user on this scene, a sentence each."""
         return ()
-
-    @property
-    def painter(self) -> Literal["cpu", "gl"]:
-        """The painter: the CPU, unless GL draws the scene."""
-        return "cpu"
-
-    @property
-    def renderer(self) -> str | None:
-        """Name of the renderer: GL's own where GL draws; None where a scene gives none."""
-        return None
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Named counts of the scene during the run, for the summary."""
         return {}
 
-    def stop(self) -> None:  # noqa: B027 most scenes wait for no other program
+    def stop(self) -> None:  # most scenes wait for no other program
         """Limit the time of the present light frame to a second, where another program draws it; for a signal handler.
 
         A frame that takes longer ends by SceneEnded.
@@ -153,15 +153,6 @@ class Scene(ABC):
     @abstractmethod
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at stream time `t_ns` into `out`, (height, width) float32. It depends on `t_ns` only."""
-
-    @property
-    def has_rate(self) -> bool:
-        """True: `light_and_rate` gives the exact time derivative of the light.
-
-        A derivative from two light frames is noise at edges (three to five times the signal in scenes of meshes), and
-        makes more wrong events than a straight line between single frames: a scene without a better one gives none.
-        """
-        return False
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, into (height, width) float32 arrays.
@@ -190,23 +181,15 @@ class Scene(ABC):
     def close(self) -> None:
         """Release the resources of the scene; a second call does nothing."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 class OtherLight(Scene):
     """A scene with the light of another one, `scene`, changed; all else is that scene's, which is closed with this."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of both scenes, in pixels."""
-        return self.scene.size
+        self.size, self.distance_m = scene.size, scene.distance_m
+        self.painter, self.renderer = scene.painter, scene.renderer
+        self.has_rate = scene.has_rate
 
     @property
     def motion_bound_px_s(self) -> float:
@@ -214,34 +197,14 @@ class OtherLight(Scene):
         return self.scene.motion_bound_px_s
 
     @property
-    def distance_m(self) -> float:
-        """Distance of most objects in the scene."""
-        return self.scene.distance_m
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """Remarks on the scene."""
         return self.scene.notes
 
     @property
-    def painter(self) -> Literal["cpu", "gl"]:
-        """The painter of the scene."""
-        return self.scene.painter
-
-    @property
-    def renderer(self) -> str | None:
-        """Name of the scene's renderer."""
-        return self.scene.renderer
-
-    @property
     def counts(self) -> Mapping[str, int]:
         """Counts of the scene during the run."""
         return self.scene.counts
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the scene gives the exact derivative."""
-        return self.scene.has_rate
 
     def stop(self) -> None:
         """Limit the time of the present light frame of the scene."""

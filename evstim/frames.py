@@ -21,10 +21,8 @@ from emulator.scene.video.video import linear_light, read_frames, resampled
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import Sensor, SensorOptions
 from firmware_protocol.bounds import whole_number
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import Events, Float32s, Floats, empty_events
 
-_Float32s = npt.NDArray[np.float32]
-_Float64s = npt.NDArray[np.float64]
 _MOST_STEP_US = 1_000_000
 _LEAST_INTERVAL_US, _SHORT_INTERVAL_US = 1.0, 10.0  # 1e6 and 1e5 frames a second
 _BRIGHT = 20.0  # times white
@@ -91,9 +89,7 @@ def events_from_frames(  # noqa: PLR0913 - one call that names all it needs
     return _events(frames, _times(t_us), _Conversion(sensor, levels, light_at_white, step_us, seed), parameters)
 
 
-def _events(
-    frames: Iterable[npt.ArrayLike], rounded_ns: _Float64s, how: _Conversion, parameters: SensorOptions
-) -> Events:
+def _events(frames: Iterable[npt.ArrayLike], rounded_ns: Floats, how: _Conversion, parameters: SensorOptions) -> Events:
     times_ns, lights = _times_ns(rounded_ns), _lights(frames, how.levels, how.light_at_white)
     first = next(lights, None)
     if first is None:
@@ -148,7 +144,7 @@ def events_from_video(  # noqa: PLR0913 - one call that names all it needs
     return _events(lights, times_s * 1e6, how, parameters)
 
 
-def _times(t_us: npt.ArrayLike) -> _Float64s:
+def _times(t_us: npt.ArrayLike) -> Floats:
     """Return times of frames, us; warns of floats, which are accepted for one version."""
     times = np.asarray(t_us)
     if times.size and times.dtype.kind == "f":
@@ -163,7 +159,7 @@ def _times(t_us: npt.ArrayLike) -> _Float64s:
     return times.astype(np.float64)
 
 
-def _times_ns(times: _Float64s) -> list[int]:
+def _times_ns(times: Floats) -> list[int]:
     if times.ndim != 1:
         raise ValueError(f"t_us has the shape {times.shape}: one time for each frame is needed, (n,)")
     if not (np.isfinite(times).all() and (times >= 0).all()):
@@ -177,7 +173,7 @@ def _times_ns(times: _Float64s) -> list[int]:
     return [int(t) for t in rounded_ns]
 
 
-def _check_growth(times: _Float64s, rounded: npt.NDArray[Any]) -> None:
+def _check_growth(times: Floats, rounded: npt.NDArray[Any]) -> None:
     stuck = np.flatnonzero(np.diff(rounded) <= 0)
     if stuck.size:
         k = int(stuck[0]) + 1
@@ -197,9 +193,7 @@ def _check_interval(interval_us: float) -> None:
         warnings.warn(message, stacklevel=5)
 
 
-def _lights(
-    frames: Iterable[npt.ArrayLike], levels: Levels | None, light_at_white: float | None
-) -> Iterator[_Float32s]:
+def _lights(frames: Iterable[npt.ArrayLike], levels: Levels | None, light_at_white: float | None) -> Iterator[Float32s]:
     """Yield each frame as linear light relative to the reference level; all have the size of the first."""
     shape: tuple[int, ...] | None = None
     warned = light_at_white is not None  # the caller has then chosen the scale
@@ -256,10 +250,10 @@ def _warn_of_levels(values: npt.NDArray[Any], k: int) -> bool:
     return True
 
 
-def _exposed(sensor: Sensor, lights: Iterator[_Float32s], times_ns: list[int], step_ns: int) -> Iterator[Events]:
+def _exposed(sensor: Sensor, lights: Iterator[Float32s], times_ns: list[int], step_ns: int) -> Iterator[Events]:
     """Yield the events between each two frames, and those that remain."""
     dark = np.float32(sensor.parameters.dark_current_relative)
-    before: _Float32s | None = None
+    before: Float32s | None = None
     count = 0
     for light in lights:
         if count == len(times_ns):
@@ -276,8 +270,8 @@ def _exposed(sensor: Sensor, lights: Iterator[_Float32s], times_ns: list[int], s
 
 
 def _between(
-    a: _Float32s, b: _Float32s, a_ns: int, b_ns: int, step_ns: int, dark: np.float32
-) -> Iterator[tuple[int, _Float32s]]:
+    a: Float32s, b: Float32s, a_ns: int, b_ns: int, step_ns: int, dark: np.float32
+) -> Iterator[tuple[int, Float32s]]:
     """Yield times and light on a straight line in log photocurrent, from after `a` up to and with `b`."""
     steps = -(-(b_ns - a_ns) // step_ns)
     with np.errstate(invalid="ignore", divide="ignore"):  # the sensor refuses values that are not light
@@ -296,7 +290,7 @@ def reconstruct(
     threshold_on: npt.ArrayLike,
     threshold_off: npt.ArrayLike,
     t_us: int | None = None,
-) -> _Float64s:
+) -> Floats:
     """Return the logarithm of light after the events up to `t_us`, (height, width).
 
     It starts with a known light and adds a threshold for each event.

@@ -30,6 +30,7 @@ from emulator.run.truth.source import TruthSelection, check_truth
 from evstim.deliveries import Delivery, forwarding
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
+from transports.link.loop import InjectFault
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 
@@ -316,7 +317,8 @@ class LiveRun(Generic[Batch]):
             self._status = status
             self._changed.notify_all()
         while self._session is not None and self._faults:
-            self._session.inject(self._faults.popleft())
+            fault = self._faults.popleft()
+            self._session.order(fault.link, InjectFault(fault, "program"))
 
     def _take(self, events: Events) -> None:
         """Queue the events of a step, or wait until there is room for more deliveries; in the session's thread."""

@@ -25,10 +25,8 @@ from emulator.sensor.parameters import (
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.tables.typed_table import TableError, convert
 from firmware_protocol.bounds import LAST_NS, whole_number
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Float32s
 from transports.registry import unknown
-
-_Float32s = npt.NDArray[np.float32]
 
 _Part = Mapping[str, Any]
 
@@ -201,14 +199,14 @@ class Sensor:
         self._t_ns = None
         return self._sensor.finish()
 
-    def _light(self, light: npt.ArrayLike) -> _Float32s:
+    def _light(self, light: npt.ArrayLike) -> Float32s:
         frame = self._frame(light, "light")
         if frame.min() < 0:
             row, column = np.unravel_index(int(frame.argmin()), frame.shape)
             raise ValueError(f"light is {frame[row, column]:g} at x = {column}, y = {row}: it must be 0 or more")
         return frame
 
-    def _frame(self, values: npt.ArrayLike, name: str) -> _Float32s:
+    def _frame(self, values: npt.ArrayLike, name: str) -> Float32s:
         """Return a frame as the kernels take it; raises TypeError or ValueError with the fault and its place."""
         array, shape = np.asarray(values), (self.parameters.height, self.parameters.width)
         if array.dtype.kind != "f":

@@ -1,4 +1,4 @@
-"""The EVENT and EDGE records that all packages share, and fast copies of them.
+"""The EVENT and EDGE records that all packages share, fast copies of them, and the types of arrays.
 
 The record of an event:
 
@@ -32,6 +32,14 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.bounds import unshared
+
+Floats = npt.NDArray[np.float64]
+Float32s = npt.NDArray[np.float32]
+Int64s = npt.NDArray[np.int64]
+Int32s = npt.NDArray[np.int32]
+UInt16s = npt.NDArray[np.uint16]
+Bytes = npt.NDArray[np.uint8]
+Mask = npt.NDArray[np.bool_]
 
 EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
 

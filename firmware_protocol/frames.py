@@ -19,9 +19,9 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.device.items import Reading, ReadingKind, Readings
+from firmware_protocol.events import UInt16s
 
 
 class LineKind(IntEnum):
@@ -82,9 +82,6 @@ class FrameSettings:
         return self.first_column, self.first_row, self.last_column, self.last_row
 
 
-Samples = npt.NDArray[np.uint16]
-
-
 @dataclass(frozen=True)
 class WholeFrame:
     """A frame that was delivered complete; times are stream time, us.
@@ -102,12 +99,12 @@ class WholeFrame:
     end_us: int
     first_column: int
     first_row: int
-    reset: Samples
-    signal: Samples
+    reset: UInt16s
+    signal: UInt16s
     records: int = 0
 
     @property
-    def pixels(self) -> Samples:
+    def pixels(self) -> UInt16s:
         """(rows, columns) uint16, 0 to 1023: brightness; saturated pixels are 1023, as in hosts."""
         value = np.clip(self.reset.astype(np.int32) - self.signal, 0, 1023)
         return np.where((self.reset < 384) | (self.signal == 0), 1023, value).astype(np.uint16)

@@ -130,11 +130,6 @@ class MessageType:
     ros: str
     rihs01: str
 
-    @property
-    def user_data(self) -> bytes:
-        """Description of the type in the user data of a writer or reader of ROS 2."""
-        return f"typehash=RIHS01_{self.rihs01};".encode("ascii")
-
 
 EVENT_PACKET = MessageType(
     "event_camera_msgs/msg/EventPacket", "d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa"

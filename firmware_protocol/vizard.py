@@ -142,11 +142,6 @@ class Update:
         self.time_ns = round(time_ns)
         self.frame = int(self._message.currentTime.frameNumber)
 
-    @property
-    def camera_ids(self) -> tuple[int, ...]:
-        """Numbers of its cameras."""
-        return tuple(int(camera.cameraID) for camera in self._message.cameras)
-
     def spacecraft(self, name: str) -> State:
         """Return a spacecraft by its name; the first one for an empty name. Raises UpdateError."""
         all_spacecraft = self._message.spacecraft
@@ -165,7 +160,8 @@ class Update:
         """Return a camera by its cameraID; raises UpdateError."""
         camera = next((candidate for candidate in self._message.cameras if candidate.cameraID == number), None)
         if camera is None:
-            raise UpdateError(f"there is no camera {number} in the update; there are: {_list(self.camera_ids)}")
+            numbers = [int(candidate.cameraID) for candidate in self._message.cameras]
+            raise UpdateError(f"there is no camera {number} in the update; there are: {_list(numbers)}")
         label = f"camera {number}"
         if len(camera.resolution) != 2:
             raise UpdateError(f"{label}: resolution has {len(camera.resolution)} numbers, 2 are needed")

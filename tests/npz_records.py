@@ -3,7 +3,7 @@
 import numpy as np
 
 from firmware_protocol.events import EDGE
-from transports.recording.part import IMU
+from firmware_protocol.recordings.part import IMU
 from transports.recording.record import frame_record
 
 

@@ -22,7 +22,7 @@ VALUES = {
     "emulator.geometry.attitude", "emulator.geometry.camera", "emulator.threads", "emulator.trajectory.pose",
     "firmware_protocol.bounds", "firmware_protocol.compiled", "firmware_protocol.events", "firmware_protocol.frames",
     "firmware_protocol.imu_samples", "firmware_protocol.recordings.part",
-    "transports.connections", "transports.faults.kinds", "transports.faults.script", "transports.needs",
+    "transports", "transports.connections", "transports.faults.kinds", "transports.faults.script", "transports.needs",
     "transports.network", "transports.output_file", "transports.registry",
 }  # fmt: skip
 

@@ -15,13 +15,14 @@ from typing import Any, ClassVar
 
 from firmware_protocol.device.items import Items, Numbers, ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
+from firmware_protocol.recordings.part import Facts, counts_of
 from transports.link.deliveries import DeliveredParts, Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts, RecordingError, counts_of
+from transports.recording.part import RecordingError
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.lib import format as npy
 
+from transports import Closing
 from transports.needs import install_command
 
 Values = Mapping[str, Any]
@@ -147,7 +148,7 @@ def read_guarded(reader: str, path: Path, *args: Any, limits: Limits | None = No
     raise ForeignFileError("holds nothing")
 
 
-class GuardedReader:
+class GuardedReader(Closing):
     """Child process that reads one file in pieces; a context manager. For the parameters see `read_guarded`."""
 
     def __init__(self, reader: str, path: Path, *args: Any, limits: Limits | None = None) -> None:
@@ -210,12 +211,6 @@ class GuardedReader:
         self._process.kill()
         os.close(self._input)
         self._process.wait()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def child_command(function: str, order: Mapping[str, Any]) -> list[str]:

@@ -16,9 +16,9 @@ import numpy as np
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.receiver.instrument import SerialReceiver
+from firmware_protocol.recordings.part import Part
 from transports.link.deliveries import LatencySummary, digest_of
 from transports.link.pacing import Clock
-from transports.recording.part import Part
 from transports.recording.record import Recorder
 
 
@@ -32,6 +32,7 @@ class Reception:
     last_t_us : the camera's time of the newest event; None before the first.
     digest : digest of all events, see `digest_of`.
     gone : True when the other side disconnected, or the transport was lost.
+    faults : number of faults that never occur on an intact link: damaged words or frames, gaps in counts, lost blocks.
     """
 
     events: int = 0
@@ -40,11 +41,7 @@ class Reception:
     last_t_us: int | None = None
     digest: int = 0
     gone: bool = False
-
-    @property
-    def fault_count(self) -> int:
-        """Number of faults that never occur on an intact link."""
-        return 0
+    faults: int = 0
 
     @property
     def is_early(self) -> bool:
@@ -137,19 +134,12 @@ class CountedReception(Reception):
 
     Attributes
     ----------
-    faults : number of faults that never occur on an intact link: damaged frames, gaps in the counts, wrong blocks.
     counts : all other counts by name.
     jitter_us : delay of each block or frame relative to the fastest one: the camera's clock is not known.
     """
 
-    faults: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
-
-    @property
-    def fault_count(self) -> int:
-        """Number of faults."""
-        return self.faults
 
 
 @dataclass(frozen=True)

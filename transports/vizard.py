@@ -32,7 +32,28 @@ _KEEP_ALIVE = {"TCP_KEEPALIVE": 1, "TCP_KEEPALIVE_IDLE": 10, "TCP_KEEPALIVE_INTV
 _LINGER_MS = 500  # time for the last reply to be sent
 
 
-class VizardServer:
+class _Watched:
+    """Socket of ZeroMQ of a type, such as "ROUTER", with a monitor of the connections that end."""
+
+    def __init__(self, socket_type: str) -> None:
+        import zmq
+        from zmq.utils.monitor import recv_monitor_message
+
+        self._zmq, self._monitor_message = zmq, recv_monitor_message
+        self._context: Any = zmq.Context()
+        self._socket = self._context.socket(getattr(zmq, socket_type))
+        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+
+    def close(self) -> None:
+        """Send what waits, for its time to linger at most, and disconnect; a second call does nothing."""
+        if not self._socket.closed:
+            self._socket.disable_monitor()
+            self._monitor.close(0)
+            self._socket.close()
+            self._context.term()
+
+
+class VizardServer(_Watched):
     """Server on `host` and `port` (0: any free one) for the peers of `allow`, empty: those of this machine.
 
     Raises ImportError if pyzmq is not installed, OSError if the port cannot be opened.
@@ -44,19 +65,13 @@ class VizardServer:
     """
 
     def __init__(self, host: str, port: int, allow: Sequence[str] = ()) -> None:
-        import zmq
-        from zmq.utils.monitor import recv_monitor_message
-
-        self._zmq, self._monitor_message = zmq, recv_monitor_message
+        super().__init__("ROUTER")
         self._allow = AllowList(allow)
-        self._context: Any = zmq.Context()
-        self._socket = self._context.socket(zmq.ROUTER)
-        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
         for name, value in {"MAXMSGSIZE": MOST_BYTES, "LINGER": _LINGER_MS, **_KEEP_ALIVE}.items():
-            self._socket.setsockopt(getattr(zmq, name), value)
-        self._poller = zmq.Poller()
+            self._socket.setsockopt(getattr(self._zmq, name), value)
+        self._poller = self._zmq.Poller()
         for source in (self._socket, self._monitor):
-            self._poller.register(source, zmq.POLLIN)
+            self._poller.register(source, self._zmq.POLLIN)
         self._peer: bytes | None = None
         self._peer_fd = -1
         self.peer_gone = False
@@ -89,13 +104,6 @@ class VizardServer:
     def forget_peer(self) -> None:
         """Serve the next peer that connects."""
         self._peer, self.peer_gone = None, False
-
-    def close(self) -> None:
-        """Send the waiting replies, for half a second at most, and close; a second call does nothing."""
-        self._socket.disable_monitor()
-        self._monitor.close(0)
-        self._socket.close()
-        self._context.term()
 
     def _bind(self, host: str, port: int) -> None:
         at = f"[{host}]" if ":" in host else host
@@ -142,25 +150,19 @@ class Server(Protocol):
         """Serve the next peer."""
 
 
-class Other:
+class Other(_Watched):
     """Connection to a visualiser that listens on `host` and `port`; raises OSError if none listens.
 
-    `address`: address of the visualiser; `gone`: True when it has closed the connection.
+    `address`: address of the visualiser; `gone`: True when it has closed the connection. `close` ends its run.
     """
 
     def __init__(self, host: str, port: int) -> None:
-        import zmq
-        from zmq.utils.monitor import recv_monitor_message
-
         socket.create_connection((host, port), _REACH_S).close()  # ZeroMQ would try for ever, without an error
+        super().__init__("DEALER")
         self.address = f"{host}:{port}"
         self.gone = False
-        self._zmq, self._monitor_message = zmq, recv_monitor_message
-        self._context: Any = zmq.Context()
-        self._socket = self._context.socket(zmq.DEALER)
-        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.IPV6, int(":" in host))
+        self._socket.setsockopt(self._zmq.LINGER, 0)
+        self._socket.setsockopt(self._zmq.IPV6, int(":" in host))
         self._socket.connect(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}")
 
     def send(self, parts: Sequence[bytes]) -> None:
@@ -176,14 +178,6 @@ class Other:
             if self.gone:
                 return None
         return list(self._socket.recv_multipart()[1:])
-
-    def close(self) -> None:
-        """Disconnect, which ends the other one's run. A second call does nothing."""
-        if not self._socket.closed:
-            self._socket.disable_monitor()
-            self._monitor.close(0)
-            self._socket.close()
-            self._context.term()
 
 
 class ForwardingServer:

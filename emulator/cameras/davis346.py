@@ -11,8 +11,9 @@ from emulator.optics.lens import Chip
 from emulator.rig.kinds import IMU_UNITS, CameraKernels, CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.davis346 import DAVIS240C as _DAVIS240C
-from firmware_protocol.davis346 import Davis240c, Davis240cSettings, Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.device import Davis240c, Davis240cSettings, Davis346, Davis346Settings
+from firmware_protocol.davis346.model import DAVIS240C as _DAVIS240C
+from firmware_protocol.davis346.registers import Layout
 from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera

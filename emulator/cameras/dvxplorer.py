@@ -10,16 +10,12 @@ from emulator.optics.lens import Chip
 from emulator.rig.kinds import IMU_UNITS, CameraKernels, CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.dvxplorer import (
-    Dvxplorer,
-    DvxplorerMicro,
-    DvxplorerMicroSettings,
-    DvxplorerSettings,
-    FrameDecoder,
-    GroupDecoder,
-    GroupEncoder,
-)
+from firmware_protocol.dvxplorer.decoder import GroupDecoder
+from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer.frame_words import FrameDecoder
+from firmware_protocol.dvxplorer.micro import DvxplorerMicro, DvxplorerMicroSettings
 from firmware_protocol.dvxplorer.registers import SYSTEM
+from firmware_protocol.dvxplorer.words import GroupEncoder
 from firmware_protocol.usb.device import UsbCamera
 
 

@@ -37,7 +37,6 @@ from emulator.campaign.loading import (
     parse_settings,
     path_of,
     succeeds,
-    text_of,
     with_value,
     with_worker,
 )
@@ -45,8 +44,8 @@ from emulator.campaign.sampling import Law, grid_digits, unit_points
 from emulator.rig.loading import Rig, rig_of_table
 from emulator.run.machine import pose_port
 from emulator.run.outcome import RunResult, good, judge
-from emulator.tables.toml_text import shortened
-from emulator.tables.typed_table import KeyPath, TableError
+from emulator.tables.toml_text import KeyPath, dotted, shortened
+from emulator.tables.typed_table import TableError
 from transports.registry import unknown
 
 Row = dict[str, Any]
@@ -333,5 +332,5 @@ def _check_keys(settings: Settings) -> None:
                 raise TableError(_OWN_SEED, at)
             for other, place in earlier.items():
                 if other[: len(path)] == path:
-                    raise TableError(f"{key} replaces {text_of(other)}, given {place}", at)
+                    raise TableError(f"{key} replaces {dotted(other)}, given {place}", at)
             earlier[path] = "by an earlier parameter"

@@ -41,14 +41,14 @@ from emulator.campaign.loading import (
     located,
     parse_laws,
     table_of,
-    text_of,
 )
 from emulator.report.pictures import deep_png
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
-from emulator.tables.typed_table import KeyPath, TableError
-from firmware_protocol.events import Events, Kept, make_events
+from emulator.tables.toml_text import KeyPath, dotted
+from emulator.tables.typed_table import TableError
+from firmware_protocol.events import Events, Float32s, Floats, Int64s, Kept, Mask, UInt16s, make_events
 from transports.link.pacing import MonotonicClock
 from transports.recording.format import FORMATS
 
@@ -120,7 +120,7 @@ def _check_varied(table: Mapping[str, Any]) -> None:
     if not isinstance(table.get("set", {}), dict):
         raise TableError(f"expected a table, got {table['set']!r}", ("set",))
     keys: list[tuple[str, KeyPath]] = [(key, (key,)) for key in table]
-    keys += [(text_of(path), path) for path in leaves({"set": table.get("set", {})})]
+    keys += [(dotted(path), path) for path in leaves({"set": table.get("set", {})})]
     for i, law in enumerate(parse_laws(table.get("parameters", []))):
         keys += [(f"set.{key}", ("parameters", i, "key")) for key in (law.key, *law.also)]
     for key, path in keys:
@@ -225,9 +225,7 @@ def write_dsec(folder: Path, pictures: int) -> None:
         np.savetxt(folder / "flow/forward_timestamps.txt", pairs, "%d", ", ", header=names)
 
 
-def displacement(
-    t_us: npt.NDArray[np.int64], flow: npt.NDArray[np.float32], labels: npt.NDArray[np.uint16]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+def displacement(t_us: Int64s, flow: Float32s, labels: UInt16s) -> tuple[Floats, Mask]:
     """Return how far the point at each pixel's middle moves from the first instant to the last, and where it is known.
 
     From one instant to the next by the trapezoidal rule along the path of the point. It is unknown where the path
@@ -255,7 +253,7 @@ def displacement(
     return np.moveaxis(at - begin, 0, -1)[..., ::-1], is_known
 
 
-def _flow_at(flow: npt.NDArray[np.float32], at: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _flow_at(flow: Float32s, at: Floats) -> Floats:
     """Return the flow between pixels, rows and columns a second, at rows and columns (2, height, width)."""
     return np.stack([map_coordinates(flow[..., axis], at, np.float64, order=1, mode="nearest") for axis in (1, 0)])
 

@@ -35,8 +35,16 @@ from emulator.campaign.sampling import LAWS, Law, Sampling
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.truth.file import LAYERS
 from emulator.run.truth.source import ABSENT, TruthRefused, TruthSelection, check_truth
-from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
-from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types
+from emulator.tables.toml_text import (
+    KeyPath,
+    TextFileError,
+    TomlError,
+    dotted,
+    read_text,
+    read_toml,
+    shortened,
+)
+from emulator.tables.typed_table import TableError, convert, convert_kind, field_types
 from firmware_protocol.bounds import Share, check_bounds
 from transports.registry import unknown
 
@@ -307,11 +315,6 @@ def path_of(key: str) -> KeyPath:
     return path
 
 
-def text_of(path: KeyPath) -> str:
-    """Return a path as dotted text."""
-    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
-
-
 def with_value(table: Any, path: KeyPath, value: Any, at: KeyPath = ()) -> Any:
     """Return tables with one value set, and missing tables on its path made; the argument is not changed."""
     if not path:
@@ -320,11 +323,11 @@ def with_value(table: Any, path: KeyPath, value: Any, at: KeyPath = ()) -> Any:
     if isinstance(head, int):
         if not isinstance(table, list) or head >= len(table):
             count = len(table) if isinstance(table, list) else 0
-            raise TableError(f"{text_of((*at, head))} is not in the rig, which has {count} of them", (*at, head))
+            raise TableError(f"{dotted((*at, head))} is not in the rig, which has {count} of them", (*at, head))
         return [*table[:head], with_value(table[head], remaining, value, (*at, head)), *table[head + 1 :]]
     table = {} if table is None else table
     if not isinstance(table, dict):
-        raise TableError(f"{text_of(at)} is no table", at)
+        raise TableError(f"{dotted(at)} is no table", at)
     return {**table, head: with_value(table.get(head), remaining, value, (*at, head))}
 
 
@@ -441,10 +444,7 @@ def located(source: Source, error: TableError) -> CampaignError:
         file, text = source.author_file, source.author_text
         if error.path in OPTIONS:
             return CampaignError(f"{OPTIONS[error.path]}: {shortened(error)}")
-    line = line_of(text, error.path)
-    at = f"{file}, line {line}" if line else file
-    key = text_of(error.path)[:200]
-    return CampaignError(f"{at}: {key}: {shortened(error)}" if key else f"{at}: {shortened(error)}")
+    return CampaignError(error.at(file, text))
 
 
 def _settings(table: dict[str, Any]) -> Settings:

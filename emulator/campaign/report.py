@@ -38,15 +38,15 @@ from emulator.campaign.loading import SuccessRule, proportion
 from emulator.campaign.sampling import Law
 from emulator.report.document import Document, Section
 from emulator.report.page import BLUE, INK, RED, ChartsLacking, image, panels, svg
+from firmware_protocol.events import Floats
 
 _MOST_SLICES = 10
 _FEWEST_IN_SLICE = 10
 _DRAWS = 40
-_Floats = npt.NDArray[np.float64]
 _Slices = Sequence[npt.NDArray[np.intp]]
 
 
-def slices_of(x: _Floats) -> _Slices:
+def slices_of(x: Floats) -> _Slices:
     """Return the indices of the runs of each slice of a parameter: of each value where there are few, else of ranks."""
     values, group = np.unique(x, return_inverse=True)
     if len(values) <= _MOST_SLICES:
@@ -55,13 +55,13 @@ def slices_of(x: _Floats) -> _Slices:
     return np.array_split(np.argsort(x, kind="stable"), count)
 
 
-def pawn(y: _Floats, slices: _Slices) -> float:
+def pawn(y: Floats, slices: _Slices) -> float:
     """Return the index of a parameter with these slices for the values `y` (n,) of a column."""
     ordered = np.sort(y)
     return _index(y, ordered, _cumulative(ordered, ordered), slices)
 
 
-def pawn_of_chance(y: _Floats, slices: _Slices) -> float:
+def pawn_of_chance(y: Floats, slices: _Slices) -> float:
     """Return the 95 % quantile of the index of a parameter without influence, in samples like this one."""
     draw, ordered = np.random.default_rng(1), np.sort(y)
     of_all = _cumulative(ordered, ordered)
@@ -69,12 +69,12 @@ def pawn_of_chance(y: _Floats, slices: _Slices) -> float:
     return float(np.quantile(indices, 0.95))
 
 
-def _index(y: _Floats, ordered: _Floats, of_all: _Floats, slices: _Slices) -> float:
+def _index(y: Floats, ordered: Floats, of_all: Floats, slices: _Slices) -> float:
     distances = [np.abs(_cumulative(np.sort(y[rows]), ordered) - of_all).max() for rows in slices]
     return float(np.median(distances))
 
 
-def _cumulative(values: _Floats, at: _Floats) -> _Floats:
+def _cumulative(values: Floats, at: Floats) -> Floats:
     """Return the share of sorted values that are not above each of `at`."""
     return np.searchsorted(values, at, side="right") / len(values)
 
@@ -97,13 +97,13 @@ class Sensitivity:
     rows: list[dict[str, Any]]
 
 
-def numbers(rows: Sequence[Row], column: str) -> _Floats:
+def numbers(rows: Sequence[Row], column: str) -> Floats:
     """Return a column as floats (n,): true is 1, a missing value or no number is NaN."""
     values = [row.get(column) for row in rows]
     return np.array([float(v) if isinstance(v, int | float) else math.nan for v in values])
 
 
-def parameter_numbers(rows: Sequence[Row], law: Law) -> _Floats:
+def parameter_numbers(rows: Sequence[Row], law: Law) -> Floats:
     """Return a parameter as floats (n,): texts and tables as their place in the list of values."""
     values = numbers(rows, law.key)
     if not np.isnan(values).any():
@@ -136,7 +136,7 @@ def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_poin
 _SOBOL = "Sobol indices (Saltelli's design, {} base points) with 95 % confidence: share of the variance"
 
 
-def _sobol(y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
+def _sobol(y: Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
     analyze, count = importlib.import_module("SALib.analyze.sobol").analyze, len(laws)
     problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
     with warnings.catch_warnings():
@@ -147,12 +147,12 @@ def _sobol(y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
     return [{"parameter": law.key, **{n: c[k] for n, c in columns.items()}} for k, law in enumerate(laws)]
 
 
-def _rank(x: _Floats, y: _Floats) -> dict[str, float]:
+def _rank(x: Floats, y: Floats) -> dict[str, float]:
     rho = spearmanr(x, y) if np.ptp(x) > 0 else None
     return {"rank correlation": float(rho.statistic) if rho else math.nan, "p": float(rho.pvalue) if rho else math.nan}
 
 
-def _influence(x: _Floats, y: _Floats) -> dict[str, float]:
+def _influence(x: Floats, y: Floats) -> dict[str, float]:
     slices = slices_of(x)
     return {"PAWN": pawn(y, slices), "PAWN, 95 % of chance": pawn_of_chance(y, slices)}
 
@@ -191,7 +191,7 @@ def success_by_parameter(rows: Sequence[Row], laws: Sequence[Law], labels: _Labe
     return svg(figure)
 
 
-def _binned(x: _Floats, success: _Floats) -> tuple[_Floats, _Floats, _Floats, _Floats]:
+def _binned(x: Floats, success: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return for bins of about equal counts: mean of x, share, and the ends of its interval."""
     values = np.unique(x)
     edges = np.quantile(x, np.linspace(0, 1, _BINS + 1))
@@ -236,7 +236,7 @@ def histograms(rows: Sequence[Row], columns: Sequence[str], labels: _Labels, rul
     return svg(figure)
 
 
-def _limits(rules: Sequence[SuccessRule], column: str, values: _Floats) -> list[float]:
+def _limits(rules: Sequence[SuccessRule], column: str, values: Floats) -> list[float]:
     """Return the limits of a column that are not far from its values."""
     span = float(np.ptp(values))
     numbers = [float(rule.value) for rule in rules if rule.column == column and not isinstance(rule.value, str)]
@@ -320,7 +320,7 @@ def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     return shown if chosen else shown[:_MOST_COLUMNS]
 
 
-def _finite(rows: Sequence[Row], column: str) -> _Floats:
+def _finite(rows: Sequence[Row], column: str) -> Floats:
     values = numbers(rows, column)
     return values[np.isfinite(values)]
 

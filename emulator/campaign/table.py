@@ -24,7 +24,8 @@ from types import MappingProxyType
 from typing import Any
 
 from emulator.campaign.campaign import Campaign, Row
-from emulator.campaign.loading import OPTIONS, text_of
+from emulator.campaign.loading import OPTIONS
+from emulator.tables.toml_text import dotted
 from transports.needs import install_command
 
 _SUFFIX = ".parquet"
@@ -181,7 +182,7 @@ def _difference_message(campaign: Campaign, folder: Path, before: dict[str, Any]
     if campaign.source.author_file:
         content = "sequences of another data set"
         remedy = "Give the options, the rig and the file of --vary as they were, or another folder with --out"
-        names = {f"campaign.{text_of(path)} ": f"{option}: " for path, option in OPTIONS.items()}
+        names = {f"campaign.{dotted(path)} ": f"{option}: " for path, option in OPTIONS.items()}
         differences = [next((names[key] for key in names if line.startswith(key)), "") + line for line in differences]
     remainder = [f"and {len(differences) - _MOST_LISTED} more"] if len(differences) > _MOST_LISTED else []
     listed = "; ".join([*differences[:_MOST_LISTED], *remainder])

@@ -23,7 +23,6 @@ from emulator.cli.output import (
     UNREAD,
     WRONG_USE,
     Failure,
-    break_lines,
     console,
     guard_stdout,
     help_console,
@@ -115,7 +114,8 @@ def _main(tokens: list[str]) -> int:
     for package in ("emulator", "transports"):
         logging.getLogger(package).setLevel(os.environ.get("EVSTIM_LOG", "INFO").upper())
     as_json = "--json" in tokens
-    boxed = break_lines() and not as_json and "--quiet" not in tokens
+    status.soft_wrap = not status.is_terminal
+    boxed = status.is_terminal and not as_json and "--quiet" not in tokens
     if "--quiet" in tokens:
         tokens = [token for token in tokens if token != "--quiet"]
         status.quiet = True  # no progress, notices and warnings on stderr; errors and results stay

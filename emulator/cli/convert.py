@@ -9,10 +9,11 @@ from pathlib import Path
 
 from emulator.cli.checks import AS_IT_IS, Table, check_recording, parsed_size, reading, recording_of, writing
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, SensorSize, Topic, print_result, status
+from firmware_protocol.recordings.part import Facts, counts_of, named
 from transports.recording.event_files import recover_aedat4
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import Format
-from transports.recording.part import Facts, Reader, RecordingError, counts_of, named
+from transports.recording.part import Reader, RecordingError
 from transports.recording.record import RawEvents
 
 _PROGRESS_S = 2.0

@@ -24,7 +24,7 @@ from emulator.cli.driver_client import DRIVER, driver_works
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_result, status
 from emulator.cli.picture import PictureOptions, draw
 from emulator.cli.run import Files, RunParts, rig_with_options, run_with_files, summary
-from emulator.rig.loading import Rig, UsbipLink, load_rig
+from emulator.rig.loading import Rig, load_rig
 from emulator.run.machine import free_loopback_address
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
@@ -32,6 +32,7 @@ from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.gige.kind import GigeLink
 from transports.output_file import TemporaryFolder, lasting_folder
 from transports.recording.record import load_record
+from transports.usb.kind import UsbipLink
 
 _HEIGHT_M = 500.0
 _MOVIE_S, _MOVIE_FPS = 2.0, 10  # a small file that is written in about a second

@@ -68,7 +68,7 @@ def doctor(
 def _of_rig(rig: Rig, *, as_json: bool) -> int:
     """Show the needs of a rig, compile its kernels and measure its speed; the latter two where nothing is missing."""
     needed = examined_needs(rig)
-    lacks = any(need.stops_the_run for need in needed)
+    lacks = any(need.by == "run" and not need.finding.good for need in needed)
     if not as_json:
         for need in needed:
             console.print(f"{rig.name}: {need.line}", markup=False)

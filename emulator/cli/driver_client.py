@@ -13,7 +13,7 @@ import threading
 from pathlib import Path
 
 from firmware_protocol.events import EVENT
-from transports.recording.part import Part
+from firmware_protocol.recordings.part import Part
 from transports.recording.record import Recorder
 
 DRIVER = "neuromorphic_drivers"

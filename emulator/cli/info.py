@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.cli.checks import AS_IT_IS, Table, recording_of
 from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, Topic, print_result
 from emulator.run.truth.file import truth_in
+from firmware_protocol.events import Int64s
+from firmware_protocol.recordings.part import Facts, Part
 from transports.recording.files import OpenRecording
-from transports.recording.part import Facts, Part, RecordingError
+from transports.recording.part import RecordingError
 
 
 def _truth_lines(content: Mapping[str, Any]) -> list[str]:
@@ -45,8 +46,6 @@ _BIN_US = 100_000
 _EARLIEST_US = 10**14  # the year 1973: a smaller offset of times is of a camera's clock, and no date
 _STREAMS = {"events": "events", "edges": "triggers", "imu": "IMU", "frames": "frames"}
 
-_Times = npt.NDArray[np.int64]
-
 
 @dataclass
 class StreamSurvey:
@@ -64,7 +63,7 @@ class StreamSurvey:
     steps_back: int = 0
     _before_us: int = 0
 
-    def add(self, t_us: _Times) -> None:
+    def add(self, t_us: Int64s) -> None:
         """Add the times of records, (n,) us."""
         if not len(t_us):
             return
@@ -115,7 +114,7 @@ class Survey:
         self.extent = (max(self.extent[0], int(events["x"].max()) + 1), max(self.extent[1], int(events["y"].max()) + 1))
         self._count_bins(events["t"].astype(np.int64) // _BIN_US)
 
-    def _count_bins(self, bins: _Times) -> None:
+    def _count_bins(self, bins: Int64s) -> None:
         starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
         counts = np.diff(starts, append=len(bins))
         if bins[0] == self._bin[0]:

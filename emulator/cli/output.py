@@ -144,12 +144,6 @@ class _WholeLines(logging.Handler):
         status.print(self.format(record), markup=False)
 
 
-def break_lines() -> bool:
-    """Let `status` break lines only at a terminal; return whether it does."""
-    status.soft_wrap = not status.is_terminal
-    return status.is_terminal
-
-
 def log_handler() -> logging.Handler:
     """Return the handler that prints the log on `status`."""
     if status.is_terminal:

@@ -32,10 +32,11 @@ from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_frames, build_scene, build_sensor
 from emulator.run.kernels import parts_of
 from firmware_protocol.events import Events, copy_events, empty_events, join_events
+from firmware_protocol.recordings.part import Frame
 from transports.link.pacing import MonotonicClock
 from transports.recording.files import OpenRecording
 from transports.recording.format import is_recording
-from transports.recording.part import Frame, RecordingError
+from transports.recording.part import RecordingError
 
 _WINDOWS_MS = (20.0, 50.0, 100.0, 200.0, 500.0)  # tried in this order
 _ENOUGH = 0.005  # events for each pixel of the sensor

@@ -91,7 +91,7 @@ def _chip(planned: Plan) -> str:
     bounds = planned.probe.least_current, planned.probe.largest_current
     if not all(map(math.isfinite, bounds)):
         return "the light of no pixel changes"
-    lux = [lens.chip_lux(light) for light in bounds]
+    lux = [light * lens.reference_lux for light in bounds]
     current_a = [chip.photocurrent_a(lens.chip_irradiance_w_m2(light)) for light in bounds]
     return (
         f"{lux[0]:.2g} to {lux[1]:.2g} lx on the active pixels, dark current included, where the reference is "

@@ -33,11 +33,6 @@ class Needed:
     finding: Finding
 
     @property
-    def stops_the_run(self) -> bool:
-        """Return whether the rig cannot run here because this part is missing."""
-        return self.by == "run" and not self.finding.good
-
-    @property
     def line(self) -> str:
         """Line for people, with the command that adds the part where it is missing."""
         state = "there" if self.finding.good else f"missing; {self.finding.fix}"

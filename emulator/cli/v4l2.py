@@ -62,7 +62,7 @@ def v4l2(
         if not isinstance(camera, TreuzellHost):
             raise Failure(f"{camera.model}: no driver on V4L2 is known for it", WRONG_USE)
         with closing(Node(camera, opened(file), 1024 * buffer_kib)) as node:
-            status.print(f"{camera.model} serial {camera.info.serial} is the sensor {node.sensor_name}; Ctrl-C ends it")
+            status.print(f"{camera.model} serial {camera.info.serial} is the sensor {node.sensor.name}; Ctrl-C ends it")
             started_s = time.monotonic()
             node.run(_until(started_s, seconds))
     counts = node.counts

@@ -212,15 +212,14 @@ class CanInputs:
             if (frame := self._bus.recv(0)) is None:
                 break
             for signal in self._signals:
-                if signal.id == frame.arbitration_id:
-                    self._take(signal.variable, signal.value(bytes(frame.data)), due)
+                if signal.id != frame.arbitration_id:
+                    continue
+                value = signal.value(bytes(frame.data))
+                if value is None or not math.isfinite(value):
+                    self.unusable += 1
+                else:
+                    due[signal.variable] = value
         return due
-
-    def _take(self, variable: str, value: float | None, due: dict[str, float]) -> None:
-        if value is None or not math.isfinite(value):
-            self.unusable += 1
-        else:
-            due[variable] = value
 
 
 @contextmanager

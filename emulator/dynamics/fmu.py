@@ -6,12 +6,12 @@ import importlib.util
 import multiprocessing
 import signal
 from pathlib import Path
-from typing import Self
 
 from emulator.dynamics.flight import DynamicsError, FlightEnded, Mapping
 from emulator.dynamics.fmu_process import serve
 from emulator.light import MachineLacks
 from emulator.run.link_process import starting_a_process
+from transports import Closing
 from transports.needs import install_command
 from transports.output_file import TemporaryFolder
 
@@ -19,7 +19,7 @@ _START_S = 120.0
 _STEP_S = 30.0
 
 
-class Fmu:
+class Fmu(Closing):
     """An initialised co-simulation FMU; use it in a `with` block.
 
     `step` sets the variables `inputs`; `outputs` has the present values of the mapping's outputs, by variable. Raises
@@ -79,9 +79,3 @@ class Fmu:
             self._process.kill()
             self._process.join()
         self._folder.cleanup()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -29,7 +29,8 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
+
+from firmware_protocol.events import Float32s, Floats, UInt16s
 
 
 @dataclass(frozen=True)
@@ -65,11 +66,6 @@ class Pinhole:
         return self.width, self.height
 
     @property
-    def field_of_view_deg(self) -> float:
-        """Of the picture's width, edge to edge."""
-        return math.degrees(2 * math.atan(self.width / 2 / self.focal_px))
-
-    @property
     def zoom(self) -> tuple[float, float]:
         """Focal length over half the frame's width and height, for GL's projection."""
         return 2 * self.focal_px / self.width, 2 * self.focal_px / self.height
@@ -79,12 +75,6 @@ class Pinhole:
         """From the boresight to a corner."""
         return math.atan(math.hypot(self.width, self.height) / 2 / self.focal_px)
 
-    def widened(self, margin_px: int) -> Pinhole:
-        """Return the camera with a margin on every side, for effects that need light beyond the frame's edge."""
-        return Pinhole(self.width + 2 * margin_px, self.height + 2 * margin_px, self.focal_px)
-
-
-Floats = npt.NDArray[np.float64]
 
 Given = Literal["poses", "depth", "flow", "labels"]
 
@@ -122,9 +112,9 @@ class Seen:
     labels : (height, width) uint16.
     """
 
-    depth: npt.NDArray[np.float32]
-    flow: npt.NDArray[np.float32]
-    labels: npt.NDArray[np.uint16]
+    depth: Float32s
+    flow: Float32s
+    labels: UInt16s
 
     @classmethod
     def of(cls, width: int, height: int) -> Seen:

@@ -16,10 +16,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
-from typing import Any, Self
-
-import numpy as np
-import numpy.typing as npt
+from typing import Any
 
 from emulator.light import MachineLacks
 from emulator.live_page.axis import TimeAxis
@@ -31,7 +28,8 @@ from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
 from emulator.run.outcome import Rates, RunStatus
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Float32s
+from transports import Closing
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
@@ -180,7 +178,7 @@ def with_trigger_button(setups: Sequence[LinkSetup[Any]]) -> tuple[list[LinkSetu
     ], sink
 
 
-class LivePage:
+class LivePage(Closing):
     """The page of one run, in a process of its own; raises OSError where it cannot listen at `address`.
 
     `url` is the address to open in a browser; the page of a run that was started again keeps it.
@@ -208,16 +206,10 @@ class LivePage:
         listener.close()
         self._outbox = Outbox(self._pipe)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def show(
         self,
         events: Events,
-        light: npt.NDArray[np.float32],
+        light: Float32s,
         now_us: int,
         readings: Sequence[tuple[ReadingKind, Readings]] = (),
     ) -> None:

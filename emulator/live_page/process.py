@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from emulator.live_page.axis import RunHistory
 from emulator.live_page.messages import MOST_COMMAND_BYTES, MOST_COUNT, NEWEST, Access, Picture, light_codes
-from firmware_protocol.events import Events
+from firmware_protocol.events import Bytes, Events, Float32s
 from transports.link.rings import EventRing
 
 _MOST_SIZE = (640, 480)
@@ -53,7 +53,7 @@ class Canvas:
         """(height, width) of the page's picture, pixels."""
         return self._height, self._width
 
-    def draw(self, events: Events, light: npt.NDArray[np.float32], until_us: int) -> Picture:
+    def draw(self, events: Events, light: Float32s, until_us: int) -> Picture:
         """Return the picture of the time since the last one.
 
         Parameters
@@ -85,9 +85,7 @@ class Canvas:
         active = np.flatnonzero(plane)
         return active.astype(np.uint32), plane[active]
 
-    def _counts(
-        self, events: Events, place: npt.NDArray[np.intp], active: npt.NDArray[np.uint32]
-    ) -> npt.NDArray[np.uint8]:
+    def _counts(self, events: Events, place: npt.NDArray[np.intp], active: npt.NDArray[np.uint32]) -> Bytes:
         """Return the counts of the active pixels."""
         slot = np.empty(self._height * self._width, np.intp)
         slot[active] = np.arange(len(active))
@@ -118,11 +116,11 @@ class SharedView:
         self._light_us = 0
 
     @property
-    def light(self) -> npt.NDArray[np.float32]:
+    def light(self) -> Float32s:
         """The light, (height, width) of the page's picture."""
         return np.frombuffer(self._light, np.float32).reshape(self._shape)
 
-    def show(self, events: Events, light: npt.NDArray[np.float32], now_us: int) -> None:
+    def show(self, events: Events, light: Float32s, now_us: int) -> None:
         """Show a step's events up to `now_us`, of too many the newest, and the light; nothing without room for them."""
         if not self.viewers.value or (len(events) > self._ring.room and self._ring.waiting):
             return

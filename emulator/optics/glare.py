@@ -23,11 +23,11 @@ over each frame (1 ns a pixel for light and derivative, 10 to 18 with a halo), a
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LastArrays, Light, OtherLight, Scene
 from emulator.optics.lens import LensParameters
 from firmware_protocol.compiled import entry_of, kernel
+from firmware_protocol.events import Floats
 
 _CELL_PX = 4
 _WITHIN = 8  # places across a cell at which the law of the halo is taken
@@ -37,8 +37,6 @@ def veiled(scene: Scene, lens: LensParameters) -> Scene:
     """Return a scene with the scattered light of its lens: the scene itself where the lens has none."""
     return Veiled(scene, lens) if lens.veiling_glare + lens.halo else scene
 
-
-Floats = npt.NDArray[np.float64]
 
 _LARGEST = np.finfo(np.float32).max
 _entry = entry_of(__name__, nogil=True, error_model="numpy", fastmath={"contract"})

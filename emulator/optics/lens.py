@@ -33,12 +33,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.photometry.reflectance import LUMENS_A_WATT
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded
+from firmware_protocol.events import Floats
 
 _WAVELENGTH_M = 555e-9
 _ELECTRON_C, _PLANCK_J_S, _LIGHT_M_S = 1.602176634e-19, 6.62607015e-34, 299_792_458.0
@@ -71,7 +71,7 @@ _Coefficient = Annotated[float, Meta(ge=-10, le=10)]
 
 
 @dataclass(frozen=True)
-class LensParameters:
+class LensParameters(Bounded):
     """The lens of a camera, for scenes in units of radiance.
 
     Attributes
@@ -111,9 +111,6 @@ class LensParameters:
     halo_px: Annotated[float, Meta(ge=0.5, le=10_000)] = 2.0
     halo_power: Annotated[float, Meta(ge=0.1, le=10)] = 1.5
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     @property
     def chip_share(self) -> float:
         """Irradiance of the chip, W/m2, a unit of radiance, W m-2 sr-1, on the axis."""
@@ -123,15 +120,6 @@ class LensParameters:
     def light_per_radiance(self) -> float:
         """Light relative to the sensor's reference, a unit of radiance, on the axis."""
         return self.chip_share * LUMENS_A_WATT / self.reference_lux
-
-    @property
-    def distorts(self) -> bool:
-        """True if straight lines are bent."""
-        return any((self.k1, self.k2, self.k3, self.p1, self.p2))
-
-    def chip_lux(self, light: float) -> float:
-        """Return the illuminance of the chip at a relative light."""
-        return light * self.reference_lux
 
     def chip_irradiance_w_m2(self, light: float) -> float:
         """Return the irradiance of the chip at a relative light, 400 to 700 nm."""
@@ -154,8 +142,6 @@ class LensParameters:
         spread = abs(away - focus) / max(1 - focal_m * focus, 1e-9)
         return focal_m * focal_m / self.f_number * spread / (chip.pitch_um * 1e-6)
 
-
-Floats = npt.NDArray[np.float64]
 
 _STEPS = 30
 

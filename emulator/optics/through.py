@@ -24,7 +24,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from emulator.geometry.camera import Pinhole, Rays, SceneGeometry
@@ -32,8 +31,8 @@ from emulator.light import LastArrays, Light, OtherLight, Region, Scene, SceneEr
 from emulator.optics.lens import Chip, Distortion, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import KernelCompiler, entry_of
+from firmware_protocol.events import Float32s, Floats, Int32s
 
-_Float32s = npt.NDArray[np.float32]
 Part = tuple[int, int, int, int]
 """Rows and columns of a light frame: first row, last row, first column, last column, the last ones not included."""
 
@@ -46,7 +45,7 @@ _loop: Callable[[Callable[..., None]], Any] = njit(**_OPTIONS, pipeline_class=Ke
 _STRIP = 48  # rows that are blurred together: they stay in the second-level cache
 
 
-def gaussian_taps(sigma_px: float) -> _Float32s:
+def gaussian_taps(sigma_px: float) -> Float32s:
     """Return the shares of a Gaussian that fall on pixels -n to n, (2 n + 1,) float32, their sum 1."""
     n = max(1, math.ceil(_REACH_SIGMAS * sigma_px))
     edges = np.array([math.erf((k - 0.5) / (sigma_px * math.sqrt(2))) for k in range(-n, n + 2)])
@@ -60,7 +59,7 @@ class Bilinear:
     Column 0.5 is the middle of the first pixel; positions beyond the frame are moved to its edge.
     """
 
-    def __init__(self, columns: npt.NDArray[np.float64], rows: npt.NDArray[np.float64], size: tuple[int, int]) -> None:
+    def __init__(self, columns: Floats, rows: Floats, size: tuple[int, int]) -> None:
         width, height = size
         x = np.clip(columns - 0.5, 0, width - 1)
         y = np.clip(rows - 0.5, 0, height - 1)
@@ -72,9 +71,7 @@ class Bilinear:
 
 
 @_entry
-def _bend(
-    picture: _Float32s, first: npt.NDArray[np.int32], along: _Float32s, down: _Float32s, width: int, out: _Float32s
-) -> None:
+def _bend(picture: Float32s, first: Int32s, along: Float32s, down: Float32s, width: int, out: Float32s) -> None:
     for row in range(out.shape[0]):
         to = out[row]
         for column in range(to.size):
@@ -85,13 +82,13 @@ def _bend(
             to[column] = upper + y * (lower - upper)
 
 
-def bend(picture: _Float32s, places: Bilinear, out: _Float32s) -> None:
+def bend(picture: Float32s, places: Bilinear, out: Float32s) -> None:
     """Look a contiguous `picture` up at `places` into `out`, both 2-D and at least 2 x 2 pixels."""
     _bend(picture.reshape(-1), places.first, places.along, places.down, places.width, out)
 
 
 @_loop
-def _add_four(taps: _Float32s, w: _Float32s, x: _Float32s, y: _Float32s, z: _Float32s, out: _Float32s) -> None:
+def _add_four(taps: Float32s, w: Float32s, x: Float32s, y: Float32s, z: Float32s, out: Float32s) -> None:
     """Add four rows, each by its tap, to `out`, in their order."""
     a, b = taps[0], taps[1]
     c, d = taps[2], taps[3]
@@ -100,7 +97,7 @@ def _add_four(taps: _Float32s, w: _Float32s, x: _Float32s, y: _Float32s, z: _Flo
 
 
 @_loop
-def _blur_along(row: _Float32s, taps: _Float32s, columns: tuple[int, int], line: _Float32s, out: _Float32s) -> None:
+def _blur_along(row: Float32s, taps: Float32s, columns: tuple[int, int], line: Float32s, out: Float32s) -> None:
     """Write the pass along a row; `line` is a work array for the row with its ends repeated."""
     first, last = columns
     reach, n = taps.size // 2, last - first
@@ -125,7 +122,7 @@ def _blur_along(row: _Float32s, taps: _Float32s, columns: tuple[int, int], line:
 
 @_strip_entry
 def _blur_and_scale(
-    picture: _Float32s, taps: _Float32s, factor: _Float32s, part: Part, strip: _Float32s, out: _Float32s
+    picture: Float32s, taps: Float32s, factor: Float32s, part: Part, strip: Float32s, out: Float32s
 ) -> None:
     """Write `picture` blurred by `taps` and times `factor` into `out`, in `part`; `strip` is a work array."""
     height, reach, size = picture.shape[0], taps.size // 2, taps.size
@@ -160,13 +157,13 @@ _WORTH_A_THREAD = 200_000
 class BlurWorkers:
     """Blur by `taps`, then scale by `factor`, (height, width); `threads` share large parts, 0: those available."""
 
-    def __init__(self, taps: _Float32s, factor: _Float32s, threads: int = 0) -> None:
+    def __init__(self, taps: Float32s, factor: Float32s, threads: int = 0) -> None:
         self._taps, self._factor = taps, factor
         self._pool = ThreadPool(threads or available_threads())
         strip = _STRIP + taps.size + 1, factor.shape[1] + taps.size
         self._strips = [np.zeros(strip, np.float32) for _ in range(self._pool.threads)]
 
-    def __call__(self, pictures: Sequence[_Float32s], part: Part, outs: Sequence[_Float32s]) -> None:
+    def __call__(self, pictures: Sequence[Float32s], part: Part, outs: Sequence[Float32s]) -> None:
         """Write `pictures`, blurred and scaled, to `outs`, in `part`."""
         first, last, left, right = part
         large = len(outs) * (last - first) * (right - left) >= _WORTH_A_THREAD
@@ -206,14 +203,15 @@ class Through(OtherLight):
         build: Callable[[Pinhole], Scene],
         threads: int = 0,
     ) -> None:
-        self._size = size
         camera = lens.pinhole(size)
         places = _places(lens, camera)
         inner = camera
         if places is not None:  # a bent image needs light from beyond the edges of a straight one
             beyond_px = np.abs(places).max(axis=(1, 2)) - np.array([camera.width, camera.height]) / 2
-            inner = camera.widened(math.ceil(max(0, *beyond_px)) + 1)
+            margin_px = math.ceil(max(0, *beyond_px)) + 1
+            inner = Pinhole(camera.width + 2 * margin_px, camera.height + 2 * margin_px, camera.focal_px)
         super().__init__(build(inner))
+        self.size = size
         middle = inner.width / 2, inner.height / 2
         self._bent = None if places is None else Bilinear(places[0] + middle[0], places[1] + middle[1], inner.size)
         self._rays = None if places is None else bent_rays(Distortion.of(lens), places[0], places[1], inner)
@@ -228,11 +226,6 @@ class Through(OtherLight):
         self._workers = None if self._taps is None else BlurWorkers(self._taps, blurs_last, threads)
         self._blurred = [np.zeros(shape, np.float32) for _ in range(2)] if self._bent is not None else []
         self._arrays = LastArrays()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
 
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene, along the rays that the lens bends."""
@@ -257,10 +250,10 @@ class Through(OtherLight):
     def _pass(self, outs: tuple[Light, ...]) -> None:
         """Apply the lens to the light of the scene, where it may differ from the contents of `outs`."""
         changed = self.scene.changed if self._arrays.are(*outs) and self._bent is None else None
-        self.changed = None if changed is None else changed.grown(self._reach_px, self._size)
+        self.changed = None if changed is None else changed.grown(self._reach_px, self.size)
         if self.changed is not None and self.changed.empty:
             return
-        part = (self.changed or Region(0, self._size[1], 0, self._size[0])).bounds
+        part = (self.changed or Region(0, self.size[1], 0, self.size[0])).bounds
         pictures: Sequence[Light] = self._inner[: len(outs)]
         if self._bent is None and self._workers is not None:
             self._workers(pictures, part, outs)
@@ -278,9 +271,9 @@ class Through(OtherLight):
             np.multiply(source[within], self._factor[within], out=out[within])
 
 
-def _places(lens: LensParameters, camera: Pinhole) -> npt.NDArray[np.float64] | None:
+def _places(lens: LensParameters, camera: Pinhole) -> Floats | None:
     """Return columns and rows of pixels in a frame without distortion, from its middle; None without distortion."""
-    if not lens.distorts:
+    if not any((lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)):
         return None
     try:
         return np.array(straight_columns_and_rows(Distortion.of(lens), camera))
@@ -288,7 +281,7 @@ def _places(lens: LensParameters, camera: Pinhole) -> npt.NDArray[np.float64] | 
         raise SceneError(f"camera.lens: {error}") from error
 
 
-def _factor(lens: LensParameters, camera: Pinhole, places: npt.NDArray[np.float64] | None) -> npt.NDArray[np.float32]:
+def _factor(lens: LensParameters, camera: Pinhole, places: Floats | None) -> Float32s:
     """Return the light a unit of radiance for each pixel, (height, width)."""
     if places is None:
         columns, rows = (np.arange(n) + 0.5 - n / 2 for n in (camera.width, camera.height))

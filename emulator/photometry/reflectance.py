@@ -52,12 +52,10 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
-from firmware_protocol.bounds import Share, check_bounds
-
-Floats = npt.NDArray[np.float64]
+from firmware_protocol.bounds import Bounded, Share, check_bounds
+from firmware_protocol.events import Floats
 
 _TINY = 1e-12
 _Asymmetry = Annotated[float, Meta(ge=-0.99, le=0.99)]
@@ -73,11 +71,8 @@ def _seeliger(mu0: Floats, mu: Floats) -> Floats:
     return np.asarray(mu0 / np.maximum(mu0 + np.abs(mu), _TINY))
 
 
-class _Law:
+class _Law(Bounded):
     """Bounds and GLSL text of a law."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def glsl(self) -> str:
         """Return the law as GLSL: unlit points are black, and the cosine of emission counts by its magnitude."""
@@ -295,7 +290,6 @@ Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke | Glossy
 """Any of them, as the type of a key in a rig's table."""
 
 _HG = "(1.0 - ({b!r}) * ({b!r})) / pow(1.0 + 2.0 * ({b!r}) * cos(phase) + ({b!r}) * ({b!r}), 1.5)"
-
 
 SUN_W_M2 = 530.0
 LUMENS_A_WATT = 133_600.0 / SUN_W_M2

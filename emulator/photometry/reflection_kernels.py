@@ -15,12 +15,10 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Reflectance
 from firmware_protocol.compiled import entry_of
-
-Floats = npt.NDArray[np.float64]
+from firmware_protocol.events import Floats
 
 
 class Law(NamedTuple):

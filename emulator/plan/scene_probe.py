@@ -15,17 +15,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame, Scene
 from emulator.plan.step_control import Sampled, error_us, sample, slips, weighted_quantile
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Floats
 
 _INSTANTS = 8
 _FASTEST_CORNER_SHARE = 0.95
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

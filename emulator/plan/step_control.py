@@ -33,13 +33,11 @@ from itertools import takewhile
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.refinement import LEVELS
-
-Floats = npt.NDArray[np.float64]
+from firmware_protocol.events import Floats, Mask
 
 _SAMPLE_PIXELS = 4096
 _CONTROL_PIXELS = 512  # the same estimates, to a few percent, at a cost in every step
@@ -176,7 +174,7 @@ class _Seen:
     bend: Floats
     defect: Floats
     turn: Floats
-    turns: npt.NDArray[np.bool_]
+    turns: Mask
     dt_us: Any
     order: int
 

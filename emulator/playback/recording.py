@@ -19,11 +19,12 @@ from emulator.scene.kind import SceneKind
 from emulator.tables.typed_table import NO_FILE, RigFile
 from firmware_protocol.bounds import check_bounds
 from firmware_protocol.events import Events, join_events
+from firmware_protocol.recordings.part import Frame
 from transports.needs import Need, package
 from transports.recording.event_files import library_of
 from transports.recording.files import OpenRecording
 from transports.recording.format import format_to_read, format_to_write
-from transports.recording.part import Frame, LibraryMissing, RecordingError, wrong_event
+from transports.recording.part import LibraryMissing, RecordingError, wrong_event
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.playback.recording import RecordingParameters, load_recording
@@ -19,7 +18,7 @@ from emulator.sensor.chip.readout import ArbiterReadOut
 from emulator.sensor.parameters import KickParameters
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import EVENT, Events, copy_events, join_events
+from firmware_protocol.events import EVENT, Events, Int64s, copy_events, join_events
 
 _NS = 1000
 
@@ -97,14 +96,14 @@ class Replay:
         """Return the events that still wait at the arbiter."""
         return np.empty(0, EVENT) if self._readout is None else self._readout.finish()
 
-    def _round(self, t_ns: int) -> tuple[npt.NDArray[np.int64], Events]:
+    def _round(self, t_ns: int) -> tuple[Int64s, Events]:
         """Return times and events of the present round up to `t_ns`, and go on behind them."""
         last = int(np.searchsorted(self._t_ns, t_ns - self._start_ns, "right"))
         part = slice(self._next, max(self._next, last))
         self._next = part.stop
         return self._t_ns[part] + self._start_ns, self._recording[part]
 
-    def _leave(self, times: npt.NDArray[np.int64], events: Events, t_ns: int) -> Events:
+    def _leave(self, times: Int64s, events: Events, t_ns: int) -> Events:
         if self._readout is None:
             out = copy_events(events)
             out["t"] = times.view(np.uint64) // np.uint64(_NS)

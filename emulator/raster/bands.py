@@ -22,10 +22,7 @@ from emulator.raster.layout import (
     BAND,
     Band,
     Data,
-    Float32s,
-    Floats,
     G,
-    Ints,
     L,
     Lists,
     Owners,
@@ -42,12 +39,13 @@ from emulator.raster.layout import (
 from emulator.raster.pixel import TOLERANCE, pixel_light
 from emulator.raster.rows import add_facet
 from emulator.sensor.numerics.compiled import kernel, lane
+from firmware_protocol.events import Float32s, Floats, Int32s
 
 _ON_A_SIDE = 1e-9  # pixels: a middle so near a facet's side lies on it
 
 
 @lane
-def fill_depth(data: Data, listed: Ints, depth: Floats, nearest: Ints, held: Ints, band: Band) -> None:
+def fill_depth(data: Data, listed: Int32s, depth: Floats, nearest: Int32s, held: Int32s, band: Band) -> None:
     """Write the largest 1 / depth and its facet at the samples of a band.
 
     Facets that hold a sample, not on a side alone, get the number of the band in `held`.
@@ -103,7 +101,7 @@ def fill_depth(data: Data, listed: Ints, depth: Floats, nearest: Ints, held: Int
 
 
 @kernel
-def mark_seen(nearest: Ints, columns: tuple[int, int], shows: Ints, band: int) -> None:
+def mark_seen(nearest: Int32s, columns: tuple[int, int], shows: Int32s, band: int) -> None:
     """Mark the facets that are the nearest at a sample."""
     for r in range(nearest.shape[0]):
         for c in range(columns[0], columns[1]):
@@ -134,7 +132,7 @@ def may_show(facets: Floats, f: int, depth: Floats, band: Band) -> bool:
 
 
 @lane
-def alone(nearest: Ints, r: int, c: int) -> int:
+def alone(nearest: Int32s, r: int, c: int) -> int:
     """Return the facet that is the nearest at all samples around a pixel, -1 for none: it contains the pixel."""
     f: int = nearest[r + 1, c + 1]
     for i in range(r, r + 3):
@@ -145,7 +143,7 @@ def alone(nearest: Ints, r: int, c: int) -> int:
 
 
 @entry
-def nearest_facets(data: Data, lists: Lists, depth: Floats, nearest: Ints, held: Ints, out: Ints) -> None:
+def nearest_facets(data: Data, lists: Lists, depth: Floats, nearest: Int32s, held: Int32s, out: Int32s) -> None:
     """Write the facet that is the nearest at each pixel's middle, (height, width); -1 for none.
 
     `depth`, `nearest` and `held` are those of `Scratch`.
@@ -173,7 +171,7 @@ class Columns(NamedTuple):
 
 
 @lane
-def _extent(facets: Floats, listed: Ints, width: int) -> tuple[int, int]:
+def _extent(facets: Floats, listed: Int32s, width: int) -> tuple[int, int]:
     """Return the first column that facets touch and the one after the last."""
     low, high = width, 0
     for f in listed:
@@ -241,7 +239,7 @@ def _sum_up(
 
 
 @lane
-def _pair_up(data: Data, listed: Ints, band: Band, columns: tuple[int, int], scratch: Scratch) -> int:
+def _pair_up(data: Data, listed: Int32s, band: Band, columns: tuple[int, int], scratch: Scratch) -> int:
     """Write (slot, facet) of each listed pixel that a facet touches; return their number, beyond the room too.
 
     Few pixels are listed, and most facets touch none of them. The facet's box is narrowed to columns, then in each row
@@ -283,7 +281,7 @@ def _pair_up(data: Data, listed: Ints, band: Band, columns: tuple[int, int], scr
 
 
 @lane
-def _strip(vertices: Floats, faces: Ints, f: int, row: int) -> tuple[float, float]:
+def _strip(vertices: Floats, faces: Int32s, f: int, row: int) -> tuple[float, float]:
     """Return the least and the largest column of a facet within a row."""
     left, right = 1e300, -1e300
     low, high = float(row), row + 1.0
@@ -302,7 +300,7 @@ def _strip(vertices: Floats, faces: Ints, f: int, row: int) -> tuple[float, floa
 
 
 @lane
-def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
+def _group(pairs: Int32s, n: int, ends: Int32s, grouped: Int32s) -> None:
     """Sort facets by slot, keeping their order: those of slot k end at ends[k]."""
     ends[:] = 0
     for i in range(n):
@@ -320,7 +318,7 @@ def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
 
 
 @kernel
-def _one_by_one(data: Data, listed: Ints, n: int, band: Band, columns: tuple[int, int], scratch: Scratch) -> int:
+def _one_by_one(data: Data, listed: Int32s, n: int, band: Band, columns: tuple[int, int], scratch: Scratch) -> int:
     """Write light and rate of the first n of `places` to `answers`; return 0, or the pairs that lack room.
 
     The pixels' numbers and bits are taken back, so that the next band finds none.
@@ -342,7 +340,7 @@ def _one_by_one(data: Data, listed: Ints, n: int, band: Band, columns: tuple[int
 
 
 @lane
-def _mark_hidden_samples(data: Data, listed: Ints, band: Band, scratch: Scratch) -> None:
+def _mark_hidden_samples(data: Data, listed: Int32s, band: Band, scratch: Scratch) -> None:
     """Mark the facets that may show although they are the nearest at no sample; patches show where their facets do.
 
     A patch has no area, so the sum of areas would not show that one is missing.

@@ -14,17 +14,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Bytes, Float32s, Floats, Int32s
 
 entry = entry_of("emulator.raster", "emulator.sensor.numerics")
 """Compile a function for calls from Python; it releases the GIL."""
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int32]
-Bytes = npt.NDArray[np.uint8]
-Float32s = npt.NDArray[np.float32]
 
 BAND = 16
 """Rows of a band: its accumulators stay in the second-level cache."""
@@ -49,19 +44,19 @@ class Data(NamedTuple):
     """
 
     vertices: Floats
-    faces: Ints
-    across: Ints
+    faces: Int32s
+    across: Int32s
     smooth: Bytes
     facets: Floats
     kinds: Bytes
-    over: Ints
+    over: Int32s
 
 
 class Lists(NamedTuple):
     """The facets that may touch each band: those of band b are listed[starts[b]:starts[b + 1]], in ascending order."""
 
-    starts: Ints
-    listed: Ints
+    starts: Int32s
+    listed: Int32s
 
 
 class Band(NamedTuple):
@@ -90,7 +85,7 @@ class Owners(NamedTuple):
         middle.
     """
 
-    facets: Ints
+    facets: Int32s
     coverage: Float32s
 
     @classmethod
@@ -121,16 +116,16 @@ class Scratch(NamedTuple):
 
     acc: Floats
     depth: Floats
-    nearest: Ints
-    held: Ints
-    shows: Ints
-    slots: Ints
-    places: Ints
-    masks: Ints
+    nearest: Int32s
+    held: Int32s
+    shows: Int32s
+    slots: Int32s
+    places: Int32s
+    masks: Int32s
     answers: Floats
-    ends: Ints
-    pairs: Ints
-    grouped: Ints
+    ends: Int32s
+    pairs: Int32s
+    grouped: Int32s
     keys: Floats
     sides: Floats
     lines: Floats

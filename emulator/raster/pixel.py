@@ -23,9 +23,7 @@ from emulator.raster.layout import (
     CULLED,
     SHOWABLE,
     Data,
-    Floats,
     G,
-    Ints,
     L,
     Plane,
     Scratch,
@@ -40,6 +38,7 @@ from emulator.raster.layout import (
 )
 from emulator.raster.lines import resolve
 from emulator.sensor.numerics.compiled import lane
+from firmware_protocol.events import Floats, Int32s
 
 
 @lane
@@ -102,7 +101,7 @@ def depth_range(facets: Floats, f: int, column: int, row: int) -> tuple[float, f
 
 
 @lane
-def _sort(order: Ints, keys: Floats, n: int) -> None:
+def _sort(order: Int32s, keys: Floats, n: int) -> None:
     """Sort by descending keys (Shell's method: needs no memory); equal keys by ascending entry."""
     gap = 1
     while gap < n // 3:
@@ -119,7 +118,7 @@ def _sort(order: Ints, keys: Floats, n: int) -> None:
 
 
 @lane
-def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int, row: int) -> bool:
+def _contains(vertices: Floats, faces: Int32s, facets: Floats, f: int, column: int, row: int) -> bool:
     """Return whether a facet contains the whole pixel."""
     if facets[f, XLow] > column or facets[f, XHigh] < column + 1 or facets[f, YLow] > row or facets[f, YHigh] < row + 1:
         return False
@@ -230,7 +229,7 @@ def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
 
 
 @lane
-def pixel_light(data: Data, column: int, row: int, listed: Ints, scratch: Scratch) -> tuple[float, float]:
+def pixel_light(data: Data, column: int, row: int, listed: Int32s, scratch: Scratch) -> tuple[float, float]:
     """Return light and rate of a pixel; the facets that touch it, `listed`, (n,), are sorted in place."""
     facets, over, keys = data.facets, data.over, scratch.keys
     n = len(listed)

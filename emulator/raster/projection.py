@@ -21,10 +21,7 @@ from emulator.raster.layout import (
     CULLED,
     FLAT,
     SHOWABLE,
-    Bytes,
-    Floats,
     G,
-    Ints,
     L,
     Sign,
     Valid,
@@ -40,6 +37,7 @@ from emulator.raster.layout import (
 )
 from emulator.raster.topology import Topology
 from emulator.sensor.numerics.compiled import lane
+from firmware_protocol.events import Bytes, Floats, Int32s
 
 _THINNEST_PX = 1e-5  # a facet that is thinner has no gradient: rounding would be amplified beyond 1e-8 of its light
 _FARTHEST_PX = 1e15  # far beyond any frame; keeps conversions to integers valid
@@ -96,8 +94,8 @@ def _write_plane(facets: Floats, f: int, at: int, e: _Edges, a: float, b: float,
 
 @entry
 def set_up(
-    vertices: Floats, faces: Ints, shades: Ints, two_sided: Bytes, over: Ints, radiance: Floats, rates: Floats,
-    shape: tuple[int, int], facets: Floats, kinds: Bytes, spans: Ints, touched: Ints
+    vertices: Floats, faces: Int32s, shades: Int32s, two_sided: Bytes, over: Int32s, radiance: Floats, rates: Floats,
+    shape: tuple[int, int], facets: Floats, kinds: Bytes, spans: Int32s, touched: Int32s
 ) -> int:  # fmt: skip
     """Write facets (m, 16), kinds (m,), the bands of each (m, 2), and the touched rows and columns (4,).
 
@@ -171,7 +169,7 @@ def set_up(
 
 
 @entry
-def bucket(spans: Ints, starts: Ints, listed: Ints) -> None:
+def bucket(spans: Int32s, starts: Int32s, listed: Int32s) -> None:
     """Write the facets of each band, by the `spans` of `set_up`.
 
     Those of band b are listed[starts[b]:starts[b + 1]], in ascending order.
@@ -201,8 +199,8 @@ def clip(topology: Topology, view: View, nearest_m: float) -> tuple[Topology, Vi
     vertices = _Corners(topology.vertices, np.hstack([view.positions_m, view.velocities_m_s]))
     entries = _Corners(topology.entries, np.column_stack([view.radiance, view.radiance_rate]))
     depth = view.positions_m[:, 2]
-    faces: list[list[Ints]] = []
-    shades: list[list[Ints]] = []
+    faces: list[list[Int32s]] = []
+    shades: list[list[Int32s]] = []
     for table, corners, out in ((topology.faces, vertices, faces), (topology.shades, entries, shades)):
         a, b, c = _turned(table[with_one], turn_one)
         za, zb, zc = (depth[k] for k in _turned(topology.faces[with_one], turn_one))
@@ -234,7 +232,7 @@ class _Corners:
     def __init__(self, count: int, values: Floats) -> None:
         self.values = values[:count]
 
-    def cut(self, a: Ints, b: Ints, z_a: Floats, z_b: Floats, depth_m: float) -> Ints:
+    def cut(self, a: Int32s, b: Int32s, z_a: Floats, z_b: Floats, depth_m: float) -> Int32s:
         """Append values where the line from corner a to corner b crosses `depth_m`; return their numbers."""
         share = ((depth_m - z_a) / (z_b - z_a))[:, None]
         first = len(self.values)
@@ -242,11 +240,11 @@ class _Corners:
         return np.arange(first, len(self.values), dtype=np.int32)
 
 
-def _turned(corners: Ints, first: npt.NDArray[np.intp]) -> tuple[Ints, Ints, Ints]:
+def _turned(corners: Int32s, first: npt.NDArray[np.intp]) -> tuple[Int32s, Int32s, Int32s]:
     """Return the corners, (n,) each, that of the given place first."""
     rows = np.arange(len(corners))
     return corners[rows, first], corners[rows, (first + 1) % 3], corners[rows, (first + 2) % 3]
 
 
-def _longer(table: Ints, added: list[list[Ints]]) -> Ints:
+def _longer(table: Int32s, added: list[list[Int32s]]) -> Int32s:
     return np.concatenate([table, *(np.column_stack(corners).astype(np.int32) for corners in added)])

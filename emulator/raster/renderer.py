@@ -8,28 +8,15 @@ import numpy as np
 
 from emulator.light import NOTHING, Region
 from emulator.raster.bands import draw_bands, nearest_facets
-from emulator.raster.layout import (
-    BAND,
-    FACET_FIELDS,
-    VERTEX_FIELDS,
-    Data,
-    Float32s,
-    Floats,
-    Ints,
-    Lists,
-    Owners,
-    Scratch,
-    Screen,
-    View,
-)
+from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Data, Lists, Owners, Scratch, Screen, View
 from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
 from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
 from emulator.threads import ThreadPool
+from firmware_protocol.events import Float32s, Int32s
 
 _FIRST_PAIRS = 1 << 14
 _RUNS_A_THREAD = 4  # of bands: with 6 a light frame took 3 % more processor time
-
 
 _NO_OWNERS = Owners.of(0, 0)
 
@@ -79,11 +66,6 @@ class Renderer:
         self._scratches = [_new_scratch(screen, len(topology.faces)) for _ in range(threads)]
         self._pool = ThreadPool(threads)
 
-    @property
-    def facets(self) -> Floats:
-        """Facets of the last light frame, (m, 16), see `layout`."""
-        return self._facets
-
     def draw(
         self, view: View, light: Float32s, rate: Float32s, before: Region | None = None, owners: Owners = _NO_OWNERS
     ) -> Region:
@@ -101,13 +83,13 @@ class Renderer:
             self._draw(window, light, rate, owners)
         return touched
 
-    def nearest(self, view: View, out: Ints) -> None:
+    def nearest(self, view: View, out: Int32s) -> None:
         """Write the row of `facets` that is the nearest at each pixel's middle, (height, width) int32; -1 for none."""
         self._prepare(view)
         scratch = self._scratches[0]
         nearest_facets(self.data, self._lists, scratch.depth, scratch.nearest, scratch.held, out)
 
-    def corners(self) -> Ints:
+    def corners(self) -> Int32s:
         """Return a vertex of each of `facets`, (m,): its first that was not made by a cut at the nearest depth."""
         return np.ascontiguousarray(self._drawn.faces[:, 0])
 
@@ -136,7 +118,7 @@ class Renderer:
         self._pool.each(draw, -(-(last - first) // run))
 
     @property
-    def shades(self) -> Ints:
+    def shades(self) -> Int32s:
         """Entries of the radiance at the corners of `facets`, (m, 3)."""
         return self._drawn.shades
 
@@ -144,7 +126,7 @@ class Renderer:
     def data(self) -> Data:
         """All that was drawn last."""
         t = self._drawn
-        return Data(self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds, t.over)
+        return Data(self._vertices, t.faces, t.across, t.smooth, self.facets, self._kinds, t.over)
 
     @property
     def _lists(self) -> Lists:
@@ -152,7 +134,7 @@ class Renderer:
 
     def _make_room(self, topology: Topology) -> None:
         self._vertices = np.zeros((topology.vertices, VERTEX_FIELDS))
-        self._facets = np.zeros((len(topology.faces), FACET_FIELDS))
+        self.facets = np.zeros((len(topology.faces), FACET_FIELDS))
         self._kinds = np.zeros(len(topology.faces), np.uint8)
         self._spans = np.zeros((len(topology.faces), 2), np.int32)
 
@@ -179,7 +161,7 @@ class Renderer:
             self._project(t, view)
         entries = set_up(
             self._vertices, t.faces, t.shades, t.two_sided, t.over, view.radiance, view.radiance_rate,
-            (screen.height, screen.width), self._facets, self._kinds, self._spans, self._touched
+            (screen.height, screen.width), self.facets, self._kinds, self._spans, self._touched
         )  # fmt: skip
         if entries > len(self._listed):
             self._listed = np.zeros(2 * entries, np.int32)

@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from emulator.raster.layout import Band, Data, Floats, G, Ints, L, Plane, Sign
+from emulator.raster.layout import Band, Data, G, L, Plane, Sign
 from emulator.raster.pixel import flux, is_still, is_zero, less, piece, plane_of
 from emulator.sensor.numerics.compiled import lane, vector_kernel
+from firmware_protocol.events import Floats, Int32s
 
 
 class _Edge(NamedTuple):
@@ -135,7 +136,7 @@ def _scaled(k: float, plane: Plane) -> Plane:
 
 
 @lane
-def add_facet(acc: Floats, f: int, shows: Ints, data: Data, band: Band, width: int) -> None:
+def add_facet(acc: Floats, f: int, shows: Int32s, data: Data, band: Band, width: int) -> None:
     """Add the edges of a facet that shows; an edge between two such facets is added by the first of them."""
     vertices, faces, facets, over = data.vertices, data.faces, data.facets, data.over[f]
     sign = facets[f, Sign]

@@ -23,17 +23,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays, Seen
-from emulator.raster import Renderer, Screen, View, join, prepare
-from emulator.raster.layout import W, WHighest, WLowest, entry
+from emulator.raster.layout import Screen, View, W, WHighest, WLowest, entry
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import join, prepare
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
+from firmware_protocol.events import Float32s, Floats, Int32s, UInt16s
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int32]
-
-Surface = tuple[Ints, int, bool]
+Surface = tuple[Int32s, int, bool]
 """Facets, (m, 3); number of vertices; True where the surface is visible from behind too."""
 
 
@@ -55,7 +53,7 @@ class NearestSurface:
         self._nearest = np.full((height, width), -1, np.int32)
         self._dark = np.zeros(topology.entries)
 
-    def look(self, vertices: Floats, rays: Rays, labels: npt.NDArray[np.uint16], inverse_depth: Floats) -> None:
+    def look(self, vertices: Floats, rays: Rays, labels: UInt16s, inverse_depth: Floats) -> None:
         """Write labels and 1 / depth along `rays`; `vertices`, (n, 3) m, are all surfaces' in the camera's axes."""
         view = View(vertices, np.zeros_like(vertices), self._dark, self._dark)
         self._renderer.nearest(view, self._nearest)
@@ -68,7 +66,7 @@ class NearestSurface:
 
 
 def nearest_along(
-    nearest: Ints, facets: Floats, label: npt.NDArray[np.uint16], rays: Rays, labels: npt.NDArray[np.uint16],
+    nearest: Int32s, facets: Floats, label: UInt16s, rays: Rays, labels: UInt16s,
     inverse_depth: Floats
 ) -> None:  # fmt: skip
     """Write `labels` and `inverse_depth`, 1 / depth, along `rays`.
@@ -84,8 +82,8 @@ def nearest_along(
 
 @entry
 def _along(
-    nearest: Ints, facets: Floats, label: npt.NDArray[np.uint16], columns: Floats, rows: Floats,
-    labels: npt.NDArray[np.uint16], inverse_depth: Floats
+    nearest: Int32s, facets: Floats, label: UInt16s, columns: Floats, rows: Floats,
+    labels: UInt16s, inverse_depth: Floats
 ) -> None:  # fmt: skip
     for r in range(labels.shape[0]):
         for c in range(labels.shape[1]):
@@ -159,7 +157,7 @@ def write_depth_and_flow(inverse_depth: Floats, motions: Floats, camera: Pinhole
 @entry
 def _write(
     inverse_depth: Floats, motions: Floats, figures: Floats, columns: Floats, rows: Floats,
-    labels: npt.NDArray[np.uint16], depth: npt.NDArray[np.float32], flow: npt.NDArray[np.float32]
+    labels: UInt16s, depth: Float32s, flow: Float32s
 ) -> None:  # fmt: skip
     focal, x0, y0 = figures
     for r in range(labels.shape[0]):
@@ -177,7 +175,7 @@ def _write(
 
 
 @entry
-def _bend(bend: Floats, flow: npt.NDArray[np.float32]) -> None:
+def _bend(bend: Floats, flow: Float32s) -> None:
     """Convert motion in the frame without distortion into motion on the chip."""
     for r in range(flow.shape[0]):
         for c in range(flow.shape[1]):

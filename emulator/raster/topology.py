@@ -28,8 +28,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.raster.layout import Bytes, Ints, entry
+from emulator.raster.layout import entry
 from emulator.sensor.numerics.compiled import kernel
+from firmware_protocol.events import Bytes, Int32s
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +49,14 @@ class Topology:
         its facet with other light, slightly nearer to the camera; patches on a facet do not overlap.
     """
 
-    faces: Ints
-    shades: Ints
-    across: Ints
+    faces: Int32s
+    shades: Int32s
+    across: Int32s
     smooth: Bytes
     two_sided: Bytes
     vertices: int
     entries: int
-    over: Ints = field(default_factory=lambda: np.zeros(0, np.int32))
+    over: Int32s = field(default_factory=lambda: np.zeros(0, np.int32))
 
     def __post_init__(self) -> None:
         if len(self.over) != len(self.faces):
@@ -92,22 +93,22 @@ def join(topologies: Sequence[Topology]) -> Topology:
     )
 
 
-def _stack(parts: list[npt.NDArray[np.integer]]) -> Ints:
+def _stack(parts: list[npt.NDArray[np.integer]]) -> Int32s:
     return np.ascontiguousarray(np.concatenate(parts), np.int32)
 
 
-def _corners(faces: npt.ArrayLike) -> Ints:
+def _corners(faces: npt.ArrayLike) -> Int32s:
     corners = np.ascontiguousarray(faces, np.int32).reshape(-1, 3)
     if corners.size and corners.min() < 0:
         raise ValueError("a facet names a vertex below 0")
     return corners
 
 
-def _count(corners: Ints) -> int:
+def _count(corners: Int32s) -> int:
     return int(corners.max()) + 1 if corners.size else 0
 
 
-def _neighbours(corners: Ints, shades: Ints) -> tuple[Ints, Bytes]:
+def _neighbours(corners: Int32s, shades: Int32s) -> tuple[Int32s, Bytes]:
     """Return `across`, `smooth`; sides that more than two facets share, or pass in one direction, have no neighbour."""
     start, end = corners.ravel().astype(np.int64), np.roll(corners, -1, axis=1).ravel().astype(np.int64)
     base = _count(corners)
@@ -149,7 +150,6 @@ PARTS: dict[int, tuple[Part, ...]] = {0: ((0, 1, 2),), 7: _ALL} | {
 }
 """Points of the parts of a facet, counter-clockwise, by its sides that are cut: 1, 2 and 4 added."""
 
-
 _COUNTS = np.array([len(PARTS[cut]) for cut in range(8)])
 _POINTS, _BEHIND = np.zeros((8, 9, 3), np.int64), np.full((8, 9, 3), -1)  # of the parts; the part behind each side
 _THIRDS = np.zeros((8, 3, 3, 2), np.int64)  # of each third of each side: the part, and which of its sides
@@ -170,7 +170,7 @@ _fill_tables()
 
 
 @entry
-def list_cut(between: Ints, marked: Bytes, cuts: Bytes, firsts: Ints, end: int) -> int:
+def list_cut(between: Int32s, marked: Bytes, cuts: Bytes, firsts: Int32s, end: int) -> int:
     """Write which sides of each facet are cut, and the row of its second part; return the row behind the last one.
 
     Parameters
@@ -194,20 +194,20 @@ def list_cut(between: Ints, marked: Bytes, cuts: Bytes, firsts: Ints, end: int) 
 class Rows(NamedTuple):
     """Rows of a topology that change where sides are cut; see `Topology`."""
 
-    faces: Ints
-    shades: Ints
-    across: Ints
+    faces: Int32s
+    shades: Int32s
+    across: Int32s
     smooth: Bytes
 
 
 @kernel
-def _row(f: int, part: int, firsts: Ints) -> int:
+def _row(f: int, part: int, firsts: Int32s) -> int:
     """Return the row of a part of facet f."""
     return firsts[f] + part - 1 if part > 0 else f
 
 
 @entry
-def write_parts(surfaces: Rows, between: Ints, numbers: Ints, cuts: Bytes, firsts: Ints, out: Rows) -> None:
+def write_parts(surfaces: Rows, between: Int32s, numbers: Int32s, cuts: Bytes, firsts: Int32s, out: Rows) -> None:
     """Replace the rows of facets with sides to cut by those of their parts.
 
     Parameters
@@ -263,7 +263,7 @@ class Facets:
         follow those of `surfaces`, in ascending order, those alone that are marked.
     """
 
-    def __init__(self, surfaces: Topology, between: Ints | None = None) -> None:
+    def __init__(self, surfaces: Topology, between: Int32s | None = None) -> None:
         self._surfaces = self._room = surfaces
         self._between = between
         m = len(surfaces.faces)
@@ -274,7 +274,7 @@ class Facets:
             self._is_between[between[between >= 0]] = 1
 
     @property
-    def shades(self) -> Ints:
+    def shades(self) -> Int32s:
         """The radiance of each corner, (rows, 3): of the surfaces, with the parts of facets at the end."""
         return self._room.shades[: self._end]
 
@@ -301,7 +301,7 @@ class Facets:
         write_parts(_rows(t), between, numbers, self._cuts, self._firsts, _rows(room))
         room.over[m : self._end] = -1
 
-    def on(self, faces: Ints, over: Ints) -> Topology:
+    def on(self, faces: Int32s, over: Int32s) -> Topology:
         """Return the topology with patches at the end; it is valid until the next call.
 
         `faces`, (n, 3), are the corners of patches, numbered from 0; their vertices and radiances follow all others.

@@ -29,10 +29,10 @@ import numpy.typing as npt
 
 from emulator.light import Light, MachineLacks, SceneError
 from emulator.report.charts import escaped
-from firmware_protocol.events import Events
+from firmware_protocol.events import Bytes, Events, Int64s, UInt16s
 from transports.needs import install_command
 
-Rgb = npt.NDArray[np.uint8]
+Rgb = Bytes
 """(height, width, 3), row 0 on top."""
 
 ON_RGB, OFF_RGB = (230, 159, 0), (86, 180, 233)
@@ -159,9 +159,7 @@ def _mp4(path: Path, pictures: Iterable[Rgb], fps: int) -> None:
 MOVIES: Mapping[str, Callable[[Path, Iterable[Rgb], int], None]] = {".gif": _gif, ".mp4": _mp4}
 """Writers of movies, by the suffix of the file."""
 
-
-Bytes = npt.NDArray[np.uint8]
-Counts = npt.NDArray[np.int64]
+Counts = Int64s
 
 _LEVELS = 16
 _CIVIDIS = ("00224e", "123570", "3b496c", "575d6d", "707173", "8a8678", "a59c74", "c3b369", "e1cc55", "fee838")
@@ -175,7 +173,7 @@ def palette_png(pixels: Bytes, palette: Bytes) -> bytes:
     return _png(pixels, pixels.shape[1], 8, 3, {b"PLTE": palette.tobytes()})
 
 
-def deep_png(pixels: npt.NDArray[np.uint16]) -> bytes:
+def deep_png(pixels: UInt16s) -> bytes:
     """Return a PNG of pixels (height, width, 3), red, green and blue of 16 bits."""
     return _png(pixels.astype(">u2").reshape(len(pixels), -1).view(np.uint8), pixels.shape[1], 16, 2, {})
 

@@ -16,7 +16,8 @@ from emulator.optics.lens import Chip
 from emulator.rig.tables import Camera
 from emulator.scene.kind import SceneKind
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.typed_table import KeyPath, TableError, convert_kind
+from emulator.tables.toml_text import KeyPath
+from emulator.tables.typed_table import TableError, convert_kind
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.imu_samples import BMI160
 from firmware_protocol.prophesee.biases import BiasSlopes

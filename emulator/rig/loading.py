@@ -27,35 +27,17 @@ from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
-from emulator.tables.toml_text import TextFileError, TomlError, dotted, line_of, read_text, read_toml, shortened
+from emulator.tables.toml_text import (
+    TextFileError,
+    TomlError,
+    read_text,
+    read_toml,
+)
 from emulator.tables.typed_table import TableError, beside, convert
 from firmware_protocol.bounds import Bounded, unshared
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
 from transports.registry import unknown
-from transports.usb.kind import LoopbackLink, UsbipLink
-
-__all__ = [
-    "Camera",
-    "LoopbackLink",
-    "Rig",
-    "RigError",
-    "RigSource",
-    "Run",
-    "Trigger",
-    "UsbipLink",
-    "Verdict",
-    "carries_second",
-    "find_rig",
-    "load_rig",
-    "parse_rig",
-    "read_rig",
-    "rig_of_table",
-    "second_rig",
-    "shipped_rigs",
-    "with_options",
-]
-
 
 _MOST_BYTES = 1 << 22  # the longest shipped rig has 4 KiB
 
@@ -142,7 +124,9 @@ def read_rig(path: Path) -> str:
 
 def rig_of_table(table: dict[str, Any], name: str, folder: Path) -> Rig:
     """Make a rig of the tables of a rig file that lies in `folder`; raises TableError."""
-    return beside(_rig(table, name), folder)
+    values = values_of(table)
+    title = name if values["title"] is None else values["title"]
+    return beside(Rig(name, **{**values, "title": title}), folder)
 
 
 def parse_rig(text: str, file: str, name: str) -> Rig:
@@ -152,16 +136,7 @@ def parse_rig(text: str, file: str, name: str) -> Rig:
     except TomlError as error:
         raise RigError(error.at(file)) from error
     except TableError as error:
-        line = line_of(text, error.path)
-        at = f"{file}, line {line}" if line else file
-        key = dotted(error.path)[:200]
-        raise RigError(f"{at}: {key}: {shortened(error)}" if key else f"{at}: {shortened(error)}") from error
-
-
-def _rig(table: dict[str, Any], name: str) -> Rig:
-    values = values_of(table)
-    title = name if values["title"] is None else values["title"]
-    return Rig(name, **{**values, "title": title})
+        raise RigError(error.at(file, text)) from error
 
 
 def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None, pace: str | None = None) -> Rig:

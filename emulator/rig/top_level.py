@@ -28,7 +28,7 @@ from emulator.rig.kinds import (
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
-from emulator.tables.typed_table import KeyPath as KeyPath
+from emulator.tables.toml_text import KeyPath
 from emulator.tables.typed_table import TableError, convert, field_types, item_type, kinds_of, split_kind, table_type
 from firmware_protocol.bounds import bounds_of
 from firmware_protocol.prophesee.biases import BiasSlopes

@@ -31,8 +31,8 @@ import numpy as np
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.rig.kinds import CAMERA_MODELS, IMU_DRIVERS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
-from emulator.rig.loading import Rig, RigError, Run, carries_second, second_rig
-from emulator.rig.tables import OWN_METHODS, Trigger
+from emulator.rig.loading import Rig, RigError, carries_second, second_rig
+from emulator.rig.tables import OWN_METHODS, Run, Trigger
 from emulator.run.camera import CameraView, ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.sensor.chip.defects import at_temperature
@@ -45,6 +45,7 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.imu_samples import IMU_SAMPLE
+from firmware_protocol.recordings.part import Facts
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import RecorderFactory
@@ -56,15 +57,13 @@ from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.rings import EventRing, ReadingRing
 from transports.recording.format import with_addition
-from transports.recording.part import Facts
 from transports.registry import imported
 
 if TYPE_CHECKING:
     from emulator.plan.plan import LineLoad, Plan
     from emulator.run.truth.source import RunTruth
-    from emulator.sensor.imu import Carried, Gravity, ImuSource
+    from emulator.sensor.imu import Carried, Gravity
     from emulator.sensor.parameters import ImuParameters
-    from firmware_protocol.imu_samples import ImuSettings
 
 
 def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
@@ -141,11 +140,6 @@ def initial_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
     return {kind: () if has_host else settings for kind, settings in _driver_settings(rig).items()}
 
 
-def plain_camera(rig: Rig) -> Callable[[], PlainDevice]:
-    """Return the factory of the device of a link that takes frames and samples, for its process."""
-    return partial(PlainDevice, readings=initial_readings(rig), pulse_us=_pulse_us(rig))
-
-
 def _pulse_us(rig: Rig) -> int:
     return Trigger.pulse_us if rig.trigger is None else rig.trigger.pulse_us
 
@@ -159,14 +153,8 @@ def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
         )
         settings[ReadingKind.FRAMES] = dataclasses.astuple(frames)
     if rig.camera.imu is not None:
-        settings[ReadingKind.IMU] = dataclasses.astuple(host_imu_settings(rig.camera.imu.unit))
-    return settings
-
-
-def host_imu_settings(unit: str) -> ImuSettings:
-    """Return the settings that the drivers of an inertial unit's cameras write by default."""
-    number = IMU_UNITS[unit]
-    settings: ImuSettings = imported(IMU_DRIVERS[number])(number)
+        unit = IMU_UNITS[rig.camera.imu.unit]
+        settings[ReadingKind.IMU] = dataclasses.astuple(imported(IMU_DRIVERS[unit])(unit))
     return settings
 
 
@@ -266,15 +254,10 @@ def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -
     """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
     sources = _frame_sources(rig, sensor)
     if rig.camera.imu is not None:
-        sources.append(imu_source(rig, rig.camera.imu, scene))
+        from emulator.sensor.imu import ImuSource, ImuUnit
+
+        sources.append(ImuSource(ImuUnit(rig.camera.imu, carried(rig, rig.camera.imu, scene), rig.run.seed)))
     return sources
-
-
-def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
-    """Return the source of inertial samples on the path of the scene's camera."""
-    from emulator.sensor.imu import ImuSource, ImuUnit
-
-    return ImuSource(ImuUnit(imu, carried(rig, imu, scene), rig.run.seed))
 
 
 def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
@@ -430,7 +413,9 @@ def _link_setup(
     rig = rig if is_master else dataclasses.replace(second_rig(rig), trigger=rig.trigger)
     facts = _facts(rig, kind)
     camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
-    wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
+    faults = tuple(fault for fault in rig.faults if fault.link == link.name)
+    plan = FaultPlan(link.name, faults, rig.run.seed, fault_log)
+    wiring = Wiring(plan, triggers.sink(link.name, ring), camera)
     made_by = LINKS.imported(kind.name, kind.endpoint)
     is_endpoint = isinstance(made_by, type) and issubclass(made_by, Endpoint)
     endpoint = LinkFactory(made_by, link, wiring) if is_endpoint else made_by(link, wiring)
@@ -462,14 +447,14 @@ def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
 
 def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any], is_master: bool) -> Callable[[], Any]:
     if kind.serves == "plain":
-        return plain_camera(rig) if kind.has_readings else partial(PlainDevice, pulse_us=_pulse_us(rig))
+        readings = initial_readings(rig) if kind.has_readings else {}
+        return partial(PlainDevice, readings=readings, pulse_us=_pulse_us(rig))
     if kind.serves == "gige":
-        return _gige_camera(rig, link)
+        gige = CAMERA_MODELS[rig.camera.model].gige
+        if gige is None:
+            raise RigError(f"{rig.name}: a {rig.camera.model} is no GigE Vision device")
+        return gige(rig.camera, link, _pulse_us(rig))
     return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind, is_master)
-
-
-def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
-    return FaultPlan(link.name, tuple(f for f in rig.faults if f.link == link.name), rig.run.seed, log)
 
 
 def _instrument(rig: Rig, link: Any) -> Callable[[], EventDevice]:
@@ -478,13 +463,6 @@ def _instrument(rig: Rig, link: Any) -> Callable[[], EventDevice]:
     biases_of = CAMERA_MODELS[rig.camera.model].commanded_biases
     biases = None if biases_of is None else biases_of(rig.camera)
     return partial(Instrument, rig.camera.size, link.instrument, biases)
-
-
-def _gige_camera(rig: Rig, link: LinkParameters) -> Callable[[], EventDevice]:
-    gige = CAMERA_MODELS[rig.camera.model].gige
-    if gige is None:
-        raise RigError(f"{rig.name}: a {rig.camera.model} is no GigE Vision device")
-    return gige(rig.camera, link, _pulse_us(rig))
 
 
 def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], UsbCamera]:

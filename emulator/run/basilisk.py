@@ -34,7 +34,6 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.attitude import Matrix, Quaternion, multiply
 from emulator.light import Light
@@ -44,7 +43,7 @@ from emulator.trajectory.live import GivenPath, SimulatedPath
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import Pose, TrajectoryError, from_basilisk
 from firmware_protocol import vizard
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Floats
 from transports.link.deliveries import LatencyHistogram
 from transports.link.pacing import Clock
 from transports.vizard import Server
@@ -198,7 +197,7 @@ class BasiliskRun:
         self._waiting_since_ns = None
         self._server.send(vizard.OK)
 
-    def _since_us(self, begun_ns: int) -> npt.NDArray[np.float64]:
+    def _since_us(self, begun_ns: int) -> Floats:
         return np.array([(self._clock.now_ns() - begun_ns) / 1000])
 
     def _send_image(self, camera: int) -> None:

@@ -163,12 +163,17 @@ class CameraView:
 
     def ledger(self, reports: Mapping[str, LinkReport], second: Ledger | None = None) -> Ledger:
         """Return the fates of its events; `second`: those of a second camera."""
+        links = tuple(
+            LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
+            for name, report in reports.items()
+            if name in self.links
+        )
         return Ledger(
             raised=self.sensor.raised,
             lost_in_pixel=self.sensor.lost_in_pixel,
             lost_at_readout=self.sensor.lost_at_readout,
             read_out=self.sensor.read_out,
-            links=self.fates_at_links(reports),
+            links=links,
             second=second,
         )
 
@@ -176,11 +181,3 @@ class CameraView:
         """Return the fates of its events if it gives none from now on: those that wait are lost at the read-out."""
         ledger = self.ledger({})
         return dataclasses.replace(ledger, lost_at_readout=ledger.raised - ledger.lost_in_pixel - ledger.read_out)
-
-    def fates_at_links(self, reports: Mapping[str, LinkReport]) -> tuple[LinkLedger, ...]:
-        """Return the fates of its events at each of its links."""
-        return tuple(
-            LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
-            for name, report in reports.items()
-            if name in self.links
-        )

@@ -34,13 +34,15 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from emulator.rig.kinds import convert_fault, faults_of
 from emulator.rig.loading import Rig
 from emulator.run.outcome import RunStatus
 from emulator.tables.typed_table import TableError
 from firmware_protocol.events import EdgeKind
+from transports import Closing
+from transports.link.loop import EndFault, Happen, InjectFault
 
 if TYPE_CHECKING:
     from emulator.run.session import Session
@@ -104,7 +106,7 @@ def _answer_to(path: Path, line: bytes) -> Message:
         return _parsed(client.makefile("rb").readline(_MOST_ANSWER_BYTES))
 
 
-class ControlSocket:
+class ControlSocket(Closing):
     """The run's end of the socket. The constructor may raise OSError; `close` removes the socket."""
 
     def __init__(self, rig: str) -> None:
@@ -117,12 +119,6 @@ class ControlSocket:
             self._socket.close()
             raise
         self._clients: list[_Client] = []  # the oldest first
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def poll(self, answer: Callable[[Message], Message]) -> None:
         """Answer the requests that have come; return at once."""
@@ -287,7 +283,7 @@ class FaultInjection:
             at = ".".join(str(part) for part in error.path)
             return {"error": f"{at}: {error}" if at else str(error)}
         report = status.links.get(fault.link)
-        self._session.inject(fault, self._by)
+        self._session.order(fault.link, InjectFault(fault, self._by))
         return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
 
     def _end(self, link: str, number: int, status: RunStatus) -> Message:
@@ -298,7 +294,7 @@ class FaultInjection:
             return {"error": f"there is no fault {number} on link {link!r}"}
         if record.ended_us is not None:
             return {"error": f"{record.kind} on {link} is over since {record.ended_us / 1e6:.3f} s"}
-        self._session.end_fault(link, number, self._by)
+        self._session.order(link, EndFault(number, self._by))
         return {"link": link, "kind": record.kind}
 
     def _trigger(self, kind: str, link: object) -> Message:
@@ -309,7 +305,7 @@ class FaultInjection:
         if not names:
             return {"error": f"link {link!r}: there is {', '.join(present)}"}
         for name in names:
-            self._session.happen(name, _EDGES[kind], self._by)
+            self._session.order(name, Happen(_EDGES[kind], self._by))
         return {"links": names}
 
 

@@ -22,7 +22,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import Scene, SceneFrames
 from emulator.plan.plan import Plan
@@ -33,6 +32,7 @@ from emulator.run.link_process import LinkProcess
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource
 from emulator.threads import available_threads
+from firmware_protocol.events import Floats
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING
 
@@ -43,7 +43,6 @@ _BETWEEN_S = 2.0  # longest time for all steps from one instant to the next
 _SPARE = 0.9  # of the wall time of a step that is real time, with some spare time
 _LONGER = 4
 _LONGEST_STEP_US = 1_000_000
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

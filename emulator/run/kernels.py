@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import config
 
 from emulator.light import LightFrame, MachineLacks, Region, SceneError
@@ -36,12 +35,12 @@ from emulator.run.link_process import starting_a_process
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
+from firmware_protocol.events import Float32s, Int64s
 
 _WIDTH, _HEIGHT = 32, 24
 _SCENE_S = 1.5
 _LONG_SCENES_S = {"bodies": 18.0, "terrain": 20.0}  # a long part that began last would run alone on its core
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
-_Float32s = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def _step() -> None:
     pixels.step(LightFrame(1_000_000, bright, dark, _lit, everything))
 
 
-def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
+def _lit(t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
     return np.full(pixels.size, 0.5, np.float32), np.zeros(pixels.size, np.float32)
 
 
@@ -242,7 +241,6 @@ CODER = Part("telemetry coder", 6.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
 EVT = Part("EVT coder", 4.0, _code_evt)
-
 
 _TICK_S = 0.2
 _MOST_OF_A_PART = 0.95  # share counted for a part that takes longer than expected

@@ -27,11 +27,10 @@ from pathlib import Path
 from typing import Any
 
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.events import EdgeKind, Events
+from firmware_protocol.events import Events
 from firmware_protocol.recordings.part import RecordingSummary
-from transports.faults.kinds import Fault
 from transports.link.deliveries import DeliveryTally
-from transports.link.loop import STOP_SIGNALS, EndFault, Happen, InjectFault, Stop, run_link_process
+from transports.link.loop import STOP_SIGNALS, Order, Stop, run_link_process
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
@@ -149,20 +148,10 @@ class LinkProcess:
         """Start stream time; see EventRing.start."""
         self._setup.ring.start(origin_ns)
 
-    def inject(self, fault: Fault, by: str = "") -> None:
-        """Begin a fault that the link can have, on behalf of `by`."""
+    def order(self, order: Order) -> None:
+        """Begin a fault that the link can have, or end one; or give its camera's input an edge, or reset its clock."""
         with suppress(BrokenPipeError):  # it died: `listen` reports this
-            self._control.send(InjectFault(fault, by))
-
-    def end_fault(self, number: int, by: str = "") -> None:
-        """End the fault with this number, on behalf of `by`; one that is over is left as it is."""
-        with suppress(BrokenPipeError):  # it died: `listen` reports this
-            self._control.send(EndFault(number, by))
-
-    def happen(self, kind: EdgeKind | None, by: str = "") -> None:
-        """Give the camera's input an edge, on behalf of `by`; None: reset its clock to zero."""
-        with suppress(BrokenPipeError):  # it died: `listen` reports this
-            self._control.send(Happen(kind, by))
+            self._control.send(order)
 
     def wait_settled(self, until_us: int, goes_on: Callable[[], bool]) -> None:
         """Wait until the camera has reached a stream time, and all changes before it can be taken.

@@ -315,11 +315,6 @@ def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
 _MANY = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
 
-def undersampled_text(share: float | None) -> str:
-    """Return the share of the solved pixel-steps in which the light changed unseen between two light frames."""
-    return "not measured" if share is None else f"{share:.3g} of the solved pixel-steps"
-
-
 def undersampled_advice(result: RunResult) -> str:
     """Return advice where the share is large; "" where it is not. In a late run it follows from lateness."""
     share = result.undersampled_share

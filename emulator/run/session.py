@@ -38,8 +38,8 @@ from emulator.run.pacing import Drive, Lateness, Lockstep, SimulationDrive, Step
 from emulator.sensor.pixels.method import STOP, StepInterrupted
 from emulator.sensor.sensor import AdjustableSource, EventSource, ThresholdSource
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.events import EdgeKind, Events
-from transports.faults.kinds import Fault
+from firmware_protocol.events import Events
+from transports.link.loop import Order
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
@@ -212,20 +212,9 @@ class Session:
             raise ValueError("a recording stands in the sensor's place: its pixels have no thresholds")
         return sensor.thresholds_of(x, y)
 
-    def inject(self, fault: Fault, by: str = "program") -> None:
-        """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
-        self._link(fault.link).inject(fault, by)
-
-    def end_fault(self, link: str, number: int, by: str = "program") -> None:
-        """End the fault with this number on a link; for `on_status`."""
-        self._link(link).end_fault(number, by)
-
-    def happen(self, link: str, kind: EdgeKind | None, by: str = "program") -> None:
-        """Give the input of a link's camera an edge, or reset its clock (None); for `on_status`."""
-        self._link(link).happen(kind, by)
-
-    def _link(self, name: str) -> LinkProcess:
-        return next(link for link in self._links if link.name == name)
+    def order(self, link: str, order: Order) -> None:
+        """Begin a fault that a link can have, or end it; or give its camera an edge, or reset it; for `on_status`."""
+        next(other for other in self._links if other.name == link).order(order)
 
     def record(self, change: Change) -> None:
         """Record a change of the run from outside."""

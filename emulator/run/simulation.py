@@ -25,10 +25,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.camera import SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Scene, SceneError
@@ -45,8 +44,9 @@ from emulator.trajectory.parameters import FixedPath, LivePath, TrajectoryParame
 from emulator.trajectory.pose import Fixed, Pose, Timescale
 from firmware_protocol.bounds import whole_number
 from firmware_protocol.device.items import Reading, ReadingKind
-from firmware_protocol.events import Events, Kept, empty_edges, join_events
+from firmware_protocol.events import Events, Float32s, Kept, UInt16s, empty_edges, join_events
 from firmware_protocol.recordings.part import Frame, ImuRecords
+from transports import Closing
 from transports.file import FileLink
 from transports.link.deliveries import DeliveredParts
 from transports.link.pacing import MonotonicClock
@@ -74,9 +74,9 @@ class SceneTruth(Kept):
     """
 
     poses: ScenePoses | None = None
-    depth: npt.NDArray[np.float32] | None = None
-    flow: npt.NDArray[np.float32] | None = None
-    labels: npt.NDArray[np.uint16] | None = None
+    depth: Float32s | None = None
+    flow: Float32s | None = None
+    labels: UInt16s | None = None
     names: tuple[str, ...] = ()
 
 
@@ -162,7 +162,7 @@ class _Program:
             self.changed.notify_all()
 
 
-class Simulation:
+class Simulation(Closing):
     """A rig in step with this program. A context manager; `close` ends the run as well.
 
     The camera, and each body with a name that the rig moves or that `bodies` contains, follows the rig's path until
@@ -333,12 +333,6 @@ class Simulation:
         self._stop()
         if self._error is not None and not was_ended:
             raise self._error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def _shared(self) -> list[object]:

@@ -77,13 +77,8 @@ class SizedScene(Scene):
     has_rate = True
 
     def __init__(self, size: tuple[int, int]) -> None:
-        self._size = size
+        self.size = size
         self._arrays = LastArrays()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns`: `light_and_rate` gets NO_RATE."""

@@ -56,29 +56,17 @@ W = TypeVar("W", bound=World)
 class WorldScene(Scene, Generic[W]):
     """A scene of `world`, drawn by the CPU unless a subclass draws by GL."""
 
+    renderer: str | None = "the CPU, exact coverage"
+
     def __init__(self, world: W) -> None:
         self._world = world
         self.camera_path, self.path_time = world.camera, world.time
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._world.pinhole.size
-
-    @property
-    def renderer(self) -> str:
-        """The name of what draws."""
-        return "the CPU, exact coverage"
+        self.size, self.distance_m = world.pinhole.size, world.distance_m
 
     @property
     def motion_bound_px_s(self) -> float:
         """Bound from paths, sampled in advance."""
         return self._world.motion_bound_px_s
-
-    @property
-    def distance_m(self) -> float:
-        """Distance of the nearest object."""
-        return self._world.distance_m
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -105,11 +93,7 @@ class GlScene(WorldScene[W]):
     def __init__(self, world: W, render_target: RenderTarget) -> None:
         super().__init__(world)
         self._render_target = render_target
-
-    @property
-    def renderer(self) -> str:
-        """The name of what draws, in GL's words."""
-        return self._render_target.renderer
+        self.renderer = render_target.renderer
 
     @property
     def notes(self) -> tuple[str, ...]:

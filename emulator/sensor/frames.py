@@ -38,12 +38,12 @@ from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, st
 from emulator.sensor.parameters import FrameParameters
 from emulator.sensor.row_kicks import LineReads
 from firmware_protocol.device.items import ReadingKind, Readings
+from firmware_protocol.events import Bytes, Float32s, Floats, Int64s, UInt16s
 from firmware_protocol.frames import FrameSettings, LineKind, line_record
 
 _MOST = 1023
 
-Floats = npt.NDArray[np.float32]
-Samples = npt.NDArray[np.uint16]
+Samples = UInt16s
 
 
 class Converter:
@@ -78,7 +78,7 @@ class Converter:
         """Return the reset reads of a part of the array, (lines, samples), of the frame whose number is `frame`."""
         return _converted(self._parameters.reset_dn + self._read_noise(Purpose.APS_RESET_NOISE, lines, samples, frame))
 
-    def signal(self, light_ms: Floats, lines: slice, samples: slice, frame: int) -> Samples:
+    def signal(self, light_ms: Float32s, lines: slice, samples: slice, frame: int) -> Samples:
         """Return the signal reads of a part after the exposure `light_ms`, (lines, samples) float32."""
         p = self._parameters
         brightness = light_ms * self._gain[lines, samples] * np.float32(p.sensitivity_dn_ms)
@@ -88,24 +88,24 @@ class Converter:
         brightness += self._common_noise(lines, samples, frame)
         return _converted(p.reset_dn - brightness + self._read_noise(Purpose.APS_SIGNAL_NOISE, lines, samples, frame))
 
-    def _photons(self, brightness: Floats, z: Floats) -> Floats:
+    def _photons(self, brightness: Float32s, z: Float32s) -> Float32s:
         """Return brightness, DN, with its shot noise; zero without light."""
         e = np.float32(self._parameters.electrons_per_dn)
         mean = brightness * e
         electrons = mean + np.sqrt(mean) * z + np.where(mean > 0, (z * z - 1) / 6, 0)
         return np.asarray(np.maximum(electrons, 0) / e)
 
-    def _read_noise(self, purpose: Purpose, lines: slice, samples: slice, frame: int) -> Floats:
+    def _read_noise(self, purpose: Purpose, lines: slice, samples: slice, frame: int) -> Float32s:
         rms = self._parameters.read_noise_dn / math.sqrt(2)
         if not rms:
             return np.zeros(self._fixed[lines, samples].shape, np.float32)
         return self._normals(purpose, lines, samples, frame) * np.float32(rms)
 
-    def _normals(self, purpose: Purpose, lines: slice, samples: slice, frame: int) -> Floats:
+    def _normals(self, purpose: Purpose, lines: slice, samples: slice, frame: int) -> Float32s:
         part = np.ascontiguousarray(self._streams[purpose][lines, samples])
         return np.asarray(normals(part.reshape(-1), frame).reshape(part.shape))
 
-    def _common_noise(self, lines: slice, samples: slice, frame: int) -> Floats:
+    def _common_noise(self, lines: slice, samples: slice, frame: int) -> Float32s:
         """Return the noise of columns and rows, which broadcasts to (lines, samples)."""
         p = self._parameters
         of_lines, of_samples = (p.column_noise_dn, p.row_noise_dn)[:: 1 if self._by_column else -1]
@@ -115,11 +115,11 @@ class Converter:
         return (along[:, None] + across).astype(np.float32)
 
 
-def _converted(level: Floats) -> Samples:
+def _converted(level: Float32s) -> Samples:
     return np.asarray(np.clip(np.floor(level + np.float32(0.5)), 0, _MOST).astype(np.uint16))
 
 
-Times = npt.NDArray[np.int64]
+Times = Int64s
 
 
 class Exposure:
@@ -154,7 +154,7 @@ class Exposure:
         self.light_ms[part] += _weighed(first, before[part]) + _weighed(second, after[part])
 
 
-def _weighed(weights: npt.NDArray[np.float64], light: Light) -> Light:
+def _weighed(weights: Floats, light: Light) -> Light:
     """Return (lines, samples) of light, negative as 0, times (lines,) of weights."""
     return np.asarray(np.maximum(light, 0) * weights.astype(np.float32)[:, None])
 
@@ -190,7 +190,7 @@ class Schedule:
     """A frame's lines and moments in the order of their readings: times (n,) us, `LineKind` (n,), line (n,)."""
 
     t_us: Times
-    kind: npt.NDArray[np.uint8]
+    kind: Bytes
     line: Times
 
     @classmethod

@@ -48,12 +48,11 @@ from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.pose import Timescale, Trajectory
 from firmware_protocol.device.items import ReadingKind
+from firmware_protocol.events import Floats
 from firmware_protocol.imu_samples import IMU_SAMPLE, THERMOMETERS, ImuSamples, ImuScale, ImuSettings, no_samples
 
 AXES = 6
 _BLOCK = 1 << 14
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,18 +104,15 @@ class ElementErrors:
 
     def _summed(self, total: Floats, first: int, last: int) -> Floats:
         """Return the sums after `first` to `last` steps, the first being `total`; added one by one."""
-        return np.cumsum(np.concatenate([total[None], self._steps(first, last)]), axis=0)
-
-    def _steps(self, first: int, last: int) -> Floats:
         index = np.arange(first, last)[:, None]
-        return np.asarray(self._step * normal(self._seed, Purpose.IMU_WALK, np.arange(AXES), index))
+        steps = self._step * normal(self._seed, Purpose.IMU_WALK, np.arange(AXES), index)
+        return np.cumsum(np.concatenate([total[None], steps]), axis=0)
 
 
 IMU_MOTION = np.dtype([("t", "<u8"), ("index", "<u8"), ("force", "<f8", 3), ("rate", "<f8", 3), ("temperature", "<f8")])
 
 ImuMotion = npt.NDArray[np.void]
 """An array of IMU_MOTION records, shape (n,), sorted by t."""
-
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """1 g: the unit of accelerometers, by definition (CGPM 1901)."""
@@ -142,7 +138,6 @@ MOON_BELOW = Gravity(np.array([0.0, 0.0, -1.62]))
 """The Moon's mean surface gravity, in a world with z up."""
 EARTH_IN_THE_PICTURE = Gravity(np.array([0.0, STANDARD_GRAVITY_M_S2, 0.0]))
 """1 g downwards in the image of a camera at rest with the world's axes."""
-
 
 _PERIOD_NS = 1_000_000
 

@@ -35,7 +35,7 @@ from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor, finished, make_readout, own_pixels
-from firmware_protocol.events import Events
+from firmware_protocol.events import Bytes, Events, Float32s, Floats, Mask
 
 
 class Origin(IntEnum):
@@ -51,9 +51,6 @@ class Origin(IntEnum):
     NOISE = 3
     BACKGROUND = 4
     PARTICLE = 5
-
-
-Floats = npt.NDArray[np.float64]
 
 
 class LeakShare:
@@ -74,16 +71,14 @@ class LeakShare:
         self._light = np.zeros(start.size, np.float32)
         self._t_ns = 0
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
+    def reset(self, light: Float32s, t_ns: int) -> None:
         """Start at `t_ns` on `light`, (height, width)."""
         self._share[:] = 0
         self._half[:] = (1 - self._start) / 2
         self._t_ns = t_ns
         self._light[:] = light.reshape(-1)
 
-    def step(
-        self, crossings: Crossings, leak_hz: Floats, light: npt.NDArray[np.float32], t_ns: int
-    ) -> npt.NDArray[np.bool_]:
+    def step(self, crossings: Crossings, leak_hz: Floats, light: Float32s, t_ns: int) -> Mask:
         """Move to `t_ns`; return which of the crossings on the way are the leak's.
 
         Parameters
@@ -112,9 +107,7 @@ class _Interval(NamedTuple):
 
 
 @cached_entry
-def _step(
-    crossings: Arrivals, interval: _Interval, rate_hz: Floats, share: Floats, half: Floats, leaks: npt.NDArray[np.bool_]
-) -> None:
+def _step(crossings: Arrivals, interval: _Interval, rate_hz: Floats, share: Floats, half: Floats, leaks: Mask) -> None:
     """Write which crossings are the leak's, and move `share` to the end; `half` is half of the next event's way."""
     t0_ns = interval.t0_ns
     for k in range(crossings.t_ns.size):
@@ -130,9 +123,7 @@ def _step(
 _BITS = 3
 _PIXEL_BITS = 24
 
-_Codes = npt.NDArray[np.uint8]
-_Float32s = npt.NDArray[np.float32]
-
+_Codes = Bytes
 
 _OF_SOURCES: dict[type[Any], Origin] = {BackgroundEvents: Origin.BACKGROUND, Particles: Origin.PARTICLE}
 
@@ -176,7 +167,7 @@ class TracedSensor(Sensor):
         for readout in self._readouts:
             readout.set_refractory(refractory_us)
 
-    def _with_others(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> Crossings:
+    def _with_others(self, crossings: Crossings, seen: Float32s, settled_ns: int) -> Crossings:
         codes = self._of_pixels(crossings, seen, settled_ns)
         if self._jitter is not None:
             pixels = crossings.pixel.copy()
@@ -219,7 +210,7 @@ class TracedSensor(Sensor):
         self.origins = _codes(sent)
         return events
 
-    def _of_pixels(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> _Codes:
+    def _of_pixels(self, crossings: Crossings, seen: Float32s, settled_ns: int) -> _Codes:
         """Return the codes of the crossings that the pixels raised up to `settled_ns`."""
         if self._constant_hz is None:
             return np.full(len(crossings), Origin.UNKNOWN, np.uint8)
@@ -232,7 +223,7 @@ class TracedSensor(Sensor):
             codes[np.isin(keys, of_noise)] = Origin.NOISE
         return codes
 
-    def _leak_hz(self) -> npt.NDArray[np.float64] | None:
+    def _leak_hz(self) -> Floats | None:
         """Return each pixel's leak rate, without the parasitic one; None where unknown or inseparable from noise."""
         capabilities = self.pixels.capabilities
         return None if capabilities.has_grid_noise or not capabilities.has_faults else self.pixels.leak_hz()

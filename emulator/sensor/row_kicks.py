@@ -24,17 +24,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.parameters import KickParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, merged
 from emulator.sensor.pixels.state import Levels
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Float32s, Floats, Int64s, Mask
 
-_Int64s = npt.NDArray[np.int64]
-_Float32s = npt.NDArray[np.float32]
-_Floats = npt.NDArray[np.float64]
 _RESET, _SIGNAL = 0, 1
 _OF_FRAMES = 1 << 40  # index of their strengths, beyond those of pixels, in us
 _STRONG = 2  # deviations of the strongest of the frames before the start
@@ -54,10 +51,10 @@ class LineReads:
     by_column : lines are columns.
     """
 
-    t_ns: _Int64s
-    line: _Int64s
-    signal: npt.NDArray[np.bool_]
-    frame: _Int64s
+    t_ns: Int64s
+    line: Int64s
+    signal: Mask
+    frame: Int64s
     by_column: bool = False
 
     def only(self, *, signal: bool) -> LineReads:
@@ -68,10 +65,10 @@ class LineReads:
         """Return the reads whose kicks come from `t0_ns` on and before `t1_ns`."""
         return self._chosen((self.t_ns >= t0_ns) & (self.t_ns < t1_ns))
 
-    def _chosen(self, mask: npt.NDArray[np.bool_]) -> LineReads:
+    def _chosen(self, mask: Mask) -> LineReads:
         return LineReads(self.t_ns[mask], self.line[mask], self.signal[mask], self.frame[mask], self.by_column)
 
-    def pixels(self, width: int, height: int) -> tuple[_Int64s, _Int64s]:
+    def pixels(self, width: int, height: int) -> tuple[Int64s, Int64s]:
         """Return the pixels of all lines, and the read of each one, (n * length,)."""
         along = np.arange(height) * width if self.by_column else np.arange(width)
         first = self.line if self.by_column else self.line * width
@@ -83,10 +80,10 @@ class LineReads:
 class _Before:
     """The pixels that are kicked in a step, times and values of their kicks, and their levels at its start."""
 
-    pixel: _Int64s
-    t_ns: _Int64s
-    added: _Floats
-    level: _Float32s
+    pixel: Int64s
+    t_ns: Int64s
+    added: Floats
+    level: Float32s
 
 
 class RowKicks:
@@ -125,13 +122,10 @@ class RowKicks:
                 pixel, read = lines.pixels(*self._size)
                 pixel, first = np.unique(pixel, return_index=True)
                 read = read[first]
-                added = self._added[kind][pixel] * self._strength(lines.frame, kind)[read]
+                spread = normal(self._seed, Purpose.APS_KICK, lines.frame, _OF_FRAMES + kind)
+                added = self._added[kind][pixel] * (1 + self._frame_spread * spread)[read]
                 groups.append(_Before(pixel, lines.t_ns[read], added, self._levels.of(pixel)))
         return groups
-
-    def _strength(self, frame: _Int64s, kind: int) -> _Floats:
-        """Return the kicks of frames relative to their mean."""
-        return np.asarray(1 + self._frame_spread * normal(self._seed, Purpose.APS_KICK, frame, _OF_FRAMES + kind))
 
     def end(self, groups: list[_Before], crossings: Crossings, t0_ns: int, t1_ns: int) -> Crossings:
         """Return a step's crossings with the effect of the reads; some events may come in a later step."""
@@ -172,7 +166,7 @@ class RowKicks:
         return merged(crossings, self._events(group, fired, needed))
 
     def _without_next(
-        self, group: _Before, fired: _Int64s, crossings: Crossings, later: _Int64s, place: _Int64s
+        self, group: _Before, fired: Int64s, crossings: Crossings, later: Int64s, place: Int64s
     ) -> Crossings:
         """Fire the pixels `fired` of a group, and take away their next event in the step if that is an ON event.
 
@@ -190,7 +184,7 @@ class RowKicks:
         kept[instead] = False
         return _part(crossings, np.flatnonzero(kept), crossings.lost_in_pixel)
 
-    def _events(self, group: _Before, fired: _Int64s, needed: _Floats) -> Crossings:
+    def _events(self, group: _Before, fired: Int64s, needed: Floats) -> Crossings:
         """Return the events of the pixels `fired`, which need a share of their kick each; none of silent ones."""
         sent = ~self._silent[group.pixel[fired]]
         self._silent[group.pixel[fired]] = False
@@ -202,5 +196,5 @@ class RowKicks:
         return Crossings(t_ns[order], pixel[order].astype(np.uint32), np.ones(len(order), np.bool_))
 
 
-def _part(crossings: Crossings, index: _Int64s, lost: int) -> Crossings:
+def _part(crossings: Crossings, index: Int64s, lost: int) -> Crossings:
     return Crossings(crossings.t_ns[index], crossings.pixel[index], crossings.on[index], lost)

@@ -19,7 +19,6 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame, Region
 from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
@@ -35,10 +34,8 @@ from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.row_kicks import LineReads, RowKicks
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Float32s, Mask
 from transports.registry import imported
-
-_Float32s = npt.NDArray[np.float32]
 
 
 class Source(Protocol):
@@ -47,10 +44,10 @@ class Source(Protocol):
     def reset(self, t_ns: int) -> None:
         """Start at `t_ns`."""
 
-    def add_to(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
+    def add_to(self, crossings: Crossings, light: Float32s, t_ns: int) -> Crossings:
         """Return a step's crossings with the source's events up to `t_ns`; `light`, (pixels,), is the step's last."""
 
-    def step(self, light: _Float32s, t_ns: int) -> Crossings:
+    def step(self, light: Float32s, t_ns: int) -> Crossings:
         """Return the source's events up to `t_ns` alone."""
 
 
@@ -77,7 +74,7 @@ def finished(readout: ReadOut, late: Crossings) -> Events:
     return np.concatenate([*sent, readout.finish()])
 
 
-def dead_pixels(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] | None:
+def dead_pixels(p: SensorParameters, defects: Defects) -> Mask | None:
     """Return which pixels are dead, (pixels,); None if none is."""
     if not defects.dead.size:
         return None
@@ -266,13 +263,8 @@ class Sensor:
 
     @property
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited, or that were still busy: `lost_busy`."""
+        """Crossings of pixels whose request still waited, or that were still busy after the acknowledge."""
         return self._readout.lost_at_readout
-
-    @property
-    def lost_busy(self) -> int:
-        """Of these, crossings in the refractory period after the acknowledge, with `reset.at_acknowledge`."""
-        return self._readout.lost_busy
 
     @property
     def read_out(self) -> int:
@@ -295,11 +287,6 @@ class Sensor:
         This is the measure of whether frames are close enough together.
         """
         return self.pixels.undersampled_share
-
-    @property
-    def quiet_nan(self) -> int:
-        """Pixel-steps whose light was NaN or infinite."""
-        return self.pixels.quiet_nan
 
     def warm_up(self) -> None:
         """Compile the kernels, or load them from disk, by flashing a light at a few pixels like these."""
@@ -421,7 +408,7 @@ class Sensor:
         groups = [] if self._reads is None else self._kicks.begin(self._reads.between(self._t_ns, seen.t_ns))
         return self._kicks.end(groups, self.pixels.step(seen), self._t_ns, seen.t_ns)
 
-    def _with_others(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> Crossings:
+    def _with_others(self, crossings: Crossings, seen: Float32s, settled_ns: int) -> Crossings:
         """Return the pixels' crossings as they are raised, delayed, with the events of other sources."""
         if self._jitter is not None:
             crossings = self._jitter.step(crossings, settled_ns)
@@ -440,13 +427,13 @@ class Sensor:
         live = ~self._dead[crossings.pixel]
         return Crossings(crossings.t_ns[live], crossings.pixel[live], crossings.on[live], crossings.lost_in_pixel)
 
-    def _between(self, light: _Float32s, share: float) -> _Float32s:
+    def _between(self, light: Float32s, share: float) -> Float32s:
         """Return the light at a share of the way from the last frame, linear in the log of the photocurrent."""
         after = np.ascontiguousarray(light).reshape(-1)
         part_of_the_way(self._before.reshape(-1), after, self._dark, np.float32(share), self._way.reshape(-1))
         return self._way
 
-    def _remember(self, light: _Float32s) -> None:
+    def _remember(self, light: Float32s) -> None:
         """Store the last frame, if a step may have to be cut."""
         if self._next_cut_ns() < NEVER_NS:
             self._before[:] = light

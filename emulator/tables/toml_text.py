@@ -27,22 +27,15 @@ def read_text(path: Path, most_bytes: int) -> str:
             raise TextFileError("cannot be read: it is no regular file")
         if (size := path.stat().st_size) > most_bytes:
             raise TextFileError(f"is {size} bytes long: at most {most_bytes} are read")
-        return _decoded(path.read_bytes())
-    except OSError as error:
-        raise TextFileError(f"cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # a name with a NUL
-        raise TextFileError(f"cannot be read: {error}") from error
-
-
-def _decoded(data: bytes) -> str:
-    try:
-        return data.decode("utf-8")
+        return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
+        line = error.object.count(b"\n", 0, error.start) + 1
         raise TextFileError(
-            f"cannot be read: line {line}: byte 0x{data[error.start]:02x} is not UTF-8: save the file as UTF-8, "
-            "or leave the letter out"
+            f"cannot be read: line {line}: byte 0x{error.object[error.start]:02x} is not UTF-8: save the file as "
+            "UTF-8, or leave the letter out"
         ) from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a NUL
+        raise TextFileError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
 
 def shortened(error: BaseException) -> str:

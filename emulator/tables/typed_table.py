@@ -24,9 +24,9 @@ from typing import Annotated, Any, Literal, NewType, TypeVar
 import msgspec
 from msgspec import Meta
 
+from emulator.tables.toml_text import KeyPath, dotted, line_of, shortened
 from transports.registry import unknown
 
-KeyPath = tuple[str | int, ...]
 T = TypeVar("T")
 
 _AT = re.compile(r" - at `\$(.*)`$")
@@ -41,6 +41,12 @@ class TableError(Exception):
     def __init__(self, message: str, path: KeyPath) -> None:
         super().__init__(message)
         self.path = path
+
+    def at(self, file: str, text: str) -> str:
+        """Return the message with the file, and with line and key where its text has them."""
+        line = line_of(text, self.path)
+        place = f"{file}, line {line}" if line else file
+        return ": ".join(part for part in (place, dotted(self.path)[:200], shortened(self)) if part)
 
 
 def convert(table: object, target: type[T], path: KeyPath = ()) -> T:

@@ -70,6 +70,7 @@ from emulator.trajectory.pose import (
     measured_bounds,
     require_increasing,
 )
+from firmware_protocol.events import Floats
 
 if TYPE_CHECKING:
     from scipy.interpolate import KroghInterpolator
@@ -88,11 +89,6 @@ _LEAPS = [
     )
 ]  # fmt: skip
 """Days that begin just after a leap second."""
-
-
-def scale_of(time_system: str) -> str:
-    """Return the scale of a TIME_SYSTEM here: TAI where it can be converted to that, else its name."""
-    return "TAI" if time_system == "UTC" or time_system in _BEHIND_TAI_NS else time_system
 
 
 def epoch_ns(text: str, time_system: str = "UTC") -> int:
@@ -280,7 +276,6 @@ _MARKS = re.compile(r"(META|DATA|COVARIANCE)_(START|STOP)$")
 _SAME = ("REF_FRAME", "REF_FRAME_A", "REF_FRAME_B", "CENTER_NAME", "TIME_SYSTEM")
 _INTERPOLATIONS = ("", "LINEAR", "LAGRANGE", "HERMITE")
 
-_Floats = npt.NDArray[np.float64]
 _Line = tuple[int, dict[str, str], list[str]]
 
 
@@ -309,7 +304,7 @@ class _Samples:
     meta: dict[str, str]
     line: int
     times_ns: list[int] = field(default_factory=list)
-    values: list[_Floats] = field(default_factory=list)
+    values: list[Floats] = field(default_factory=list)
 
     @property
     def time_system(self) -> str:
@@ -340,7 +335,7 @@ def parse_aem(text: str) -> CcsdsPath:
 
 
 def _parse(
-    text: str, read: Callable[[dict[str, str], list[str]], _Floats], build: Callable[[_Samples], Trajectory]
+    text: str, read: Callable[[dict[str, str], list[str]], Floats], build: Callable[[_Samples], Trajectory]
 ) -> CcsdsPath:
     segments = list(_segments(text, read))
     if not segments:
@@ -357,10 +352,12 @@ def _parse(
     frame = meta.get("REF_FRAME") or meta.get("REF_FRAME_A" if a_is_world else "REF_FRAME_B", "")
     methods = sorted({s.meta["INTERPOLATION_METHOD"] for s in segments if "INTERPOLATION_METHOD" in s.meta})
     notes = tuple(f"INTERPOLATION_METHOD {m}: attitudes lie on a spline of rotations instead" for m in methods)
-    return CcsdsPath(Segmented(built), scale_of(segments[0].time_system), axes_of(frame), notes)
+    scale = segments[0].time_system
+    scale = "TAI" if scale == "UTC" or scale in _BEHIND_TAI_NS else scale
+    return CcsdsPath(Segmented(built), scale, axes_of(frame), notes)
 
 
-def _segments(text: str, read: Callable[[dict[str, str], list[str]], _Floats]) -> Iterator[_Samples]:
+def _segments(text: str, read: Callable[[dict[str, str], list[str]], Floats]) -> Iterator[_Samples]:
     samples: _Samples | None = None
     for number, meta, cells in _data_lines(text):
         if samples is None or samples.meta is not meta:
@@ -402,7 +399,7 @@ def _require_same(segments: list[_Samples]) -> None:
                 )
 
 
-def _place(_: dict[str, str], cells: list[str]) -> _Floats:
+def _place(_: dict[str, str], cells: list[str]) -> Floats:
     values = np.array([float(cell) for cell in cells])
     if len(values) not in (3, 6, 9):
         raise ValueError(f"an epoch and 3, 6 or 9 numbers are expected, got {len(values)}")
@@ -431,7 +428,7 @@ def _places(samples: _Samples) -> Trajectory:
     return PolynomialPath(samples.since_first_ns(), places, int(degree), velocities if kind == "HERMITE" else None)
 
 
-def _world_from_body(meta: dict[str, str], cells: list[str]) -> _Floats:
+def _world_from_body(meta: dict[str, str], cells: list[str]) -> Floats:
     """Return the unit quaternion of one line, scalar first.
 
     A CCSDS quaternion turns coordinates: with ATTITUDE_DIR = A2B (the default) it is B from A, with B2A it is A from B.

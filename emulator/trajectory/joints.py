@@ -19,11 +19,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.trajectory.pose import Bounds, Pose, Trajectory, instants_between, measured_bounds
+from firmware_protocol.events import Floats
 
-_Floats = npt.NDArray[np.float64]
 _ALMOST_EQUAL = 1 - 1e-12
 
 
@@ -38,11 +37,11 @@ class Track:
     tangents : (n, 2, k) slopes before and after each time, 1/s; None: linear.
     """
 
-    times_s: _Floats
-    values: _Floats
-    tangents: _Floats | None = None
+    times_s: Floats
+    values: Floats
+    tangents: Floats | None = None
 
-    def at(self, t_s: float) -> _Floats:
+    def at(self, t_s: float) -> Floats:
         """Return the value at `t_s`, (k,)."""
         times = self.times_s
         if t_s <= times[0] or len(times) == 1:
@@ -57,7 +56,7 @@ class Track:
         a, b = self.values[k], self.values[k + 1]
         return _slerp(a, b, share) if len(a) == 4 else np.asarray(a + share * (b - a))
 
-    def _cubic(self, k: int, x: float, length_s: float) -> _Floats:
+    def _cubic(self, k: int, x: float, length_s: float) -> Floats:
         assert self.tangents is not None
         start, end = length_s * self.tangents[k, 1], length_s * self.tangents[k + 1, 0]
         a, b = self.values[k], self.values[k + 1]
@@ -66,7 +65,7 @@ class Track:
         return np.asarray(value / np.linalg.norm(value) if len(a) == 4 else value)
 
 
-def _slerp(a: _Floats, b: _Floats, share: float) -> _Floats:
+def _slerp(a: Floats, b: Floats, share: float) -> Floats:
     cosine = float(a @ b)
     if cosine < 0:
         b, cosine = -b, -cosine

@@ -35,13 +35,12 @@ from emulator.trajectory.pose import (
     rate_of_vector,
     require_increasing,
 )
+from firmware_protocol.events import Floats, Int64s
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 _WIDEST_TURN = math.radians(120)
-
-_Floats = npt.NDArray[np.float64]
 
 
 class Keyframes(Trajectory):
@@ -101,7 +100,7 @@ class Keyframes(Trajectory):
         return Motion(self._velocity(t_s), self._acceleration(t_s), turn)
 
 
-def _require_narrow(quaternions: _Floats, times_ns: npt.NDArray[np.int64]) -> None:
+def _require_narrow(quaternions: Floats, times_ns: Int64s) -> None:
     cosines = np.abs(np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1]))
     wide = np.flatnonzero(cosines < math.cos(_WIDEST_TURN / 2))
     if wide.size:
@@ -113,7 +112,7 @@ def _require_narrow(quaternions: _Floats, times_ns: npt.NDArray[np.int64]) -> No
         )
 
 
-def _splines(seconds: _Floats, places: _Floats, velocities: _Floats | None, turns: _Floats) -> tuple[PPoly, PPoly]:
+def _splines(seconds: Floats, places: Floats, velocities: Floats | None, turns: Floats) -> tuple[PPoly, PPoly]:
     """Return the places, and the rotation vectors from the keyframe before, as functions of seconds.
 
     RotationSpline's own call takes 0.2 ms, as it checks and copies; its polynomials (`interpolator`) take 4 us.
@@ -130,7 +129,7 @@ def _splines(seconds: _Floats, places: _Floats, velocities: _Floats | None, turn
     return CubicHermiteSpline(seconds, places, slopes), rotations.interpolator
 
 
-def _slopes(t: _Floats, values: _Floats) -> _Floats:
+def _slopes(t: Floats, values: Floats) -> Floats:
     """Return the slopes at each point of parabolas through it and its neighbours, (n, k); n >= 2."""
     if len(t) == 2:
         return np.repeat(np.diff(values, axis=0) / np.diff(t)[:, None], 2, axis=0)

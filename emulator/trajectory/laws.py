@@ -225,7 +225,7 @@ class Descent(Trajectory):
         self._ahead, self._depression_rad = ahead, _depression(gates)
         self._depression_rate = self._depression_rad.derivative()
         measured = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))
-        self.bounds = Bounds(self._path.speed_bound_m_s, measured.turn_rad_s)
+        self.bounds = Bounds(self._path.bounds.speed_m_s, measured.turn_rad_s)
         self._require_above(float(site[2]))
 
     def pose(self, t_ns: int) -> Pose:

@@ -88,24 +88,11 @@ class LiveCounters:
 
 
 class TimedPose(NamedTuple):
-    """A pose and its time."""
-
-    t_ns: int
-    pose: Pose
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
     """A pose and its time; `on_arrival`: the sender gave no time."""
 
     t_ns: int
     pose: Pose
-    on_arrival: bool
-
-    @property
-    def at(self) -> TimedPose:
-        """Time and pose."""
-        return TimedPose(self.t_ns, self.pose)
+    on_arrival: bool = False
 
 
 class ComingPoses(Trajectory):
@@ -128,7 +115,7 @@ class LivePoses(ComingPoses):
         self._first = first
         self._hold_ns = hold_ns
         self._ahead_ns = ahead_ns
-        self._known: deque[_Known] = deque(maxlen=_KNOWN)
+        self._known: deque[TimedPose] = deque(maxlen=_KNOWN)
         self._last: PoseMessage | None = None
         self.counters = LiveCounters()
 
@@ -147,7 +134,7 @@ class LivePoses(ComingPoses):
         arrived = [pose for pose in self._known if pose.on_arrival]
         timed = [pose for pose in self._known if not pose.on_arrival and pose.t_ns <= t_ns + self._ahead_ns]
         if arrived and (not timed or timed[-1].t_ns < t_ns):
-            timed.append(_Known(t_ns, arrived[-1].pose, on_arrival=True))
+            timed.append(TimedPose(t_ns, arrived[-1].pose, on_arrival=True))
         self._known = deque(timed, maxlen=_KNOWN)
 
     def pose(self, t_ns: int) -> Pose:
@@ -161,7 +148,7 @@ class LivePoses(ComingPoses):
         if after > 1 and poses[after].t_ns > poses[after - 1].t_ns + _GOES_ON_NS >= t_ns:
             # Two poses a microsecond apart, with some noise, would send the body far away within a millisecond.
             after -= poses[after - 1].t_ns >= poses[after - 2].t_ns + _GOES_ON_NS
-        return poses[0].pose if after == 0 else between(poses[after - 1].at, poses[after].at, t_ns)
+        return poses[0].pose if after == 0 else between(poses[after - 1], poses[after], t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
         """Return both from the poses known now; no light frame is counted as late."""
@@ -172,10 +159,10 @@ class LivePoses(ComingPoses):
 
     def motion(self, t_ns: int) -> Motion:
         """Return the motion at `t_ns` from the poses known now, see `known_motion`; at rest where it stands still."""
-        poses = [received.at for received in self._known]
-        if len(poses) < 2 or t_ns < poses[0][0] or t_ns > poses[-1][0] + self._hold_ns:
+        poses = self._known
+        if len(poses) < 2 or t_ns < poses[0].t_ns or t_ns > poses[-1].t_ns + self._hold_ns:
             return AT_REST
-        return known_motion(poses, t_ns)
+        return known_motion(list(poses), t_ns)
 
     def _is_repetition(self, message: PoseMessage) -> bool:
         """Return whether a pose, or a later one, was there already; otherwise count losses and restarts."""
@@ -199,7 +186,7 @@ class LivePoses(ComingPoses):
         if self._known and t_ns <= self._known[-1].t_ns:
             self.counters.stale += 1
             return
-        self._known.append(_Known(t_ns, pose, on_arrival))
+        self._known.append(TimedPose(t_ns, pose, on_arrival))
         self.counters.taken += 1
 
     def _beyond(self, t_ns: int) -> Pose:
@@ -208,12 +195,12 @@ class LivePoses(ComingPoses):
             self.counters.late_pictures += 1
         if len(self._known) < 2:
             return newest.pose
-        return between(self._known[-2].at, newest.at, min(t_ns, newest.t_ns + self._hold_ns))
+        return between(self._known[-2], newest, min(t_ns, newest.t_ns + self._hold_ns))
 
 
 def between(before: TimedPose, after: TimedPose, t_ns: int) -> Pose:
     """Return the pose on the straight line and great circle through two; `t_ns` may lie beyond the second."""
-    (before_ns, a), (after_ns, b) = before, after
+    (before_ns, a, _), (after_ns, b, _) = before, after
     x = (t_ns - before_ns) / (after_ns - before_ns)
     place = (1 - x) * a.position_m + x * b.position_m  # exact at both, also beside a place very far away
     place = np.clip(place, -FARTHEST_M / 2, FARTHEST_M / 2)  # two hostile poses may point anywhere
@@ -229,9 +216,9 @@ def known_motion(poses: Sequence[TimedPose], t_ns: int) -> Motion:
     through three poses: the two around `t_ns` and the one before, or the next where there is none; 0 with two poses.
     Its error is that of the places times 4 / period^2.
     """
-    last = next((k for k, (at_ns, _) in enumerate(poses) if at_ns >= t_ns), len(poses) - 1)
+    last = next((k for k, timed in enumerate(poses) if timed.t_ns >= t_ns), len(poses) - 1)
     last = max(last, 1)
-    (before_ns, a), (after_ns, b) = poses[last - 1], poses[last]
+    (before_ns, a, _), (after_ns, b, _) = poses[last - 1], poses[last]
     seconds = (after_ns - before_ns) * 1e-9
     turn = rotation_vector(multiply(conjugate(a.q_world_from_body), b.q_world_from_body))
     bend = _second_derivative(poses[max(0, last - 2) : max(3, last + 1)])
@@ -242,7 +229,7 @@ def _second_derivative(poses: Sequence[TimedPose]) -> Vector:
     """Return the second derivative of the parabola through three places, (3,); 0 for fewer."""
     if len(poses) < 3:
         return np.zeros(3)
-    (t0, a), (t1, b), (t2, c) = poses
+    (t0, a, _), (t1, b, _), (t2, c, _) = poses
     first = (b.position_m - a.position_m) / (t1 - t0)
     second = (c.position_m - b.position_m) / (t2 - t1)
     return np.asarray(2e18 * (second - first) / (t2 - t0))
@@ -289,7 +276,7 @@ class SimulatedPath(ComingPoses):
             return self._start.pose(t_ns)
         if t_ns <= poses[0].t_ns or len(poses) == 1:
             return poses[0].pose
-        after = next((k for k, (at_ns, _) in enumerate(poses) if at_ns >= t_ns), len(poses) - 1)
+        after = next((k for k, timed in enumerate(poses) if timed.t_ns >= t_ns), len(poses) - 1)
         return between(poses[after - 1], poses[after], t_ns)
 
     def motion(self, t_ns: int) -> Motion:
@@ -447,11 +434,7 @@ class ReceivedPath(ComingPoses):
     def __init__(self, receiver: PoseReceiver, body: int, poses: LivePoses) -> None:
         receiver.register(body, poses)
         self.receiver, self._poses = receiver, poses
-
-    @property
-    def counters(self) -> LiveCounters:
-        """Counts of this body's poses."""
-        return self._poses.counters
+        self.counters = poses.counters
 
     def pose(self, t_ns: int) -> Pose:
         """Read the poses that have come and return the pose at `t_ns`."""

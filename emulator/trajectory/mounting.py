@@ -45,7 +45,7 @@ class Looking(Trajectory):
         self.span_ns = place.span_ns
         self._target_m = np.asarray(target_m, np.float64)
         self._up = unit(up)
-        self.bounds = Bounds(place.speed_bound_m_s, measured_bounds(self.pose, times_ns).turn_rad_s)
+        self.bounds = Bounds(place.bounds.speed_m_s, measured_bounds(self.pose, times_ns).turn_rad_s)
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose; raises TrajectoryError when the camera is at the target itself."""
@@ -153,7 +153,7 @@ class PlaceAndAttitude(Trajectory):
     @cached_property
     def bounds(self) -> Bounds:
         """Bounds of the places, and of the attitudes."""
-        return Bounds(self._places.speed_bound_m_s, self._attitudes.turn_bound_rad_s)
+        return Bounds(self._places.bounds.speed_m_s, self._attitudes.bounds.turn_rad_s)
 
 
 class Mounted(Trajectory):

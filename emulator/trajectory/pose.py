@@ -225,16 +225,6 @@ class Trajectory(ABC):
         """Bounds of its motion; a subclass defines them, or sets them as an attribute."""
         raise NotImplementedError
 
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Upper bound of the speed."""
-        return self.bounds.speed_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Upper bound of the rate of turning."""
-        return self.bounds.turn_rad_s
-
 
 class Fixed(Trajectory):
     """A trajectory that stays at one pose."""

@@ -28,6 +28,7 @@ from emulator.geometry.attitude import quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.parameters import SpicePath
 from emulator.trajectory.pose import STILL, Pose, TrajectoryError, turn_rad
+from firmware_protocol.events import Floats
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 
 _LIMITS = Limits(1 << 30, 60)  # CSPICE reads records of a kernel, not all of it
@@ -35,8 +36,6 @@ _KM = 1e3
 _PLACE_M, _ANGLE_RAD = 0.1, math.radians(0.1 / 3600)
 _STEP_S = 2.4e-7  # two steps of SPICE's time in this century
 _FEWEST, _MOST = 16, 1 << 14  # intervals
-
-_Floats = npt.NDArray[np.float64]
 
 
 def read_spice(p: SpicePath) -> Keyframes:
@@ -76,7 +75,7 @@ class _Query:
         self._start_s = float(spice.str2et(p.start_utc))
         self.last_ns = round(p.duration_s * 1e9)
 
-    def at(self, t_ns: int) -> tuple[Pose, _Floats]:
+    def at(self, t_ns: int) -> tuple[Pose, Floats]:
         """Return the pose and the velocity, m/s, (3,)."""
         p, et = self._p, self._start_s + t_ns * 1e-9
         state, light_s = self._spice.spkezr(p.target, et, p.frame, p.aberration, p.observer)
@@ -116,7 +115,7 @@ def _followed(query: _Query) -> dict[str, npt.NDArray[Any]]:
         ]
 
 
-def _distance(pose: Pose, expected: Pose, velocity: _Floats) -> tuple[float, float]:
+def _distance(pose: Pose, expected: Pose, velocity: Floats) -> tuple[float, float]:
     """Return how far a pose is off, in place and in attitude, over what is allowed."""
     near_m = min(_PLACE_M, _ANGLE_RAD * float(np.linalg.norm(expected.position_m)))
     allowed_m = max(near_m, _STEP_S * float(np.linalg.norm(velocity)), 1e-9)

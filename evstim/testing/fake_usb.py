@@ -28,7 +28,7 @@ import usb.backend
 import usb.core
 import usb.util
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.events import Events
 from firmware_protocol.usb.descriptors import DescriptorSet, Speed
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice

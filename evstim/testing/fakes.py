@@ -29,7 +29,6 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Self
 
 import can
 import numpy as np
@@ -39,6 +38,7 @@ from firmware_protocol.events import Events
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
+from transports import Closing
 from transports.can_bus.bus import CanBus, TimedFrame, from_message, to_message
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.kind import CanLink
@@ -70,6 +70,8 @@ _RING_EVENTS = 1 << 16
 class _Wire(CanBus):
     """The camera's side: frames that it sends, with the time at which they left, and frames of the computer."""
 
+    address = "memory"
+
     def __init__(self, clock: FakeClock) -> None:
         self._clock = clock
         self.from_camera: deque[tuple[int, Frame]] = deque()
@@ -94,11 +96,6 @@ class _Wire(CanBus):
         heard = list(self.to_camera)
         self.to_camera.clear()
         return heard
-
-    @property
-    def address(self) -> str:
-        """Return the place of the bus."""
-        return "memory"
 
 
 class FakeCanBus:
@@ -176,7 +173,7 @@ class FakeCanBus:
             self._ring.close()
 
 
-class FakeSerialPort:
+class FakeSerialPort(Closing):
     """The computer's side of the line.
 
     Parameters
@@ -207,12 +204,6 @@ class FakeSerialPort:
         self._commands = self._profile.command_unwrapper()
         self._line = bytearray()
         self._t_us = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def show(self, events: Events, until_us: int | None = None) -> None:
         """Give the camera events (n,) EVENT of stream time, sorted, and let time go on to `until_us` (their last)."""

@@ -31,6 +31,7 @@ from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import Events, make_events
 from transports.link.deliveries import digest_of
 from transports.link.kind import LinkParameters
+from transports.link.loop import InjectFault
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING, EventRing
 
@@ -161,7 +162,7 @@ class LinkContract:
         kinds = faults_of(self.parameters)
         link.start(FREE_RUNNING)
         for fault in kinds.values():
-            link.inject(fault())
+            link.order(InjectFault(fault()))
         link.push_all(self._stream(self.some), self.some * _SPACING_US)
         report = link.stop(1.0)
         assert report.error is None

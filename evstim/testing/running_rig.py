@@ -38,9 +38,9 @@ from emulator.run.report.modelled import Modelled, modelled
 from emulator.run.report.observation import Observation
 from evstim.running import LiveRun, run
 from firmware_protocol.events import EVENT, Events
+from firmware_protocol.recordings.part import Facts, Part
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
 
 __all__ = ["RigOptions", "RunningRig", "faults_of_a_run", "on_free_ports", "rules_of_a_test", "write_artefacts"]
 

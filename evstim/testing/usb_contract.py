@@ -22,8 +22,9 @@ import numpy as np
 import pytest
 
 from evstim.testing.link_contract import event_stream
-from firmware_protocol.davis346 import Davis240c, Davis240cSettings, Davis346, Davis346Settings
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
+from firmware_protocol.davis346.device import Davis240c, Davis240cSettings, Davis346, Davis346Settings
+from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer.micro import DvxplorerMicro, DvxplorerMicroSettings
 from firmware_protocol.events import Events
 from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings
 from firmware_protocol.usb.device import SetupPacket, UsbDevice

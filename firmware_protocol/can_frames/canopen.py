@@ -194,11 +194,6 @@ class BusSelector:
         self._in_vain = 0
         self._deadline_ns: int | None = now_ns + settings.heartbeat_ms * 1_000_000
 
-    @property
-    def resting(self) -> bool:
-        """True if the search was given up."""
-        return self._deadline_ns is None
-
     def heartbeat(self, bus: int, now_ns: int) -> None:
         """Process a heartbeat of the master; one on the bus that is not in use is ignored."""
         if bus == self.active:

@@ -54,11 +54,10 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.can_frames.canopen import ObjectError
 from firmware_protocol.can_frames.frame import fd_length
-from firmware_protocol.events import Edges, Events, empty_events, make_edges
+from firmware_protocol.events import Edges, Events, Int64s, empty_events, make_edges
 
 TICKS_US = (1, 10, 100, 1000)
 """Ticks, us, by their code."""
@@ -121,13 +120,14 @@ def unpack_clock(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class EventsFrame:
-    """Content of an events frame; `events` carry the full time, in us."""
+    """Content of an events frame; `events` carry the full time, in us. `dropped`: those before a frame of FD."""
 
     seq: int
     events: Events
+    dropped: int = 0
 
 
-def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], npt.NDArray[np.int64]]:
+def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], Int64s]:
     """Pack events (n,), sorted, into the data of events frames; `seq` is that of the first.
 
     Returns the data of each frame, and the index of its first event, shape (frames,). Raises RawError if a pixel is
@@ -195,15 +195,6 @@ _SKIP = 31
 _LONGEST_SKIP = (1 << 19) - 1
 
 
-@dataclass(frozen=True)
-class FdEventsFrame:
-    """Content of an FD events frame; `events` carry the full time, in us."""
-
-    seq: int
-    dropped: int
-    events: Events
-
-
 def pack_fd_events(events: Events, tick_us: int, seq: int, dropped: int = 0) -> list[tuple[bytes, int]]:
     """Pack events (n,), sorted, into the data of FD events frames, each with its number of events.
 
@@ -238,7 +229,7 @@ def pack_fd_events(events: Events, tick_us: int, seq: int, dropped: int = 0) -> 
     return frames
 
 
-def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> FdEventsFrame:
+def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> EventsFrame:
     """Read an FD events frame, its time taken nearest to `near_us`; raises RawError on data that no sender makes."""
     if len(data) < _HEAD.size:
         raise RawError(f"an FD events frame has at least {_HEAD.size} bytes, not {len(data)}")
@@ -257,7 +248,7 @@ def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> FdEventsFrame:
         t += dt
         events[count] = t * tick_us, *_pixel(cell)
         count += 1
-    return FdEventsFrame(seq, dropped, events[:count])
+    return EventsFrame(seq, events[:count], dropped)
 
 
 _MARK = struct.Struct("<IBBH")

@@ -35,10 +35,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import Bytes, Events, Int32s, Mask, UInt16s, empty_events
 from firmware_protocol.fx3.registers import Module, RegisterFile
 
 CELL_BITS = 2
@@ -50,14 +49,10 @@ TOO_SOON = 2
 _LAST = (1 << CELL_BITS) - 1
 
 _Int = np.signedinteger[Any]
-_Int32s = npt.NDArray[np.int32]
-_UInt16s = npt.NDArray[np.uint16]
 
 
 @entry_of(__name__)
-def find_fates(
-    ticks: _Int32s, x: _UInt16s, y: _UInt16s, limits: tuple[int, int], stamps: _Int32s, fates: npt.NDArray[np.uint8]
-) -> None:
+def find_fates(ticks: Int32s, x: UInt16s, y: UInt16s, limits: tuple[int, int], stamps: Int32s, fates: Bytes) -> None:
     """Write the fate of each event into `fates` (n,), and the tick of each into its cell of `stamps`.
 
     Parameters
@@ -99,7 +94,7 @@ def _side(place: np.uint16) -> int:
 
 
 @kernel
-def _supports(stamps: _Int32s, row: _Int, column: _Int, now: _Int, longest: int) -> bool:
+def _supports(stamps: Int32s, row: _Int, column: _Int, now: _Int, longest: int) -> bool:
     """Return true if a cell supports an event."""
     rows, columns = stamps.shape
     is_inside = 0 <= row < rows and 0 <= column < columns
@@ -135,10 +130,10 @@ class ActivityLimits:
 class ActivityResult:
     """Result for a batch: mask of passing events, counts of isolated and early ones, memory (cells) after them."""
 
-    passes: npt.NDArray[np.bool_]
+    passes: Mask
     isolated: int
     too_soon: int
-    stamps: npt.NDArray[np.int32]
+    stamps: Int32s
 
 
 class ActivityFilter:

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT, Events, Int64s, Mask
 from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, FrameRead, WordFaults
 from firmware_protocol.fx3.words import (
     APS_SAMPLE,
@@ -47,7 +47,7 @@ from firmware_protocol.fx3.words import (
     is_row,
 )
 
-Times = npt.NDArray[np.int64]
+Times = Int64s
 
 _TIME_RESET = int(Special.TIMESTAMP_RESET)  # a plain number, which numpy compares without widening
 
@@ -173,8 +173,7 @@ def _array(lines: list[Words], shape: tuple[int, int]) -> Words | None:
 
 _BLOCK_WORDS = 32768
 
-Index = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
+Index = Int64s
 
 
 class Decoder:
@@ -196,11 +195,6 @@ class Decoder:
         self._frames = FrameReader(turned, sample_shift)
         self._imu = ImuReader()
         self.faults = WordFaults()
-
-    @property
-    def frames_incomplete(self) -> int:
-        """Frames that began and did not become complete."""
-        return self._frames.incomplete
 
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""

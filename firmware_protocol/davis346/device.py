@@ -30,7 +30,6 @@ from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.davis346.biases import sensor_factors
 from firmware_protocol.davis346.model import DAVIS240C, DAVIS346, DavisModel
@@ -39,7 +38,7 @@ from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Mask
 from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings, Parts
 from firmware_protocol.fx3.inputs import ReadingInput
 from firmware_protocol.fx3.registers import Module, Register, RegisterFile, Statistics, SystemInfo
@@ -163,8 +162,6 @@ if TYPE_CHECKING:
 
 
 _HOT_PIXELS = 8
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -63,10 +63,6 @@ class Layout(Enum):
         """True if rows and columns are swapped."""
         return self is Layout.TURNED
 
-    def chip_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return (columns, rows) of the chip for an image of width x height in the user's coordinates."""
-        return (height, width) if self.turned else (width, height)
-
 
 class Statistic(Enum):
     """A 64-bit counter: (module, address of its upper word); the lower word follows it."""
@@ -123,7 +119,7 @@ _IMU: Rows = (
 
 def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
     """Sizes in the chip's frame (read only); regions and hot pixels in the user's."""
-    columns, rows = layout.chip_size(*size)
+    columns, rows = size[::-1] if layout.turned else size
     frame: Rows = ((0, "SIZE_COLUMNS", columns), (1, "SIZE_ROWS", rows), (2, "ORIENTATION", layout.value))
     for module in (Module.DVS, Module.APS):
         yield from declare(module, frame, Access.READ_ONLY, "chip's frame; orientation bit 2: turned")

@@ -82,11 +82,6 @@ def words_of(base: Words, index: npt.ArrayLike) -> Words:
         return mix(base + (as_words(index) + np.uint64(1)) * GOLDEN)
 
 
-def uniform_of(words: Words) -> npt.NDArray[np.float64]:
-    """Return a uniform number in (0, 1) for each word."""
-    return ((words >> np.uint64(11)).astype(np.float64) + 0.5) / 2.0**53
-
-
 def normal_of(words: Words) -> npt.NDArray[np.float64]:
     """Return a normal number of mean 0 and deviation 1 for each word."""
     radius = np.sqrt(-2 * np.log(((words >> np.uint64(32)).astype(np.float64) + 0.5) / 2.0**32))
@@ -170,11 +165,6 @@ class DeviceClock:
         self._rates = np.zeros(0, np.int64)
         self._phases = np.zeros(1, np.int64)
         self._walked = 0
-
-    @property
-    def restarts_us(self) -> list[int]:
-        """Stream times at which the device sets its clock to zero, us, in order."""
-        return sorted(round(at_s * 1e6) for at_s in self._settings.restarts_s)
 
     def shown_ns(self, stream_ns: npt.ArrayLike) -> Times:
         """Return the clock's reading at `stream_ns` >= 0, (n,) ns, without restarts."""

@@ -133,12 +133,8 @@ class HostAdjusted(ABC):
     """
 
     set_by: ClassVar[str] = "register"
-    _settings_version = 0
-
-    @property
-    def settings_version(self) -> int:
-        """Number that changes with its factors, settings without effect, commands and settings of readings."""
-        return self._settings_version
+    settings_version = 0
+    """Number that changes with its factors, settings without effect, commands and settings of readings."""
 
     @property
     @abstractmethod
@@ -158,10 +154,8 @@ class HostAdjusted(ABC):
 class TakesReadings(ABC):
     """A device that takes readings: lines of frames, samples of an inertial unit."""
 
-    @property
-    @abstractmethod
-    def settings_version(self) -> int:
-        """Number that changes with the settings of readings."""
+    settings_version: int
+    """Number that changes with the settings of readings."""
 
     @abstractmethod
     def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:

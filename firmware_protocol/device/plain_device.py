@@ -53,10 +53,6 @@ class _ItemsOfClock:
         edges["t"] = np.maximum(edges["t"], np.uint64(self.taken_us))
         self.edges = edges[np.argsort(edges["t"], kind="stable")]
 
-    def add_readings(self, readings: list[Reading]) -> None:
-        """Add readings of one kind, in the order of time."""
-        self.readings = sorted([*self.readings, *readings], key=_time_of) if readings else self.readings
-
     def take(self, limit: int, now_us: int) -> Items | None:
         """Return the first content, at most `limit` events; None if nothing waits that is certain to be first."""
         events = self._take_events(limit)
@@ -113,7 +109,8 @@ class ItemQueue:
             clock.events.append(events)
         if len(edges):
             clock.add_edges(edges)
-        clock.add_readings(readings)
+        if readings:
+            clock.readings = sorted([*clock.readings, *readings], key=_time_of)
         self.waiting = self.waiting.plus(Numbers(len(events), len(edges), count_kinds(readings)))
 
     def restart_clock(self, now_us: int) -> None:
@@ -153,6 +150,9 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         True if a receiver notices when data leave: they then leave at their own time, not some milliseconds later.
     """
 
+    settings_version = 0  # its settings never change
+    streaming = True
+
     def __init__(
         self,
         capacity: int = _CAPACITY,
@@ -164,19 +164,13 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         self._settings = dict(readings)
         self.takes_edges = True
         self.is_watched = True
-        self._running = True
         self._queue = ItemQueue()
         self._fates = Fates(readings={str(kind): Counts() for kind in readings})
 
     @property
-    def streaming(self) -> bool:
-        """True unless its link has reported that no receiver is present."""
-        return self._running
-
-    @property
     def at_rest(self) -> bool:
         """True while no receiver notices when data leave."""
-        return not (self._running and self.is_watched)
+        return not (self.streaming and self.is_watched)
 
     @property
     def room_events(self) -> int:
@@ -192,11 +186,6 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
     def _waiting(self) -> Numbers:
         return self._queue.waiting
 
-    @property
-    def settings_version(self) -> int:
-        """A constant: its settings never change."""
-        return 0
-
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT, as many as fit; raises ValueError if they go back in time."""
         if len(events) and (int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any())):
@@ -210,7 +199,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
         """Queue edges (n,) EDGE, as many as fit: both changes of a pulse."""
         counts = self._fates.edges
         counts.offered += len(edges)
-        if self._running and self.takes_edges:
+        if self.streaming and self.takes_edges:
             changes = level_changes(edges, self._pulse_us)
             fitting = changes[: max(0, self._capacity - self._waiting.edges - counts.queued)]
             counts.added += len(changes) - len(edges)
@@ -241,7 +230,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
     def _fitting(self, counts: Counts, offered: int, room: int) -> int:
         """Count items that were offered; return the number of those that are queued."""
         counts.offered += offered
-        if not self._running:
+        if not self.streaming:
             counts.not_running += offered
             return 0
         fitting = min(offered, room)
@@ -264,7 +253,7 @@ class PlainDevice(EventDevice, TakesReadings, HasClockInput):
 
     def run(self, running: bool) -> None:
         """Set the presence of a receiver; the content that waits when the last one leaves is flushed."""
-        self._running = running
+        self.streaming = running
         if not running:
             self._flush(self._queue)
 

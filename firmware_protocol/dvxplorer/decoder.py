@@ -13,7 +13,6 @@ from one set bit to the next by a table, as most words have one of eight.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.compiled import kernel
 from firmware_protocol.dvxplorer.words import (
@@ -28,7 +27,7 @@ from firmware_protocol.dvxplorer.words import (
     ROWS_OF_GROUP,
     entry,
 )
-from firmware_protocol.events import empty_events
+from firmware_protocol.events import Bytes, Int64s, empty_events
 from firmware_protocol.evt.evt3 import put_event
 from firmware_protocol.evt.words import EVENT_BYTES
 from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
@@ -46,9 +45,6 @@ from firmware_protocol.fx3.words import (
     is_imu,
 )
 from firmware_protocol.imu_samples import AXES_ON_THE_WIRE
-
-_Bytes = npt.NDArray[np.uint8]
-_Int64s = npt.NDArray[np.int64]
 
 # Content of a state: time, column and groups in force (-1: none), columns and groups of the array, and the numbers of
 # words with a column outside, a group outside, and a time that does not increase.
@@ -82,7 +78,7 @@ def count_items(words: Words) -> tuple[int, int]:
 
 
 @entry
-def read_words(words: Words, state: _Int64s, events: _Bytes, rare: _Int64s) -> int:
+def read_words(words: Words, state: Int64s, events: Bytes, rare: Int64s) -> int:
     """Write the records of all (n,) words; return the number of events.
 
     Parameters
@@ -138,7 +134,7 @@ def _time_after(before_us: int, word: int) -> int:
 
 
 @kernel
-def _put_pixels(events: _Bytes, at: int, time_us: int, x: int, rows: int) -> int:
+def _put_pixels(events: Bytes, at: int, time_us: int, x: int, rows: int) -> int:
     """Write an EVENT for each pixel; return the next place. `rows`: the first row, from bit 16 on the pixels' word."""
     row, bits, on = rows & 0xFFFF, rows >> 16 & 0xFF, not rows >> 16 & OFF_BIT
     while bits:
@@ -161,11 +157,6 @@ class GroupDecoder:
         self.faults = WordFaults()
         self.feed(b"")  # compiles the kernels now, not while words wait
 
-    @property
-    def time_us(self) -> int:
-        """Device time of the last timestamp or wrap."""
-        return int(self._state[_TIME])
-
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
         data = self._odd + data if self._odd else data
@@ -186,7 +177,7 @@ class GroupDecoder:
         specials["code"], specials["t"], specials["index"] = chosen.T
         return Decoded(events[:n_events], specials, (), imu, self._resets)
 
-    def _count_faults(self, rare: _Int64s) -> None:
+    def _count_faults(self, rare: Int64s) -> None:
         specials = rare[rare < COLUMN]
         misc = rare[rare >= MISC8]
         known_misc = is_imu(misc.astype(WORD))

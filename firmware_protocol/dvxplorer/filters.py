@@ -23,17 +23,14 @@ from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.dvxplorer.registers import AREA_WORDS, SIZE, Chip, ChipStatistic, chip_of
 from firmware_protocol.dvxplorer.words import ROWS_OF_GROUP, GroupEncoder
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Mask
 from firmware_protocol.fx3.registers import RegisterFile, Statistics
 from firmware_protocol.fx3.stream import EventStream
-
-Mask = npt.NDArray[np.bool_]
 
 _FLATTEN = 1 << 6
 _ON_ONLY = 1 << 5

@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.dvxplorer.words import LOWEST_BIT
-from firmware_protocol.events import Events, bytes_of, empty_events
+from firmware_protocol.events import Bytes, Events, Int32s, Int64s, bytes_of, empty_events
 from firmware_protocol.evt.evt3 import put_event
 from firmware_protocol.evt.words import EVENT_BYTES, put_time, short_at, time_at
 from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
@@ -37,10 +37,9 @@ FrameWords = npt.NDArray[np.uint32]
 
 entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt")
 
-_Bytes = npt.NDArray[np.uint8]
-_State = npt.NDArray[np.int64]
-_Keys = npt.NDArray[np.int32]
-_Counts = npt.NDArray[np.int32]
+_State = Int64s
+_Keys = Int32s
+_Counts = Int32s
 
 _GROUPS = 1 << 31
 _TIME = 1 << 27
@@ -69,14 +68,14 @@ _BACKWARDS, _OUTSIDE = -1, -2
 
 
 @kernel
-def _key(events: _Bytes, at: int) -> int:
+def _key(events: Bytes, at: int) -> int:
     """Return the place of an event in its column: group, polarity (OFF first), row."""
     y = short_at(events, at + 10)
     return int((y >> 3) << 4 | np.int64(events[np.uint64(at + 12)]) << 3 | y & 7)
 
 
 @entry
-def sort_keys(events: _Bytes, size: tuple[int, int], keys: _Keys, counts: _Counts) -> int:
+def sort_keys(events: Bytes, size: tuple[int, int], keys: _Keys, counts: _Counts) -> int:
     """Write the keys of (13 n,) bytes of events into keys[0], (2, n), those of each time in order.
 
     Returns 0 if the events are in this order already, 1 if not, and a negative number for an event outside the array or
@@ -152,7 +151,7 @@ def _sort_by_digits(keys: _Keys, begin: int, end: int, counts: _Counts) -> None:
 
 
 @entry
-def put_keys(events: _Bytes, keys: _Keys, out: _Bytes) -> None:
+def put_keys(events: Bytes, keys: _Keys, out: Bytes) -> None:
     """Write the events of keys[0], (2, n), with the times of (13 n,) bytes of `events`, into `out`, (13 n,)."""
     for k in range(keys.shape[1]):
         at, key = k * EVENT_BYTES, int(keys[0, np.uint64(k)])
@@ -160,7 +159,7 @@ def put_keys(events: _Bytes, keys: _Keys, out: _Bytes) -> None:
 
 
 @entry
-def put_frame_times(events: _Bytes, period_us: float, state: _State) -> None:
+def put_frame_times(events: Bytes, period_us: float, state: _State) -> None:
     """Give (13 n,) bytes of events in the order on the wire the times of their frames.
 
     A frame ends at a column that does not lie beyond the one before, and when `period_us` have passed since its first
@@ -189,7 +188,7 @@ _MS, _SENT_FRAME, _SENT_X, _EPOCH = range(4)
 
 
 @entry
-def write_frames(events: _Bytes, state: _State, out: FrameWords) -> tuple[int, int]:
+def write_frames(events: Bytes, state: _State, out: FrameWords) -> tuple[int, int]:
     """Write the words of whole columns while they fit (k,) `out`; return the numbers of events and of words."""
     at, written = 0, 0
     while at < len(events):
@@ -224,7 +223,7 @@ def _put_times(ms: int, state: _State, out: FrameWords, written: int) -> int:
 
 
 @kernel
-def _put_column(events: _Bytes, at: int, out: FrameWords, written: int) -> tuple[int, int]:
+def _put_column(events: Bytes, at: int, out: FrameWords, written: int) -> tuple[int, int]:
     """Write the groups of one column; return the places after its last event and its last word.
 
     Each part is read once, and the third only where it decides whether the first two share a word.
@@ -251,7 +250,7 @@ def _put_column(events: _Bytes, at: int, out: FrameWords, written: int) -> tuple
 
 
 @kernel
-def _part(events: _Bytes, at: int, t: int, x: int) -> tuple[int, int, int, int]:
+def _part(events: Bytes, at: int, t: int, x: int) -> tuple[int, int, int, int]:
     """Return group, polarity, pixels of events from `at` that share both, and the place after; no pixels: the end."""
     part, mask = _NONE, _ZERO
     while at < len(events) and time_at(events, at) == t and short_at(events, at + 8) == x:
@@ -348,7 +347,7 @@ def count_pixels(words: FrameWords) -> int:
 
 
 @entry
-def read_frames(words: FrameWords, state: _State, events: _Bytes) -> int:
+def read_frames(words: FrameWords, state: _State, events: Bytes) -> int:
     """Write the records of all (n,) words into `events`, bytes of EVENT; return their number."""
     at = 0
     for octets in words:
@@ -375,7 +374,7 @@ def read_frames(words: FrameWords, state: _State, events: _Bytes) -> int:
 
 
 @kernel
-def _put_groups(word: int, state: _State, events: _Bytes, at: int) -> int:
+def _put_groups(word: int, state: _State, events: Bytes, at: int) -> int:
     """Write the events of a word of groups; return the place of the next one."""
     group = word >> 18 & 0x3F
     for half in range(2):

@@ -43,7 +43,7 @@ from enum import Enum
 import numpy as np
 
 from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
-from firmware_protocol.dvxplorer.filters import ChipFilters, Mask, polarity_format, sampled
+from firmware_protocol.dvxplorer.filters import ChipFilters, polarity_format, sampled
 from firmware_protocol.dvxplorer.frame_stream import FrameStream, SampleOutput
 from firmware_protocol.dvxplorer.registers import (
     SIZE,
@@ -52,9 +52,9 @@ from firmware_protocol.dvxplorer.registers import (
     imu_settings_of,
     level_factors,
     registers,
-    scan_us,
     sensor_factors,
 )
+from firmware_protocol.events import Mask
 from firmware_protocol.fx3.camera import DEBUG_ENDPOINT, FLUSH, LOG_LEVEL, REGISTER, Parts
 from firmware_protocol.fx3.registers import (
     Access,
@@ -167,8 +167,9 @@ class DvxplorerMicro(Dvxplorer):
     @property
     def scan_us(self) -> float:
         """Period of a scan without events, us, in the registers."""
-        is_new = self.settings.has_new_firmware
-        return micro_scan_us(self._registers) if is_new else scan_us(self._registers)
+        if not self.settings.has_new_firmware:
+            return super().scan_us
+        return _SCANS_US[min(self._registers.read(Module.DVS, RATE), len(_SCANS_US) - 1)]
 
     def restart_clock(self) -> bool:
         """Return false: it has no input that sets its clock."""
@@ -282,7 +283,7 @@ _IMU: Rows = (
 )  # fmt: skip
 
 _SCANS_US = (10_000.0, 5_000.0, 2_000.0, 1_000.0, 500.0, 200.0, 100.0, 499.0, 199.0, 99.6, 65.0)
-"""Period of a scan by the rate, us: `registers.scan_us` of the values that dv-processing writes to a DVXplorer."""
+"""Period of a scan by the rate, us, as `registers.scan_us` has it of dv-processing's values; unknown ones: the last."""
 
 _ACCELEROMETER_RANGES = {3: 0, 5: 1, 8: 2, 12: 3}
 _SLOWEST_ACCELEROMETER, _SLOWEST_GYROSCOPE = 5, 6  # codes of 12.5 and of 25 Hz
@@ -297,11 +298,6 @@ def micro_registers(system: SystemInfo, imu_unit: int = 0) -> Iterator[Register]
     yield from imu_type_registers(imu_unit)
     yield from declare(Module.IMU, _IMU)
     yield from system_registers(system)
-
-
-def micro_scan_us(values: RegisterFile) -> float:
-    """Return the period of a scan without events, us; that of the fastest rate for unknown ones."""
-    return _SCANS_US[min(values.read(Module.DVS, RATE), len(_SCANS_US) - 1)]
 
 
 def micro_imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:

@@ -33,10 +33,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.events import EVENT, Events, bytes_of
+from firmware_protocol.events import EVENT, Bytes, Events, Int64s, bytes_of
 from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
 from firmware_protocol.fx3.stream import TimedEncoder
 from firmware_protocol.fx3.words import (
@@ -73,9 +72,8 @@ LOWEST_BIT = np.array([0, *(np.log2(mask & -mask) for mask in range(1, 256))], n
 
 entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt", "firmware_protocol.fx3.words")
 
-_Bytes = npt.NDArray[np.uint8]
-_Times = npt.NDArray[np.int64]
-_State = npt.NDArray[np.int64]
+_Times = Int64s
+_State = Int64s
 
 # Content of a state: device time and column in the words so far, next event and mark of this call, the time of the
 # records that is zero in the words, a flag for pairs of groups, the size of the array, and the number of column words.
@@ -97,7 +95,7 @@ _SINGLE = SINGLE_WRAPS
 
 
 @entry
-def write_words(events: _Bytes, mark_times: _Times, mark_words: Words, state: _State, out: Words) -> int:
+def write_words(events: Bytes, mark_times: _Times, mark_words: Words, state: _State, out: Words) -> int:
     """Write words until all events and marks are written or `out` is full, and return their number.
 
     A negative number is _BACKWARDS, _OUTSIDE or _TOO_LATE; `state` is then invalid.
@@ -151,7 +149,7 @@ def _put_wrap(steps: int, state: _State, out: Words, written: int) -> int:
 
 
 @kernel
-def _put_pixels(events: _Bytes, is_later: bool, state: _State, out: Words, written: int) -> int:
+def _put_pixels(events: Bytes, is_later: bool, state: _State, out: Words, written: int) -> int:
     """Write the next group of events, or two; return a negative number for an event outside the array."""
     at = state[_AT_EVENT] * EVENT_BYTES
     x, y = short_at(events, at + 8), short_at(events, at + 10)
@@ -185,7 +183,7 @@ def _put_pixels(events: _Bytes, is_later: bool, state: _State, out: Words, writt
 
 
 @kernel
-def _shares_column(events: _Bytes, at: int, other: int) -> bool:
+def _shares_column(events: Bytes, at: int, other: int) -> bool:
     """Return true if record `other` exists and has the time and the column of record `at`."""
     if other >= len(events):
         return False
@@ -194,7 +192,7 @@ def _shares_column(events: _Bytes, at: int, other: int) -> bool:
 
 
 @kernel
-def _group(events: _Bytes, at: int) -> tuple[int, int]:
+def _group(events: Bytes, at: int) -> tuple[int, int]:
     """Return polarity and pixels of the word that begins with record `at`, and the place after its last record."""
     y, off = short_at(events, at + 10), events[np.uint64(at + 12)] == 0
     word, other = off * OFF_BIT | 1 << (y & 7), at + EVENT_BYTES

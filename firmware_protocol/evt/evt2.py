@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import kernel
-from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import Bytes, EdgeKind, Edges, Events, Int64s, empty_edges, empty_events
 from firmware_protocol.evt.evt3 import full_high, put_edge, put_event
 from firmware_protocol.evt.words import (
     AT_EDGE,
@@ -71,9 +71,8 @@ def evt2_header(size: tuple[int, int], form: Form) -> bytes:
     return "".join(f"% {line}\n" for line in lines).encode("ascii")
 
 
-_Bytes = npt.NDArray[np.uint8]
 _Words = npt.NDArray[np.uint32]
-_State = npt.NDArray[np.int64]
+_State = Int64s
 
 NO_MASK, MASK_FIRST, MASK_LAST = range(3)
 """Second half of a word: none (EVT2), or a bit for each of 32 columns, before it (EVT2.1) or after it (legacy)."""
@@ -105,7 +104,7 @@ def _put_high(high: int, mask: int, state: _State, out: _Words, written: int) ->
 
 
 @kernel
-def _put_edge(edges: _Bytes, t: int, mask: int, state: _State, out: _Words, written: int) -> int:
+def _put_edge(edges: Bytes, t: int, mask: int, state: _State, out: _Words, written: int) -> int:
     """Write an edge at `t`, or both edges of a pulse."""
     state[LAST] = t
     at = state[AT_EDGE] * EDGE_BYTES
@@ -116,7 +115,7 @@ def _put_edge(edges: _Bytes, t: int, mask: int, state: _State, out: _Words, writ
 
 
 @kernel
-def _put_events(events: _Bytes, until: int, mask: int, state: _State, out: _Words, written: int) -> int:
+def _put_events(events: Bytes, until: int, mask: int, state: _State, out: _Words, written: int) -> int:
     """Write the events up to the time `until`, or as many as fit; return a negative number for one outside."""
     at = state[AT_EVENT] * EVENT_BYTES
     origin, last = state[ORIGIN], state[LAST]
@@ -144,7 +143,7 @@ _write_parts = parts_writer(LOW_BITS, _MOST_WORDS, _put_high, _put_edge, _put_ev
 
 
 @entry
-def write_evt2_parts(events: _Bytes, edges: _Bytes, mask: int, states: _State, opening: int, rows: _Words) -> int:
+def write_evt2_parts(events: Bytes, edges: Bytes, mask: int, states: _State, opening: int, rows: _Words) -> int:
     """Write parts of words with NO_MASK, MASK_FIRST or MASK_LAST; see `parts_writer`."""
     return _write_parts(events, edges, mask, states, opening, rows)
 
@@ -175,7 +174,7 @@ def count_evt2(words: _Words, mask: int, is_started: bool) -> tuple[int, int]:
 
 
 @entry
-def read_evt2(words: _Words, mask: int, state: _State, events: _Bytes, edges: _Bytes) -> None:
+def read_evt2(words: _Words, mask: int, state: _State, events: Bytes, edges: Bytes) -> None:
     """Write the records of all (n,) words; `state` is (1,), the full high part, -1 before the first."""
     at, at_edge = 0, 0
     for i in range(len(words) if mask == NO_MASK else len(words) // 2):

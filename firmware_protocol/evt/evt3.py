@@ -18,10 +18,9 @@ holds its whole state in processor registers.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.compiled import kernel
-from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import Bytes, EdgeKind, Edges, Events, Int64s, UInt16s, empty_edges, empty_events
 from firmware_protocol.evt.words import (
     AT_EDGE,
     AT_EVENT,
@@ -56,9 +55,8 @@ from firmware_protocol.evt.words import (
     window,
 )
 
-_Bytes = npt.NDArray[np.uint8]
-_Words = npt.NDArray[np.uint16]
-_State = npt.NDArray[np.int64]
+_Words = UInt16s
+_State = Int64s
 
 _HIGH, _LOW, _ROW, _SINGLE, _BASE, _TRIGGER = (kind << 12 for kind in (HIGH, LOW, ROW, SINGLE, BASE, TRIGGER))
 _VECTOR_12, _VECTOR_8 = VECTOR_12 << 12, VECTOR_8 << 12
@@ -79,7 +77,7 @@ def _put_high(high: int, _width: int, state: _State, out: _Words, written: int) 
 
 
 @kernel
-def _put_edge(edges: _Bytes, t: int, _width: int, state: _State, out: _Words, written: int) -> int:
+def _put_edge(edges: Bytes, t: int, _width: int, state: _State, out: _Words, written: int) -> int:
     """Write an edge at `t`, or both edges of a pulse."""
     out[np.uint64(written)] = _LOW | t & 0xFFF
     written += t != state[TIME_SENT]
@@ -93,7 +91,7 @@ def _put_edge(edges: _Bytes, t: int, _width: int, state: _State, out: _Words, wr
 
 
 @kernel
-def _put_events(events: _Bytes, until: int, width: int, state: _State, out: _Words, written: int) -> int:
+def _put_events(events: Bytes, until: int, width: int, state: _State, out: _Words, written: int) -> int:
     """Write the events up to the time `until`, or as many as fit; return a negative number for one outside."""
     at = state[AT_EVENT] * EVENT_BYTES
     t_before, row_before = state[TIME_SENT], state[ROW_SENT]
@@ -131,7 +129,7 @@ def _put_events(events: _Bytes, until: int, width: int, state: _State, out: _Wor
 
 
 @kernel
-def _may_be_vector(events: _Bytes, at: int) -> bool:
+def _may_be_vector(events: Bytes, at: int) -> bool:
     """Return true if the fourth record after `at` has its time, row, polarity and window."""
     other = at + (_FEWEST - 1) * EVENT_BYTES
     if other >= len(events):
@@ -156,13 +154,9 @@ _write_parts = parts_writer(HIGH_BITS, _MOST_WORDS, _put_high, _put_edge, _put_e
 
 
 @entry
-def write_parts(events: _Bytes, edges: _Bytes, width: int, states: _State, opening: int, rows: _Words) -> int:
+def write_parts(events: Bytes, edges: Bytes, width: int, states: _State, opening: int, rows: _Words) -> int:
     """Write parts of the words of a sensor of so many columns; see `parts_writer`."""
     return _write_parts(events, edges, width, states, opening, rows)
-
-
-_WORDS_AN_EVENT = 4  # high part, low part, row, column
-_WORDS_AT_MOST_BESIDE = 4  # high part 0 of the start; both sides of a wrap and a step of the high part
 
 
 class Evt3Encoder(Coder):
@@ -187,14 +181,6 @@ class Evt3Encoder(Coder):
             lambda high: [HIGH << 12 | high & 0xFFF],
         )  # fmt: skip
         super().__init__(form, standalone=standalone, origin_us=origin_us, repeat_us=repeat_us)
-
-    @staticmethod
-    def max_bytes(n_events: int) -> int:
-        """Return the most bytes that `encode` returns for `n_events` events and edges together.
-
-        It holds while no time is more than 8.3 s after the newest one sent before; `advance` through silences.
-        """
-        return 2 * (_WORDS_AN_EVENT * n_events + _WORDS_AT_MOST_BESIDE)
 
 
 # Content of a state: full high part (-1: none yet), low part, row, column and polarity of the next vector.
@@ -224,7 +210,7 @@ def count_words(words: _Words) -> tuple[int, int]:
 
 
 @entry
-def read_words(words: _Words, state: _State, events: _Bytes, edges: _Bytes) -> None:
+def read_words(words: _Words, state: _State, events: Bytes, edges: Bytes) -> None:
     """Write the records of all (n,) words to `events` and `edges`, sized by `count_words`, and update `state`."""
     high, low = state[HIGH_READ], state[_LOW_READ]
     row, column = state[_ROW_READ], state[_COLUMN]
@@ -269,7 +255,7 @@ def full_high(high: int, part: int, bits: int) -> int:
 
 
 @kernel
-def put_event(events: _Bytes, at: int, t: int, x: int, y: int, on: int) -> int:
+def put_event(events: Bytes, at: int, t: int, x: int, y: int, on: int) -> int:
     """Write an EVENT record; return the index of the next one."""
     put_time(events, at, t)
     put_short(events, at + 8, x)
@@ -279,7 +265,7 @@ def put_event(events: _Bytes, at: int, t: int, x: int, y: int, on: int) -> int:
 
 
 @kernel
-def put_edge(edges: _Bytes, at: int, t: int, channel: int, is_rising: int) -> int:
+def put_edge(edges: Bytes, at: int, t: int, channel: int, is_rising: int) -> int:
     """Write an EDGE record; return the index of the next one."""
     put_time(edges, at, t)
     edges[np.uint64(at + 8)] = _RISING if is_rising else _FALLING

@@ -35,7 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.events import Edges, Events, bytes_of, empty_edges, empty_events
+from firmware_protocol.events import Bytes, Edges, Events, Int64s, bytes_of, empty_edges, empty_events
 
 ROW, SINGLE, BASE, VECTOR_12, VECTOR_8, LOW, HIGH, TRIGGER = 0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA
 LIMIT_PX = 1 << 11
@@ -68,14 +68,13 @@ def next_high(written: int, target: int, bits: int) -> int:
 
 entry = entry_of("firmware_protocol.evt", "firmware_protocol.events")
 
-_Bytes = npt.NDArray[np.uint8]
 _Words = npt.NDArray[np.unsignedinteger]
 
 EVENT_BYTES, EDGE_BYTES = 13, 12
 
 
 @kernel
-def time_at(data: _Bytes, at: int) -> int:
+def time_at(data: Bytes, at: int) -> int:
     """Return the eight bytes from `at` on as a time; it is negative from 2**63 us on."""
     place, t = np.uint64(at), np.int64(0)
     for k in range(8):
@@ -84,14 +83,14 @@ def time_at(data: _Bytes, at: int) -> int:
 
 
 @kernel
-def short_at(data: _Bytes, at: int) -> int:
+def short_at(data: Bytes, at: int) -> int:
     """Return the two bytes from `at` on."""
     place = np.uint64(at)
     return int(np.int64(data[place]) | np.int64(data[place + np.uint64(1)]) << np.int64(8))
 
 
 @kernel
-def put_time(data: _Bytes, at: int, t: int) -> None:
+def put_time(data: Bytes, at: int, t: int) -> None:
     """Write eight bytes."""
     place = np.uint64(at)
     for k in range(8):
@@ -99,14 +98,14 @@ def put_time(data: _Bytes, at: int, t: int) -> None:
 
 
 @kernel
-def put_short(data: _Bytes, at: int, value: int) -> None:
+def put_short(data: Bytes, at: int, value: int) -> None:
     """Write the two low bytes of `value`."""
     place = np.uint64(at)
     data[place] = value & 255
     data[place + np.uint64(1)] = (value >> 8) & 255
 
 
-_State = npt.NDArray[np.int64]
+_State = Int64s
 
 # Content of a state: full high part, full time and row in the words so far (-1: none), the newest time given, the next
 # event and edge of this call and the number of words of a part, a flag for a high part that must be written although
@@ -127,13 +126,13 @@ def new_state(origin_us: int = 0, repeat_us: int = 0) -> _State:
 
 
 @kernel
-def is_left(events: _Bytes, edges: _Bytes, state: _State) -> bool:
+def is_left(events: Bytes, edges: Bytes, state: _State) -> bool:
     """Return true if any event or edge is left."""
     return bool(state[AT_EVENT] * EVENT_BYTES < len(events) or state[AT_EDGE] * EDGE_BYTES < len(edges))
 
 
 @kernel
-def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
+def edge_is_next(events: Bytes, edges: Bytes, state: _State) -> bool:
     """Return true if an edge comes next: edges come before events of the same time."""
     at = state[AT_EDGE] * EDGE_BYTES
     if at >= len(edges):
@@ -143,7 +142,7 @@ def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
 
 
 @kernel
-def run_end(t: int, low_bits: int, edges: _Bytes, state: _State) -> int:
+def run_end(t: int, low_bits: int, edges: Bytes, state: _State) -> int:
     """Return the last time of events from `t` on with its high part, in its period and before the next edge."""
     end = t | (1 << min(low_bits, state[REPEAT])) - 1
     at = state[AT_EDGE] * EDGE_BYTES
@@ -151,7 +150,7 @@ def run_end(t: int, low_bits: int, edges: _Bytes, state: _State) -> int:
 
 
 @kernel
-def same_group(events: _Bytes, at: int, other: int, base: int) -> bool:
+def same_group(events: Bytes, at: int, other: int, base: int) -> bool:
     """Return true if record `other` has the time, row and polarity of record `at`, in the window from `base`."""
     if other >= len(events) or time_at(events, other) != time_at(events, at):
         return False
@@ -161,7 +160,7 @@ def same_group(events: _Bytes, at: int, other: int, base: int) -> bool:
 
 
 @kernel
-def window(events: _Bytes, at: int, base: int) -> tuple[int, int]:
+def window(events: Bytes, at: int, base: int) -> tuple[int, int]:
     """Return the columns in the window from `base`, a bit each, that records from `at` on fill, and their number."""
     last, other = short_at(events, at + 8), at + EVENT_BYTES
     bits, count = 1 << (last - base), 1
@@ -177,9 +176,9 @@ def parts_writer(
     low_bits: int,
     most_words: int,
     put_high: Callable[[int, int, _State, _Words, int], int],
-    put_edge: Callable[[_Bytes, int, int, _State, _Words, int], int],
-    put_events: Callable[[_Bytes, int, int, _State, _Words, int], int],
-) -> Callable[[_Bytes, _Bytes, int, _State, int, _Words], int]:
+    put_edge: Callable[[Bytes, int, int, _State, _Words, int], int],
+    put_events: Callable[[Bytes, int, int, _State, _Words, int], int],
+) -> Callable[[Bytes, Bytes, int, _State, int, _Words], int]:
     """Return the kernel that writes parts of words in a format, one into each row, until all records are written.
 
     It returns the number of parts. A fault in the first one gives BACKWARDS, TOO_LATE or OUTSIDE; a later part with one
@@ -196,7 +195,7 @@ def parts_writer(
     """
 
     @kernel
-    def write(events: _Bytes, edges: _Bytes, setting: int, state: _State, out: _Words) -> int:
+    def write(events: Bytes, edges: Bytes, setting: int, state: _State, out: _Words) -> int:
         written = 0
         while written <= len(out) - most_words and is_left(events, edges, state):
             is_edge = edge_is_next(events, edges, state)
@@ -225,7 +224,7 @@ def parts_writer(
         return written
 
     @kernel
-    def write_parts(events: _Bytes, edges: _Bytes, setting: int, states: _State, opening: int, rows: _Words) -> int:
+    def write_parts(events: Bytes, edges: Bytes, setting: int, states: _State, opening: int, rows: _Words) -> int:
         count = 0
         while count < len(rows) and is_left(events, edges, states[count]):
             state = states[count + 1]
@@ -266,7 +265,7 @@ class Words:
     dtype: type[np.unsignedinteger]
     low_bits: int
     high_bits: int
-    write: Callable[[_Bytes, _Bytes, _State, int, _Words], int]
+    write: Callable[[Bytes, Bytes, _State, int, _Words], int]
     high_words: Callable[[int], list[int]]
 
 

@@ -408,23 +408,19 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
             self._readings.put_back(blocks)
             raise
         self._fates.dropped_fifo += late.events
-        self._hold(late.marks)
+        keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO  # or drops, as the host selects
+        self._stalled = late.marks[:keep]
+        self._fates.edges.dropped_fifo += len(late.marks[keep:])
         self._readings.hold(late.blocks)
 
     @property
     def _input_settings(self) -> InputSettings:
         """Settings of the external input, read again after a change."""
         report_from_us = self._silent_until_us if self._gate.words else None
-        if self._input_settings_of != (self._settings_version, report_from_us):
-            self._input_settings_of = self._settings_version, report_from_us
+        if self._input_settings_of != (self.settings_version, report_from_us):
+            self._input_settings_of = self.settings_version, report_from_us
             self._input_now = InputSettings.of(self._registers, report_from_us)
         return self._input_now
-
-    def _hold(self, marks: Marks) -> None:
-        """Hold or drop marks that found no room, as the registers select."""
-        keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO
-        self._stalled = marks[:keep]
-        self._fates.edges.dropped_fifo += len(marks[keep:])
 
     def take_resets(self) -> tuple[int, ...]:
         """Return the stream times at which the host has reset the timestamps since the last call."""
@@ -514,7 +510,7 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
             self._turn(before, self._gate)
 
     def _follow_registers(self) -> None:
-        self._settings_version += 1
+        self.settings_version += 1
         self._gate = self._run_gate()
         self._readings.follow(words=self._gate.words)
         self._filters.follow(self._registers, self._now_us)

@@ -36,11 +36,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Numbers, ReadingKind, Readings, count_kinds
-from firmware_protocol.events import EdgeKind, Edges
+from firmware_protocol.events import EdgeKind, Edges, Int64s
 from firmware_protocol.frames import FrameSettings, LineKind
 from firmware_protocol.fx3.registers import Module, RegisterFile
 from firmware_protocol.fx3.words import MARK, Block, Marks, Special, blocks_of, join_marks, no_marks
@@ -119,7 +118,7 @@ class GeneratorSettings:
                 parts.append(marks)
         return join_marks(parts)
 
-    def _times_us(self, offset: int, after_us: int, until_us: int) -> npt.NDArray[np.int64]:
+    def _times_us(self, offset: int, after_us: int, until_us: int) -> Int64s:
         """Return the start (offset 0) or end times of pulses, us since the start, one in a microsecond at most."""
         first = max(1, -(-((after_us + 1) * self.clock_mhz - offset) // self.interval))
         last = (until_us * self.clock_mhz + self.clock_mhz - 1 - offset) // self.interval

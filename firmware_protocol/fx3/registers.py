@@ -54,10 +54,6 @@ class Register:
     note: str = ""
     bits: int = 1
 
-    def stored_bits(self, value: int) -> int:
-        """Return the bits of a written value that the register stores."""
-        return value & (1 << self.bits) - 1
-
 
 @dataclass(frozen=True)
 class SystemInfo:
@@ -178,7 +174,7 @@ class RegisterFile:
         """Store the register's bits of a value; ignored if it is read-only or does not exist."""
         register = self._declared.get((module, address))
         if register is not None and register.access is Access.READ_WRITE:
-            self._values[module, address] = register.stored_bits(value)
+            self._values[module, address] = value & (1 << register.bits) - 1
 
     def count(self, statistic: Enum, value: int) -> None:
         """Set a 64-bit counter, whose value is its (module, address), as the logic does; ignored if there is none."""

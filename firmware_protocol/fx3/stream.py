@@ -292,19 +292,14 @@ class EventStream:
         """Free room for words of events."""
         return self._fifo.free_words
 
-    @property
-    def room_events(self) -> int:
-        """Events that certainly fit now if none is later than `room_until_us`."""
-        return self.room_beside(0)
-
     def room_beside(self, reserved_words: int) -> int:
-        """Return the number of events that certainly fit, as `room_events`, beside `reserved_words`."""
+        """Return the number of events that certainly fit beside these words, if none is later than `room_until_us`."""
         free = self._fifo.free_words - self._wraps_that_fit - reserved_words
         return max(0, free // self._encoder.words_per_event)
 
     @property
     def room_until_us(self) -> int:
-        """Stream time up to which single wraps fit now beside `room_events` events."""
+        """Stream time up to which single wraps fit now beside the events of `room_beside`."""
         return self.epoch_us + ((self._encoder.state.time_us >> WRAP_BITS) + self._wraps_that_fit << WRAP_BITS)
 
     @property

@@ -99,6 +99,8 @@ _POWER_ON: Mapping[int, int] = {
 class Registers(ChipRegisters):
     """The register file, from power-on; `lux`: light on the chip, which the light meter reports."""
 
+    form: Form = "evt3"
+
     def __init__(self, lux: float = 100.0) -> None:
         count = _COUNT_AT_1_LUX / lux if lux > 0 else _METER_COUNT
         self._light = _METER_VALID | min(max(round(count), 1), _METER_COUNT)
@@ -126,11 +128,6 @@ class Registers(ChipRegisters):
         steps = super().bias_steps
         reference = steps.pop("diff")
         return {**steps, "diff_on": steps["diff_on"] - reference, "diff_off": reference - steps["diff_off"]}
-
-    @property
-    def form(self) -> Form:
-        """Form of the words that leave the sensor."""
-        return "evt3"
 
     @property
     def time_runs(self) -> bool:

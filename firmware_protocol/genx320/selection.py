@@ -32,9 +32,8 @@ the thresholds in i_event_rate_activity_filter_module.h).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from firmware_protocol.events import Events, copy_events
+from firmware_protocol.events import Events, Int64s, copy_events
 from firmware_protocol.genx320.registers import MASKS, SIZE, WINDOWS, Address, Registers
 from firmware_protocol.prophesee.camera import Mask, NoiseFilter, RateBand, RateControl, Selected, unpacked
 
@@ -194,7 +193,7 @@ class FlickerFilter:
         flickers[order] = self._flickering(pixels[order], events["t"].astype(np.int64)[order], events["on"][order])
         return events[flickers == self._inverted] if self._drops else events
 
-    def _flickering(self, pixels: npt.NDArray[np.int64], t_us: npt.NDArray[np.int64], on: Mask) -> Mask:
+    def _flickering(self, pixels: Int64s, t_us: Int64s, on: Mask) -> Mask:
         """Return whether the pixel of each event flickers then, (n,) bool; events are sorted by pixel, then by time."""
         places = np.arange(len(pixels))
         is_first = np.concatenate([[True], pixels[1:] != pixels[:-1]])
@@ -208,7 +207,7 @@ class FlickerFilter:
         rise = np.maximum.accumulate(np.where(rises, places, -1))
         return np.where(rise >= first, after[rise], before)
 
-    def _count_periods(self, pixels: npt.NDArray[np.int64], t_us: npt.NDArray[np.int64]) -> Mask:
+    def _count_periods(self, pixels: Int64s, t_us: Int64s) -> Mask:
         """Return whether the pixel of each rise flickers after it; the first rises of all pixels go together."""
         flickers = np.empty(len(pixels), np.bool_)
         is_first = np.concatenate([[True], pixels[1:] != pixels[:-1]]) if len(pixels) else flickers
@@ -219,7 +218,7 @@ class FlickerFilter:
             flickers[now] = self._count_once(pixels[now], t_us[now])
         return flickers
 
-    def _count_once(self, pixels: npt.NDArray[np.int64], t_us: npt.NDArray[np.int64]) -> Mask:
+    def _count_once(self, pixels: Int64s, t_us: Int64s) -> Mask:
         period_us = t_us - self._rise_us[pixels]
         fits = (period_us >= self._shortest_us) & (period_us <= self._longest_us)
         count = np.clip(self._count[pixels] + np.where(fits, 1, -1), 0, _MOST_COUNT)

@@ -38,6 +38,7 @@ from typing import NamedTuple, Protocol
 from firmware_protocol.gige.gvcp import (
     Action,
     Command,
+    Flag,
     ForcedAddress,
     Refused,
     Request,
@@ -187,7 +188,7 @@ class Control:
         if request.command in _WRITES and self._last is not None and self._last[:2] == (peer, data):
             return self._last[2]
         reply = self._done(request, peer, now_ns)
-        reply = reply if request.wants_answer or request.command == Command.DISCOVERY else None
+        reply = reply if request.flags & Flag.ACKNOWLEDGE or request.command == Command.DISCOVERY else None
         self._last = peer, data, reply
         return reply
 

@@ -107,11 +107,6 @@ class Request:
         payload = datagram[_HEADER.size :]
         return cls(command, flags, number, payload, len(payload) == length)
 
-    @property
-    def wants_answer(self) -> bool:
-        """True if the sender requests an answer."""
-        return bool(self.flags & Flag.ACKNOWLEDGE)
-
     def numbers(self) -> tuple[int, ...]:
         """Return the payload as numbers of 32 bits; raises Refused for another length, and for none."""
         if not self.payload or len(self.payload) % 4:

@@ -43,9 +43,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Int64s
 from firmware_protocol.imx636.registers import (
     GEN41,
     IMX636,
@@ -168,7 +167,7 @@ class Selection:
         self._rate.on = bool(state & 3 == 1 and on & 1 and drops & 1)
 
 
-def _numbers(x: npt.NDArray[np.int64], y: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _numbers(x: Int64s, y: Int64s) -> Int64s:
     return y * SIZE[0] + x
 
 

@@ -26,10 +26,9 @@ from functools import partial
 from heapq import heappop, heappush
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.device.items import Items
-from firmware_protocol.events import EdgeKind, Edges, Events, make_edges
+from firmware_protocol.events import EdgeKind, Edges, Events, Mask, make_edges
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.gige.control import (
     EDGE_EVENT,
@@ -198,7 +197,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
 
     def obey(self, order: Order) -> None:
         """Execute an order that the control channel has accepted."""
-        self._settings_version += 1
+        self.settings_version += 1
         match order:
             case Write(address, value):
                 self._memory.write(address, value)
@@ -216,7 +215,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
     @property
     def time(self) -> DeviceTime:
         """The device's clock."""
-        return DeviceTime(self._starts, 1000 * (self._now_us - self._epoch_us))
+        return DeviceTime(self._starts, 1000 * (self._now_us - self.epoch_us))
 
     @property
     def streaming(self) -> bool:
@@ -325,7 +324,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         if self.message_destination is not None and notification:
             for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
                 data = kind.to_bytes(4, "big") if notification == NOTIFY_WITH_DATA else b""
-                self.messages.queue(EDGE_EVENT, self._outflow.stamp_ns(max(time_us, self._epoch_us)), data)
+                self.messages.queue(EDGE_EVENT, self._outflow.stamp_ns(max(time_us, self.epoch_us)), data)
 
     @property
     def _running(self) -> bool:
@@ -336,16 +335,16 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         return self.biases
 
     def _select(self, events: Events) -> Selected:
-        return self._selection.apply(events, self._epoch_us)
+        return self._selection.apply(events, self.epoch_us)
 
     def _on_start(self, value: int) -> int:
         if value and not self._acquiring:
             self._acquiring = True
             self._starts += 1
-            self._epoch_us = self._now_us
+            self.epoch_us = self._now_us
             self._silence_end_us = self._now_us + self.settings.start_delay_us
             before = self._outflow
-            self._outflow = BlockOutflow(self._epoch_us, self.settings, before.number)
+            self._outflow = BlockOutflow(self.epoch_us, self.settings, before.number)
             self._outflow.shift_ns = before.shift_ns
         return 0
 
@@ -366,9 +365,6 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         if value & TEST_PACKET and len(self._extra) < _MOST_EXTRA:
             self._extra.append(Extra(test_packet(value & 0xFFFF)))
         return remembered
-
-
-_Mask = npt.NDArray[np.bool_]
 
 
 class RangeSelection:
@@ -414,7 +410,7 @@ class _Ranges:
         self._offsets = np.zeros(MOST_RANGES, np.int64)
         self._selected = self._used = 0
         self.on = False
-        self.mask: _Mask = np.ones(pixels, np.bool_)
+        self.mask: Mask = np.ones(pixels, np.bool_)
 
     def write(self, name: str, value: int) -> None:
         """Follow a write to a register, by its name in RangeRegisters; `count` is that of the ranges in use."""

@@ -16,8 +16,9 @@ from firmware_protocol.events import EDGE, Edges, Events, copy_events, empty_eve
 from firmware_protocol.instrument.queue import Dropped, EventQueue, OwnTime, Selection, TokenBucket
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.addresses import Message, MessageKind
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, as_received
 from firmware_protocol.telemetry.layout import LONGEST_US
+from firmware_protocol.telemetry.reading import as_received
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 _MOST_REPORTED = 0xFFFF  # dropped events in one block's header; the next block reports the rest
 _BURST_S = 0.02
@@ -35,11 +36,9 @@ class Outgoing(Items):
     Attributes
     ----------
     message : message to send, with the instrument's own time. Its payload is empty if the link packs the events itself.
-    dropped : events dropped between these and those sent before.
     """
 
     message: Message = field(kw_only=True)
-    dropped: int = 0
 
 
 class EventPath:
@@ -170,7 +169,7 @@ class EventPath:
         self._queue.remove(len(events), dropped)
         self._bucket.spend(len(events))
         message = Message(MessageKind.EVENTS, block, self._time.of(int(events["t"][0])))
-        return Outgoing(events, epoch_us=self._time.epoch_us, message=message, dropped=dropped)
+        return Outgoing(events, epoch_us=self._time.epoch_us, message=message)
 
     def _count(self, dropped: Dropped) -> None:
         """Count drops under their cause: the rate limit while it holds the queue back, else the bound."""

@@ -50,7 +50,7 @@ from firmware_protocol.packets.telecommands import (
     Telecommand,
     Verification,
 )
-from firmware_protocol.telemetry import BlockEncoder
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 _MOST_ANSWERS = 256
 _MOST_HZ = 0xFFFF_FFFF
@@ -366,7 +366,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
             case _:
                 self._answer(command)
                 return
-        self._settings_version += 1
+        self.settings_version += 1
         self._executed.append(repr(command))
 
     def _answer(self, request: Telecommand) -> None:

@@ -147,19 +147,16 @@ class ConnectionCoder(ABC):
     Attributes
     ----------
     limit_px : most columns and rows of the format.
+    greeting : bytes that a client gets first; empty if the format has no header.
     has_edges : True if it carries edges on the camera's external input.
     """
 
     limit_px: ClassVar[tuple[int, int]]
     has_edges: ClassVar[bool] = False
+    greeting: bytes = b""
 
     def __init__(self, facts: StreamFacts) -> None:
         self.facts = facts
-
-    @property
-    def greeting(self) -> bytes:
-        """Bytes that a client gets first; empty if the format has no header."""
-        return b""
 
     @abstractmethod
     def encode(self, events: Events, edges: Edges) -> bytes | bytearray:
@@ -217,11 +214,7 @@ class CaerConnectionCoder(ConnectionCoder):
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
     has_edges: ClassVar[bool] = True
-
-    @property
-    def greeting(self) -> bytes:
-        """The header, number 0."""
-        return HEADER.pack(MAGIC, 0, _VERSION, _RAW, _SOURCE)
+    greeting = HEADER.pack(MAGIC, 0, _VERSION, _RAW, _SOURCE)  # the header, number 0
 
     def encode(self, events: Events, edges: Edges) -> bytes:
         """Return packets: edges first, then events."""
@@ -383,13 +376,8 @@ class _DvCoder(ConnectionCoder):
         # The header is its length, then a table "IOHE" whose third field is the XML.
         head = _HEAD.pack(24, b"IOHE", 10, 24, 4, 12, 8, 10, compression, 16, -1, len(xml))
         body = head + xml + bytes(4 - len(xml) % 4)
-        self._greeting = struct.pack("<I", len(body)) + body
+        self.greeting = struct.pack("<I", len(body)) + body
         self._compress = bool(compression)
-
-    @property
-    def greeting(self) -> bytes:
-        """The description of the stream."""
-        return self._greeting
 
     def _sent(self, packet: bytearray) -> bytearray:
         """Return a packet as it is sent."""

@@ -18,9 +18,8 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
-from firmware_protocol.events import Edges, Events
+from firmware_protocol.events import Bytes, Edges, Events, Float32s
 from firmware_protocol.network_streams.coders import ConnectionCoder, PictureSettings, StreamFacts
 
 CHANNELS = ("on", "off", "first_us", "last_us", "level", "count", "filtered")
@@ -31,7 +30,7 @@ after a first-order low pass at the frame's end (0 without a filter)."""
 _MOST_EMPTY = 8  # frames in a row without an event; of a longer silence only the last frame is made
 _ON, _OFF, _FIRST, _LAST, _LEVEL, _COUNT, _FILTERED = range(len(CHANNELS))
 
-Image = npt.NDArray[np.float32]
+Image = Float32s
 
 
 class EventFrames:
@@ -193,7 +192,7 @@ def chosen(image: Image, settings: PictureSettings) -> Image:
     return image[[CHANNELS.index(name) for name in settings.channels]]
 
 
-def coloured(image: Image, settings: PictureSettings) -> npt.NDArray[np.uint8]:
+def coloured(image: Image, settings: PictureSettings) -> Bytes:
     """Return (height, width, 3) of an image: colours of ON and OFF events, and between them background or light."""
     on, off = image[_ON], image[_OFF]
     rgb = np.full((*on.shape, 3), settings.background, np.uint8)
@@ -207,10 +206,10 @@ def coloured(image: Image, settings: PictureSettings) -> npt.NDArray[np.uint8]:
     return rgb
 
 
-def _grey(level: Image, settings: PictureSettings) -> npt.NDArray[np.uint8]:
+def _grey(level: Image, settings: PictureSettings) -> Bytes:
     """Return the grey of light exp(contrast * level) on Reinhard's curve light / (1 + light), without overflow."""
     curve = 0.5 + 0.5 * np.tanh(0.5 * settings.contrast * level)
-    grey: npt.NDArray[np.uint8] = np.rint(settings.light_share * _WHITE * curve).astype(np.uint8)
+    grey: Bytes = np.rint(settings.light_share * _WHITE * curve).astype(np.uint8)
     return grey
 
 

@@ -181,13 +181,15 @@ class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
     pulse_us : length of a pulse at the trigger input.
     """
 
+    epoch_us = 0
+
     def __init__(self, size: tuple[int, int], biases: BiasModel, outflow: _Out, pulse_us: int) -> None:
         self._size = size
         self._pulse_us = pulse_us
         self._bias_model = biases
         self._outflow = outflow
         self._fates = Fates()
-        self._epoch_us = self._silence_end_us = 0
+        self._silence_end_us = 0
 
     @property
     def room_events(self) -> int:
@@ -198,11 +200,6 @@ class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
     def silent_until_us(self) -> int:
         """End of the silence after the start; 0 while the sensor is stopped."""
         return self._silence_end_us if self._running else 0
-
-    @property
-    def epoch_us(self) -> int:
-        """Stream time at which device time is zero."""
-        return self._epoch_us
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:

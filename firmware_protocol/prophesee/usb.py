@@ -301,12 +301,12 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
 
     def write_register(self, address: int, value: int) -> None:
         """Execute a host's write to the sensor; raises LookupError if there is no register."""
-        self._settings_version += 1
+        self.settings_version += 1
         had_time = self._registers.time_runs
         self._registers.write(address, value)
         self._selection.written(address)
         if self._registers.time_runs and not had_time:
-            self._epoch_us = self._now_us
+            self.epoch_us = self._now_us
         if self._registers.running != self._was_running:
             self._turn()
         elif self._registers.form != self._outflow.form:
@@ -320,7 +320,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
             self._silence_end_us = self._now_us + self.settings.start_delay_us
 
     def _power_on(self) -> None:
-        self._settings_version += 1
+        self.settings_version += 1
         self._standard.power_on()
         self._registers.power_on()
         self._selection.reset()
@@ -330,7 +330,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
 
     def _drop_waiting(self) -> None:
         self._flush(self._outflow)
-        self._outflow = self._new_outflow(self._epoch_us)
+        self._outflow = self._new_outflow(self.epoch_us)
         self._flushes += 1
 
     def _new_outflow(self, epoch_us: int) -> UsbOutflow:
@@ -349,7 +349,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         return self._registers.bias_steps
 
     def _select(self, events: Events) -> Selected:
-        return self._selection.apply(events, self._epoch_us)
+        return self._selection.apply(events, self.epoch_us)
 
     def _answer(self, max_bytes: int) -> Transfer | None:
         """Return the oldest answer; of one that is too long, the first part, and the rest next time."""
@@ -358,4 +358,4 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         answer = self._answers.popleft()
         if len(answer) > max_bytes:
             self._answers.appendleft(answer[max_bytes:])
-        return Transfer(epoch_us=self._epoch_us, data=answer[:max_bytes])
+        return Transfer(epoch_us=self.epoch_us, data=answer[:max_bytes])

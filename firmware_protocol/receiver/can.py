@@ -82,7 +82,8 @@ class CanReceiver(Receiver):
 
     def push(self, frame: Frame, now_ns: int = 0) -> None:
         """Process a frame received at `now_ns`, which bounds pauses inside a message; never raises."""
-        self._frames["error frame" if frame.error else self._name(frame)] += 1
+        name = "CFP" if frame.extended else self._names.get(frame.identifier, f"{frame.identifier:03X}")
+        self._frames["error frame" if frame.error else name] += 1
         self._inbox.put_events(self._raw.push(frame))
         if frame.identifier in self._edge_ids and not frame.extended:
             try:
@@ -143,9 +144,6 @@ class CanReceiver(Receiver):
         cut = sum(n for name, n in self._isotp.faults.items() if name != "without a beginning")
         cut += sum(n for name, n in self._cfp.faults.items() if name != "without a beginning")
         return raw.lost + raw.gaps + raw.repeated + raw.malformed + self._missing + self._messages.bad + cut
-
-    def _name(self, frame: Frame) -> str:
-        return "CFP" if frame.extended else self._names.get(frame.identifier, f"{frame.identifier:03X}")
 
     def _open(self, unwrapper: Unwrapper, packet: bytes | None) -> None:
         if packet is None:

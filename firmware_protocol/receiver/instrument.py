@@ -28,11 +28,44 @@ from firmware_protocol.packets.addresses import Message, MessageKind, PacketErro
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import RequestId, Telecommand, Verification
-from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
+from firmware_protocol.telemetry.layout import BlockError
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 _MOST_EVENTS = 1 << 22
 _MOST_EDGES = 1 << 16
 _MOST_REPORTS = 1024
+
+
+class _Waiting:
+    """Records that wait to be taken; beyond a limit the oldest are dropped, and counted in `not_taken`."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._parts: deque[Events] = deque()
+        self._records = 0
+        self.not_taken = 0
+
+    def put(self, records: Events) -> None:
+        """Store records, without a copy."""
+        if not len(records):
+            return
+        self._parts.append(records)
+        self._records += len(records)
+        while (excess := self._records - self._limit) > 0:
+            oldest = self._parts.popleft()
+            if len(oldest) > excess:
+                self._parts.appendleft(oldest[excess:])
+            gone = min(excess, len(oldest))
+            self._records -= gone
+            self.not_taken += gone
+
+    def take(self) -> list[Events]:
+        """Return the parts that wait."""
+        taken = list(self._parts)
+        self._parts.clear()
+        self._records = 0
+        return taken
 
 
 class Inbox:
@@ -41,58 +74,36 @@ class Inbox:
     Parameters
     ----------
     most_events, most_edges : most events and edges that wait to be taken.
-
-    Attributes
-    ----------
-    events_not_taken, edges_not_taken, reports_not_taken : received, and dropped because they were not taken in time.
     """
 
     def __init__(self, most_events: int = _MOST_EVENTS, most_edges: int = _MOST_EDGES) -> None:
-        self._most = most_events, most_edges
-        self._events: deque[Events] = deque()
-        self._edges: deque[Edges] = deque()
+        self._events = _Waiting(most_events)
+        self._edges = _Waiting(most_edges)
         self._reports: deque[str] = deque()
-        self._waiting_events = self._waiting_edges = 0
-        self.events_not_taken = self.edges_not_taken = self.reports_not_taken = 0
+        self._reports_not_taken = 0
 
     def put_events(self, events: Events) -> None:
         """Store events (n,), without a copy."""
-        if not len(events):
-            return
-        self._events.append(events)
-        dropped = _drop_oldest(self._events, self._waiting_events + len(events) - self._most[0])
-        self._waiting_events += len(events) - dropped
-        self.events_not_taken += dropped
+        self._events.put(events)
 
     def put_edges(self, edges: Edges) -> None:
         """Store edges (n,), without a copy."""
-        if not len(edges):
-            return
-        self._edges.append(edges)
-        dropped = _drop_oldest(self._edges, self._waiting_edges + len(edges) - self._most[1])
-        self._waiting_edges += len(edges) - dropped
-        self.edges_not_taken += dropped
+        self._edges.put(edges)
 
     def put_report(self, report: str) -> None:
         """Store a line of text for people."""
         if len(self._reports) == _MOST_REPORTS:
             self._reports.popleft()
-            self.reports_not_taken += 1
+            self._reports_not_taken += 1
         self._reports.append(report)
 
     def take_events(self) -> Events:
         """Return the events received since the last call, (n,) EVENT in the camera's time, in the order of arrival."""
-        taken = join_events(list(self._events))
-        self._events.clear()
-        self._waiting_events = 0
-        return taken
+        return join_events(self._events.take())
 
     def take_edges(self) -> Edges:
         """Return the edges received since the last call, (n,) EDGE in the camera's time, in the order of arrival."""
-        taken = np.concatenate(list(self._edges)) if self._edges else empty_edges()
-        self._edges.clear()
-        self._waiting_edges = 0
-        return taken
+        return np.concatenate([empty_edges(), *self._edges.take()])
 
     def take_reports(self) -> tuple[str, ...]:
         """Return the reports received since the last call."""
@@ -104,23 +115,11 @@ class Inbox:
     def counts(self) -> dict[str, int]:
         """Numbers of items not taken in time, by name; only those that are not zero."""
         counts = {
-            "events not taken": self.events_not_taken,
-            "edges not taken": self.edges_not_taken,
-            "reports not taken": self.reports_not_taken,
+            "events not taken": self._events.not_taken,
+            "edges not taken": self._edges.not_taken,
+            "reports not taken": self._reports_not_taken,
         }
         return {name: count for name, count in counts.items() if count}
-
-
-def _drop_oldest(parts: deque[Events], excess: int) -> int:
-    """Drop `excess` records from the front of `parts`; return their number."""
-    left = excess = max(0, excess)
-    while left:
-        gone = min(left, len(parts[0]))
-        parts[0] = parts[0][gone:]
-        left -= gone
-        if not len(parts[0]):
-            parts.popleft()
-    return excess
 
 
 class Receiver:
@@ -189,7 +188,7 @@ class MessageReader:
         except BlockError:
             self.counts["bad_blocks"] += 1
             return
-        self.counts["events_dropped" if message.kind is MessageKind.EVENTS else "edges_dropped"] += block.dropped
+        self.counts["events_dropped" if message.kind is MessageKind.EVENTS else "edges_dropped"] += block.header.dropped
         self._inbox.put_events(block.events)
         self._inbox.put_edges(block.edges)
 
@@ -302,13 +301,12 @@ class DavisReceiver(Receiver):
     def push(self, data: bytes) -> None:
         """Process the next bytes of the stream, any number of them; never raises."""
         decoded = self._decoder.feed(data)
-        edges = decoded.edges
         self._bytes += len(data)
         self._events += len(decoded.events)
-        self._edges += len(edges)
+        self._edges += len(decoded.edges)
         self._resets += len(decoded.resets)
         self._inbox.put_events(decoded.events)
-        self._inbox.put_edges(edges)
+        self._inbox.put_edges(decoded.edges)
 
     @property
     def counts(self) -> Mapping[str, int]:

@@ -32,7 +32,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EdgeKind, make_edges, make_events
+from firmware_protocol.events import Bytes, EdgeKind, Int64s, make_edges, make_events
 from firmware_protocol.recordings.part import IMU, Frame, Part
 
 MAGIC = b"#!AER-DAT4.0\r\n"
@@ -106,9 +106,7 @@ _TABLE_BYTES = 60
 _HEAD_BYTES = 8  # offset of the table and the name, before the vtable
 
 
-def aedat4_picture(
-    t_us: int, begin_us: int, end_us: int, pixels: npt.NDArray[np.uint8], origin: tuple[int, int] = (0, 0)
-) -> bytes:
+def aedat4_picture(t_us: int, begin_us: int, end_us: int, pixels: Bytes, origin: tuple[int, int] = (0, 0)) -> bytes:
     """Return the payload of a grey image, (rows, columns) uint8.
 
     `begin_us` and `end_us` are those of its exposure, which count as those of the frame; `origin` is the first column
@@ -138,8 +136,7 @@ SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
 KINDS = {"EVTS": "events", "FRME": "frames", "IMUS": "imu", "TRIG": "edges"}
 """Streams by the identifiers of their types."""
 
-_Octets = npt.NDArray[np.uint8]
-_Offsets = npt.NDArray[np.int64]
+_Offsets = Int64s
 
 
 class Aedat4Decoder:
@@ -209,7 +206,7 @@ class Aedat4Decoder:
         edges = make_edges(t, kinds[records["source"]])
         return Part(edges=edges[edges["kind"] > 0])
 
-    def _frame(self, data: _Octets, table: _Offsets) -> tuple[Frame, ...]:
+    def _frame(self, data: Bytes, table: _Offsets) -> tuple[Frame, ...]:
         record = _records(data, table, _PICTURE)
         t, begin, end = (int(record[name][0]) - self.start_us for name in ("t", "exposure_begin", "exposure_end"))
         width, height, x, y = (int(record[name][0]) for name in ("width", "height", "x", "y"))
@@ -225,7 +222,7 @@ class Aedat4Decoder:
         return (Frame(t, begin, end, pixels, (x, y)),)
 
 
-def _vector(data: _Octets, table: _Offsets, slot: int) -> tuple[int, int]:
+def _vector(data: Bytes, table: _Offsets, slot: int) -> tuple[int, int]:
     """Return the place of the first element of the vector in a field of a table, (1,), and their number."""
     place = _places(data, table, slot)
     if not place[0]:
@@ -234,7 +231,7 @@ def _vector(data: _Octets, table: _Offsets, slot: int) -> tuple[int, int]:
     return int(start[0]) + 4, int(_numbers(data, start, "<u4")[0])
 
 
-def _records(data: _Octets, tables: _Offsets, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+def _records(data: Bytes, tables: _Offsets, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     """Return the records of tables at (n,) offsets, field k of `dtype` from their slot k; 0 where it is missing."""
     records = np.zeros(len(tables), dtype)
     for slot, name in enumerate(dtype.names or ()):
@@ -243,7 +240,7 @@ def _records(data: _Octets, tables: _Offsets, dtype: np.dtype[Any]) -> npt.NDArr
     return records
 
 
-def _places(data: _Octets, tables: _Offsets, slot: int) -> _Offsets:
+def _places(data: Bytes, tables: _Offsets, slot: int) -> _Offsets:
     """Return the places of a field of tables at (n,) offsets; 0 where it is missing."""
     layouts = tables - _numbers(data, tables, "<i4")
     is_there = _numbers(data, layouts, "<u2") >= 6 + 2 * slot
@@ -252,7 +249,7 @@ def _places(data: _Octets, tables: _Offsets, slot: int) -> _Offsets:
     return np.where(offsets > 0, tables + offsets, 0)
 
 
-def _numbers(data: _Octets, places: _Offsets, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+def _numbers(data: Bytes, places: _Offsets, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Return the numbers at (n,) offsets; raises ValueError for an offset outside."""
     size = np.dtype(dtype).itemsize
     if len(places) and (places.min() < 0 or places.max() > len(data) - size):

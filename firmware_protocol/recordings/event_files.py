@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of
-from firmware_protocol.events import Events, make_events
+from firmware_protocol.events import Bytes, Events, UInt16s, make_events
 
 _DAT_TYPES = (0, 12)
 _FIELDS = {1: (9, 8, 17), 2: (14, 14, 28)}  # bits of column and row, and place of the polarity
@@ -74,7 +74,6 @@ class DatDecoder:
 
 
 _ES_HEAD = struct.Struct("<12s3BBHH")
-_Bytes = npt.NDArray[np.uint8]
 
 
 class EventStreamDecoder:
@@ -111,8 +110,8 @@ class EventStreamDecoder:
 
 @entry_of(__name__)
 def _read_event_stream(
-    data: _Bytes, t_us: npt.NDArray[np.uint64], t: npt.NDArray[np.uint64], x: npt.NDArray[np.uint16],
-    y: npt.NDArray[np.uint16], on: _Bytes,
+    data: Bytes, t_us: npt.NDArray[np.uint64], t: npt.NDArray[np.uint64], x: UInt16s,
+    y: UInt16s, on: Bytes,
 ) -> tuple[int, int]:  # fmt: skip
     """Write the events of (n,) octets; return their number, and the octets that they take. `t_us`: (1,), the time."""
     count = at = 0

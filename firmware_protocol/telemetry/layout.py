@@ -28,10 +28,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.events import EdgeKind
+from firmware_protocol.events import Bytes, EdgeKind, Int64s
 from firmware_protocol.wire_layout import Field, Layout, choices_of
 
 VERSION = 1
@@ -162,12 +161,8 @@ class Header:
 
 entry = entry_of("firmware_protocol.telemetry")
 
-
 OUTSIDE, BACKWARDS = -1, -2
 """Return value of `load`, in place of a count, for events that are not valid for this sensor."""
-
-_Bytes = npt.NDArray[np.uint8]
-_Int64s = npt.NDArray[np.int64]
 
 _EVENT_BYTES = 13
 _DIGIT_BITS = 11  # of a radix sort, at most
@@ -192,16 +187,16 @@ def form_of(size: tuple[int, int], tick_us: int) -> Form:
 class Scratch(NamedTuple):
     """Room for one block; (max_events + 1,) each but the last two."""
 
-    arrival: _Int64s  # keys in the order of arrival
-    keys: _Int64s  # keys in order
-    spare: _Int64s
-    ticks: _Int64s
-    steps: _Int64s  # steps[i]: from event i - 1 to event i
-    starts: _Int64s  # of spans: index of the first event
-    span_steps: _Int64s
-    lengths: _Int64s  # of spans: pixels - 1
-    counts: _Int64s  # (2048,) of a radix sort
-    bits: _Int64s  # (3,) bits not yet written, their number, position in bytes
+    arrival: Int64s  # keys in the order of arrival
+    keys: Int64s  # keys in order
+    spare: Int64s
+    ticks: Int64s
+    steps: Int64s  # steps[i]: from event i - 1 to event i
+    starts: Int64s  # of spans: index of the first event
+    span_steps: Int64s
+    lengths: Int64s  # of spans: pixels - 1
+    counts: Int64s  # (2048,) of a radix sort
+    bits: Int64s  # (3,) bits not yet written, their number, position in bytes
 
 
 def new_scratch(max_events: int) -> Scratch:
@@ -212,7 +207,7 @@ def new_scratch(max_events: int) -> Scratch:
 
 
 @kernel
-def load(events: _Bytes, form: Form, limit: int, room: Scratch) -> int:
+def load(events: Bytes, form: Form, limit: int, room: Scratch) -> int:
     """Make keys of the first events, as many as a block may span; return their number, or a fault code."""
     start, last = _time_of(events, 0), 0
     if start < 0:  # 2**63 us and more
@@ -240,7 +235,7 @@ def load(events: _Bytes, form: Form, limit: int, room: Scratch) -> int:
 
 
 @kernel
-def _time_of(events: _Bytes, at: int) -> int:
+def _time_of(events: Bytes, at: int) -> int:
     time = np.int64(0)
     for i in range(8):
         time |= np.int64(events[at + i]) << 8 * i
@@ -268,7 +263,7 @@ def sort(count: int, form: Form, room: Scratch) -> None:
 
 
 @kernel
-def _insert(keys: _Int64s, begin: int, end: int) -> None:
+def _insert(keys: Int64s, begin: int, end: int) -> None:
     for i in range(begin + 1, end):
         key, j = keys[i], i
         while j > begin and keys[j - 1] >> 1 > key >> 1:

@@ -260,26 +260,6 @@ class Block:
     events: Events
     edges: Edges
 
-    @property
-    def mode(self) -> Mode:
-        """Coding of the block."""
-        return self.header.mode
-
-    @property
-    def tick_us(self) -> int:
-        """The unit of its times."""
-        return self.header.tick_us
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor."""
-        return self.header.size
-
-    @property
-    def dropped(self) -> int:
-        """Events that the sender dropped between the previous block and this one; 65535 means that many or more."""
-        return self.header.dropped
-
 
 def decode_block(data: bytes, near_us: int = 0) -> Block:
     """Decode one block; raises BlockError for a malformed one, of which nothing may be used.

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.compiled import kernel
-from firmware_protocol.events import EdgeKind, Edges, Events, bytes_of
+from firmware_protocol.events import Bytes, EdgeKind, Edges, Events, Int64s, bytes_of
 from firmware_protocol.telemetry.layout import (
     BACKWARDS,
     EDGE_RECORD,
@@ -39,9 +38,6 @@ from firmware_protocol.telemetry.layout import (
     sort,
 )
 
-_Bytes = npt.NDArray[np.uint8]
-_Int64s = npt.NDArray[np.int64]
-
 # Enumerations as plain numbers, as compiled code holds them.
 _FLAT, _ROWS, _BITMAP = int(Mode.FLAT), int(Mode.ROWS), int(Mode.BITMAP)
 _EACH, _ALL_OFF, _ALL_ON = int(Polarity.EACH), int(Polarity.ALL_OFF), int(Polarity.ALL_ON)
@@ -62,7 +58,7 @@ class Plan(NamedTuple):
 
 
 @kernel
-def flat_count(ticks: _Int64s, count: int, form: Form) -> int:
+def flat_count(ticks: Int64s, count: int, form: Form) -> int:
     """Return the number of the first of `count` events that are within the time of a FLAT word."""
     longest = 1 << 31 - form.bx - form.by
     while ticks[count - 1] >= longest:
@@ -101,7 +97,7 @@ def _rows(count: int, form: Form, polarity: int, room: Scratch) -> Plan:
 
 
 @kernel
-def _best_k(values: _Int64s, begin: int, end: int, least: int, escape: int) -> tuple[int, int]:
+def _best_k(values: Int64s, begin: int, end: int, least: int, escape: int) -> tuple[int, int]:
     """Return a Rice parameter, at least `least`, that suits `values`, and the bits that they take."""
     if begin >= end:
         return least, 0
@@ -122,7 +118,7 @@ def _best_k(values: _Int64s, begin: int, end: int, least: int, escape: int) -> t
 
 
 @kernel
-def _rice_bits(values: _Int64s, begin: int, end: int, k: int, escape: int) -> int:
+def _rice_bits(values: Int64s, begin: int, end: int, k: int, escape: int) -> int:
     bits = 0
     for i in range(begin, end):
         q = values[i] >> k
@@ -183,7 +179,7 @@ def find_spans(count: int, form: Form, joined: int, room: Scratch) -> int:
 
 
 @kernel
-def same_polarity(begin: int, end: int, keys: _Int64s) -> bool:
+def same_polarity(begin: int, end: int, keys: Int64s) -> bool:
     """Return true if the events from `begin` to before `end` are all ON or all OFF."""
     ons = 0
     for i in range(begin, end):
@@ -192,7 +188,7 @@ def same_polarity(begin: int, end: int, keys: _Int64s) -> bool:
 
 
 @kernel
-def _span_bits(begin: int, end: int, length: int, polarity: int, keys: _Int64s) -> int:
+def _span_bits(begin: int, end: int, length: int, polarity: int, keys: Int64s) -> int:
     """Return the bits of a span after its length."""
     bits = 0
     if length >= 3:
@@ -217,7 +213,7 @@ class Limits(NamedTuple):
 
 
 @entry
-def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: _Bytes) -> tuple[int, int, int, int]:
+def write_block(events: Bytes, form: Form, limits: Limits, room: Scratch, out: Bytes) -> tuple[int, int, int, int]:
     """Write the payload of one block of the head of `events` into `out`.
 
     Parameters
@@ -277,7 +273,7 @@ def _guess(room: Scratch, available: int, budget: int, form: Form) -> int:
 
 
 @kernel
-def _written(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> int:
+def _written(count: int, form: Form, plan: Plan, room: Scratch, out: Bytes) -> int:
     """Write the payload; return the number of its bytes."""
     room.bits[0] = room.bits[1] = room.bits[2] = 0
     if plan.mode == _FLAT:
@@ -295,7 +291,7 @@ def _written(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> 
 
 
 @kernel
-def _put(bits: _Int64s, out: _Bytes, value: int, width: int) -> None:
+def _put(bits: Int64s, out: Bytes, value: int, width: int) -> None:
     """Write the `width` low bits of `value`, at most 31; the rest of `value` must be 0."""
     held, count = bits[0] << width | value, bits[1] + width
     at = bits[2]
@@ -314,13 +310,13 @@ def _put(bits: _Int64s, out: _Bytes, value: int, width: int) -> None:
 
 
 @kernel
-def _put_place(i: int, form: Form, room: Scratch, out: _Bytes) -> None:
+def _put_place(i: int, form: Form, room: Scratch, out: Bytes) -> None:
     address = (room.keys[i] >> 1) - room.ticks[i] * (form.width * form.height)
     _put(room.bits, out, address // form.width << form.bx | address % form.width, form.by + form.bx)
 
 
 @kernel
-def _put_step(i: int, step: int, k: int, form: Form, room: Scratch, out: _Bytes) -> None:
+def _put_step(i: int, step: int, k: int, form: Form, room: Scratch, out: Bytes) -> None:
     """Write the step that leads to event i."""
     q = step >> k
     if q < _ONES:
@@ -333,7 +329,7 @@ def _put_step(i: int, step: int, k: int, form: Form, room: Scratch, out: _Bytes)
 
 
 @kernel
-def _write_flat(count: int, form: Form, room: Scratch, out: _Bytes) -> None:
+def _write_flat(count: int, form: Form, room: Scratch, out: Bytes) -> None:
     for i in range(count):
         _put(room.bits, out, room.ticks[i], 31 - form.by - form.bx)
         _put_place(i, form, room, out)
@@ -341,7 +337,7 @@ def _write_flat(count: int, form: Form, room: Scratch, out: _Bytes) -> None:
 
 
 @kernel
-def _write_rows(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> None:
+def _write_rows(count: int, form: Form, plan: Plan, room: Scratch, out: Bytes) -> None:
     polarity_bits = 1 if plan.polarity == _EACH else 0
     _put(room.bits, out, plan.k, 8)
     _put_place(0, form, room, out)
@@ -352,7 +348,7 @@ def _write_rows(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) 
 
 
 @kernel
-def _write_bitmap(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> None:
+def _write_bitmap(count: int, form: Form, plan: Plan, room: Scratch, out: Bytes) -> None:
     spans = find_spans(count, form, plan.joined, room)
     _put(room.bits, out, plan.k << 8 | plan.k_length, 16)
     for span in range(spans):
@@ -368,7 +364,7 @@ def _write_bitmap(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes
 
 
 @kernel
-def _write_span(begin: int, end: int, polarity: int, room: Scratch, out: _Bytes) -> None:
+def _write_span(begin: int, end: int, polarity: int, room: Scratch, out: Bytes) -> None:
     """Write the part of a span after its length."""
     bits, keys = room.bits, room.keys
     length = (keys[end - 1] >> 1) - (keys[begin] >> 1) + 1

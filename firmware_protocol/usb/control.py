@@ -102,7 +102,10 @@ class StandardControl:
         if setup.request == StandardRequest.GET_STATUS:
             return self._status(setup).to_bytes(2, "little")
         if setup.request == StandardRequest.GET_DESCRIPTOR and on_device:
-            return self._descriptor(setup.value)
+            descriptor = self._descriptors.find(setup.value >> 8, setup.value & 0xFF)
+            if descriptor is None:
+                raise Stall
+            return descriptor
         if setup.request == StandardRequest.GET_CONFIGURATION and on_device:
             return bytes((self._configuration,))
         if setup.request == StandardRequest.GET_INTERFACE:
@@ -121,7 +124,10 @@ class StandardControl:
         if setup.request in (StandardRequest.SET_FEATURE, StandardRequest.CLEAR_FEATURE):
             self._feature(setup, setup.request == StandardRequest.SET_FEATURE)
         elif setup.request == StandardRequest.SET_INTERFACE:
-            self._set_interface(setup)
+            self._require_interface(setup)
+            if setup.value != 0:
+                raise Stall
+            self._halted.clear()
         elif setup.recipient == Recipient.DEVICE:
             self._execute_device(setup)
         else:
@@ -137,18 +143,6 @@ class StandardControl:
             self._require_super_speed()
         elif setup.request != StandardRequest.SET_ADDRESS:
             raise Stall
-
-    def _descriptor(self, value: int) -> bytes:
-        descriptor = self._descriptors.find(value >> 8, value & 0xFF)
-        if descriptor is None:
-            raise Stall
-        return descriptor
-
-    def _set_interface(self, setup: SetupPacket) -> None:
-        self._require_interface(setup)
-        if setup.value != 0:
-            raise Stall
-        self._halted.clear()
 
     def _require_interface(self, setup: SetupPacket) -> None:
         exists = setup.recipient == Recipient.INTERFACE and setup.index in self._interfaces

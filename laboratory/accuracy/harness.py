@@ -30,7 +30,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight
 from emulator.sensor.parameters import NoiseParameters
@@ -38,6 +37,7 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Float32s, Int64s
 from laboratory.accuracy.scenes import (
     BlurredCheckerboard,
     ClosedLight,
@@ -62,7 +62,6 @@ from laboratory.methods.other_simulators import OTHER_SIMULATORS
 SEED = 3
 """Fixes mismatch, leak rates and phases of every case."""
 
-_Float32s = npt.NDArray[np.float32]
 _COST_SIZE = 346, 260
 _COST_STEPS = 9
 _COST_WARM_UP = 2
@@ -129,7 +128,7 @@ def truth(case: Case) -> Stream:
 
 
 def events(
-    method: Method, case: Case, step_s: float, seen: Callable[[_Float32s], _Float32s] | None = None
+    method: Method, case: Case, step_s: float, seen: Callable[[Float32s], Float32s] | None = None
 ) -> tuple[Stream, int]:
     """Run a method over a case; return its events, times counted from the start, and the number it lost in pixels.
 
@@ -157,7 +156,7 @@ def events(
 def pixel_light(scene: ClosedLight, start_ns: int = 0) -> PixelLight:
     """Return the source of the light of single pixels from `start_ns` on; a wider frame repeats the row."""
 
-    def at(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
+    def at(t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
         light, rate = scene.light_and_rate((t_ns - start_ns) * 1e-9)
         places = pixels % scene.pixels
         return light[0, places].astype(np.float32), rate[0, places].astype(np.float32)

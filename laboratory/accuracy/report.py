@@ -93,7 +93,9 @@ def _panel(axes: Any, points: Sequence[Point], against: str, value: Callable[[Po
     """Draw one scene: a line a method, a point a setting; hollow where fewer than 90 % of the sequences are right."""
     for name in dict.fromkeys(p.method for p in points):
         row = [p for p in points if p.method == name]
-        x, y, style = [getattr(p, against) for p in row], [value(p) for p in row], _style(name)
+        x = [getattr(p, against) for p in row]
+        y = [value(p) for p in row]
+        style = _style(name)
         axes.plot(x, y, **style, markerfacecolor="none", alpha=0.9)
         good = [value(p) if p.scores.right >= 0.9 else math.nan for p in row]
         axes.plot(x, good, linestyle="none", color=style["color"], marker=style["marker"], markersize=5)

@@ -35,7 +35,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from emulator.geometry.attitude import unit
@@ -53,10 +52,9 @@ from emulator.scene.world import WorldScene
 from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.pose import Pose
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Float32s, Floats, Int64s, Mask
 
-_Floats = npt.NDArray[np.float64]
-_Float32s = npt.NDArray[np.float32]
-_Ints = npt.NDArray[np.int64]
+_Ints = Int64s
 _compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__)
 
 _LIFT, _GROUND_LIFT = 2e-3, 1e-3
@@ -70,7 +68,7 @@ _GRAZING = 0.02  # least cosine of emission for which the laws of ground are use
 class SampledScene(WorldScene[Any]):
     """A world as its camera sees it, by at most `samples` x `samples` points a pixel."""
 
-    def __init__(self, world: BodyWorld | TerrainWorld, sun: _Floats, sun_radius_rad: float, samples: int) -> None:
+    def __init__(self, world: BodyWorld | TerrainWorld, sun: Floats, sun_radius_rad: float, samples: int) -> None:
         super().__init__(world)
         self._patterns = _pattern(max(samples // 2, 1)), _pattern(samples)
         across = unit(np.cross(sun, np.eye(3)[np.abs(sun).argmin()]))
@@ -85,7 +83,7 @@ class SampledScene(WorldScene[Any]):
         mean[mixed] = self._sampled(shade, mixed, *self._patterns[1])[0].mean(axis=1)
         out[:] = mean.reshape(height, width)
 
-    def _shader(self, t_ns: int) -> Callable[[_Floats, _Floats], tuple[_Floats, _Ints]]:
+    def _shader(self, t_ns: int) -> Callable[[Floats, Floats], tuple[Floats, _Ints]]:
         """Return the function of rays that gives their light and what they meet.
 
         Its arguments are directions in camera axes, 1 along the boresight, and directions to points of the Sun, (n, 3)
@@ -94,8 +92,8 @@ class SampledScene(WorldScene[Any]):
         raise NotImplementedError
 
     def _sampled(
-        self, shade: Callable[[_Floats, _Floats], tuple[_Floats, _Ints]], pixels: _Ints, within: _Floats, disc: _Floats
-    ) -> tuple[_Floats, _Ints]:
+        self, shade: Callable[[Floats, Floats], tuple[Floats, _Ints]], pixels: _Ints, within: Floats, disc: Floats
+    ) -> tuple[Floats, _Ints]:
         """Return the light of pixels at places within them, and what is met there, (pixels, places) each."""
         places, (width, height), focal_px = len(within), self.size, self._world.pinhole.focal_px
         light, kind = np.zeros((len(pixels), places)), np.zeros((len(pixels), places), np.int64)
@@ -117,7 +115,7 @@ class SampledScene(WorldScene[Any]):
         return light, kind
 
 
-def _pattern(side: int) -> tuple[_Floats, _Floats]:
+def _pattern(side: int) -> tuple[Floats, Floats]:
     """Return places in a pixel, (n, 2) from 0 to 1, and points of a disc of radius 1, (n, 2), for n = side^2.
 
     Each place has a cell of the pixel, a row and a column of its own: an edge along the rows is met n times. The points
@@ -131,7 +129,7 @@ def _pattern(side: int) -> tuple[_Floats, _Floats]:
     return within, disc - disc.mean(axis=0)
 
 
-def _at_edges(light: _Floats, kind: _Ints, shape: tuple[int, int]) -> _Ints:
+def _at_edges(light: Floats, kind: _Ints, shape: tuple[int, int]) -> _Ints:
     """Return the pixels with an edge: two neighbouring places meet different things, or their light is uneven."""
     side = math.isqrt(kind.shape[1])
     mixed = (np.ptp(light, axis=1) > _UNEVEN * light.mean(axis=1)).reshape(shape)
@@ -144,7 +142,7 @@ def _at_edges(light: _Floats, kind: _Ints, shape: tuple[int, int]) -> _Ints:
     return np.flatnonzero(mixed)
 
 
-def _angle(a: _Floats, b: _Floats) -> _Floats:
+def _angle(a: Floats, b: Floats) -> Floats:
     """Return the angles between unit vectors, (n,)."""
     return np.asarray(np.arccos(np.clip((a * b).sum(axis=1), -1, 1)))
 
@@ -185,16 +183,16 @@ class _Body:
         faces = (self._parts + len(self._shares) * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
         self._mesh = triangles(self._scene, self._points.reshape(-1, 3).astype(np.float32), faces.astype(np.int32))
 
-    def met(self, eye: _Floats, rays: _Floats) -> _Ints:
+    def met(self, eye: Floats, rays: Floats) -> _Ints:
         """Return the small facet that each ray meets first, (n,); -1: none."""
         starts = np.broadcast_to(eye.astype(np.float32), rays.shape)
         return np.asarray(self._scene.run(np.ascontiguousarray(starts), rays.astype(np.float32)), np.int64)
 
-    def hides(self, starts: _Floats, rays: _Floats) -> npt.NDArray[np.bool_]:
+    def hides(self, starts: Floats, rays: Floats) -> Mask:
         """Return whether each ray meets the surface, (n,)."""
         return np.asarray(self._scene.run(starts.astype(np.float32), rays.astype(np.float32), query="OCCLUDED") >= 0)
 
-    def at(self, facets: _Ints, eye: _Floats, rays: _Floats) -> _Floats:
+    def at(self, facets: _Ints, eye: Floats, rays: Floats) -> Floats:
         """Return of each ray that meets a small facet: its length, normal, albedo, water, roughness, lift, (n, 8)."""
         out = np.empty((len(facets), 8))
         _at_hits(facets, eye, rays, (self._points, self._shares, self._parts, self._values), out)
@@ -202,7 +200,7 @@ class _Body:
         return out
 
 
-def _lattice(cuts: int) -> tuple[_Floats, _Ints]:
+def _lattice(cuts: int) -> tuple[Floats, _Ints]:
     """Return the shares of the corners at the points of a facet cut `cuts` times along each side, and its parts."""
     places = [(i, j) for i in range(cuts + 1) for j in range(cuts + 1 - i)]
     number = {place: k for k, place in enumerate(places)}
@@ -212,7 +210,7 @@ def _lattice(cuts: int) -> tuple[_Floats, _Ints]:
     return shares, np.array([[number[place] for place in part] for part in up + down])
 
 
-def _curved(corners: _Floats, normals: _Floats, shares: _Floats) -> _Floats:
+def _curved(corners: Floats, normals: Floats, shares: Floats) -> Floats:
     """Return points of curved facets, (facets, places, 3): Bezier triangles through corners, along their planes."""
     b, out = shares.T[:, None, :, None], np.zeros((len(corners), len(shares), 3))
     middle = np.zeros((len(corners), 3))
@@ -230,7 +228,7 @@ def _curved(corners: _Floats, normals: _Floats, shares: _Floats) -> _Floats:
 
 @_compiled
 def _at_hits(
-    facets: _Ints, eye: _Floats, rays: _Floats, surface: tuple[_Floats, _Floats, _Ints, _Floats], out: _Floats
+    facets: _Ints, eye: Floats, rays: Floats, surface: tuple[Floats, Floats, _Ints, Floats], out: Floats
 ) -> None:
     """Write length, normal, albedo and water of rays at small facets that they meet.
 
@@ -268,7 +266,7 @@ def _at_hits(
         out[k, 1:4] /= max(length, 1e-12)
 
 
-def _grain(places_m: _Floats, o: Octaves) -> _Floats:
+def _grain(places_m: Floats, o: Octaves) -> Floats:
     """Return slope and brightness of the grain below facets at places, (n, 4)."""
     out, weights = np.zeros((len(places_m), 4)), (1 - o.on_facets) * o.heights_m / o.waves_m
     fields = o.fields.reshape(32, 32, 32, 4)
@@ -292,12 +290,12 @@ class SampledBodies(SampledScene):
             for k, (table, mesh) in enumerate(zip(self._p.bodies, world.meshes, strict=True))
         ]
 
-    def _shader(self, t_ns: int) -> Callable[[_Floats, _Floats], tuple[_Floats, _Ints]]:
+    def _shader(self, t_ns: int) -> Callable[[Floats, Floats], tuple[Floats, _Ints]]:
         scene_ns = self._world.time.scene_ns(t_ns)
         camera, poses = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
         eyes = [(camera.position_m - pose.position_m) @ pose.world_from_body for pose in poses]
 
-        def shade(rays: _Floats, to_sun: _Floats) -> tuple[_Floats, _Ints]:
+        def shade(rays: Floats, to_sun: Floats) -> tuple[Floats, _Ints]:
             light, kind = np.zeros(len(rays)), np.zeros(len(rays), np.int64)
             nearest = np.full(len(rays), np.inf)
             rays = rays @ camera.world_from_body.T
@@ -316,8 +314,8 @@ class SampledBodies(SampledScene):
         return shade
 
     def _radiance(
-        self, k: int, there: _Floats, rays: _Floats, eye: _Floats, to_sun: _Floats, poses: list[Pose]
-    ) -> tuple[_Floats, npt.NDArray[np.bool_]]:
+        self, k: int, there: Floats, rays: Floats, eye: Floats, to_sun: Floats, poses: list[Pose]
+    ) -> tuple[Floats, Mask]:
         """Return the radiance of body k where rays meet it, (n,), and whether the Sun is seen there."""
         body, pose = self._bodies[k], poses[k]
         normals, toward, sun = there[:, 1:4], -rays, to_sun @ pose.world_from_body
@@ -342,7 +340,7 @@ class SampledBodies(SampledScene):
             radiance += sun_w_m2 * lit * (sea + air_light(mu0, mu, phase, PLANET_ALBEDO * there[:, 4]))
         return radiance, lit
 
-    def _hidden(self, starts_m: _Floats, to_sun: _Floats, pose: Pose, poses: list[Pose]) -> npt.NDArray[np.bool_]:
+    def _hidden(self, starts_m: Floats, to_sun: Floats, pose: Pose, poses: list[Pose]) -> Mask:
         """Return whether a body stands before the Sun, (n,), for places and directions in the frame at `pose`."""
         hidden = np.zeros(len(starts_m), bool)
         for other, at in zip(self._bodies, poses, strict=True):
@@ -359,12 +357,9 @@ class SampledBoard(Scene):
     def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int], samples: int = 1024) -> None:
         if parameters.rotation_deg:
             raise SceneError("the sampled board lies along the rows of pixels: scene.rotation_deg must be 0")
-        self._p, self._size, self._samples = parameters, size, samples
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
+        self._p = parameters
+        self.size = size
+        self._samples = samples
 
     @property
     def motion_bound_px_s(self) -> float:
@@ -374,15 +369,15 @@ class SampledBoard(Scene):
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`, (height, width) float32."""
         direction, moved_px = math.radians(self._p.direction_deg), self._p.speed_px_s * t_ns * 1e-9
-        right = self._wave(self._size[0], moved_px * math.cos(direction))
-        down = self._wave(self._size[1], moved_px * math.sin(direction))
+        right = self._wave(self.size[0], moved_px * math.cos(direction))
+        down = self._wave(self.size[1], moved_px * math.sin(direction))
         middle, half = (self._p.bright + self._p.dark) / 2, (self._p.bright - self._p.dark) / 2
         out[:] = middle + half * np.outer(down, right)
 
     def close(self) -> None:
         """Do nothing: it holds memory only."""
 
-    def _wave(self, pixels: int, moved_px: float) -> _Floats:
+    def _wave(self, pixels: int, moved_px: float) -> Floats:
         """Return the mean of a square wave over each pixel of an axis; at the start an edge lies in the middle."""
         at_px = (np.arange(pixels * self._samples) + 0.5) / self._samples - pixels / 2 - moved_px
         even = np.floor(at_px / self._p.square_px).astype(np.int64) % 2 == 0
@@ -402,11 +397,11 @@ class SampledTerrain(SampledScene):
         relief_m, radius_m = float(np.ptp(heights)), parameters.body_radius_m
         self._lowest = -math.sqrt(2 * relief_m / radius_m) if radius_m else -math.inf  # of the Sun beyond the map
 
-    def _shader(self, t_ns: int) -> Callable[[_Floats, _Floats], tuple[_Floats, _Ints]]:
+    def _shader(self, t_ns: int) -> Callable[[Floats, Floats], tuple[Floats, _Ints]]:
         pose = self._world.camera.pose(self._world.time.scene_ns(t_ns))
         p, eye = self._world.parameters, np.asarray(pose.position_m, np.float64)
 
-        def shade(rays: _Floats, to_sun: _Floats) -> tuple[_Floats, _Ints]:
+        def shade(rays: Floats, to_sun: Floats) -> tuple[Floats, _Ints]:
             light, kind, there = np.zeros(len(rays)), np.zeros(len(rays), np.int64), np.empty((len(rays), 8))
             rays = np.ascontiguousarray(rays @ pose.world_from_body.T)
             _over_ground(self._ground, eye, rays, to_sun, there)
@@ -425,18 +420,18 @@ class SampledTerrain(SampledScene):
         return shade
 
 
-_Ground = tuple[_Float32s, _Float32s, _Floats, _Ints, float]
+_Ground = tuple[Float32s, Float32s, Floats, _Ints, float]
 """Heights, m, and albedo of the posts of all grids; `_peaks`; distance of the finest posts, m."""
 
 
-def _peaks(heights: _Float32s) -> tuple[_Floats, _Ints]:
+def _peaks(heights: Float32s) -> tuple[Floats, _Ints]:
     """Return the greatest height in cells of all levels, and a table of levels: first cell, rows, columns, first x, y.
 
     A cell of level l has 2^l of the finest posts to a side: those of grid l, and above the last grid four cells of the
     level below.
     """
     grids, rows, columns = heights.shape
-    levels: list[_Floats] = []
+    levels: list[Floats] = []
     table = []
     while len(levels) < grids or levels[-1].size > 1:
         grid = min(len(levels), grids - 1)
@@ -456,14 +451,14 @@ def _peaks(heights: _Float32s) -> tuple[_Floats, _Ints]:
     return np.concatenate([level.ravel() for level in levels]), np.array(table)
 
 
-def _quarters(peak: _Floats) -> _Floats:
+def _quarters(peak: Floats) -> Floats:
     """Return the greatest of two by two."""
     even = np.pad(peak, [(0, n % 2) for n in peak.shape], constant_values=-np.inf)
     return np.asarray(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).max(axis=(1, 3)))
 
 
 @_compiled
-def _over_ground(ground: _Ground, eye: _Floats, rays: _Floats, to_sun: _Floats, out: _Floats) -> None:
+def _over_ground(ground: _Ground, eye: Floats, rays: Floats, to_sun: Floats, out: Floats) -> None:
     """Write of each ray its length to the ground, inf for none, the normal, albedo there, and 1 where it sees the Sun.
 
     Parameters
@@ -557,7 +552,7 @@ def _first_root(a: float, b: float, c: float) -> float:
 
 
 @_compiled
-def _write_surface(ground: _Ground, x_m: float, y_m: float, out: _Floats) -> None:
+def _write_surface(ground: _Ground, x_m: float, y_m: float, out: Floats) -> None:
     """Write normal, albedo, height and the distance of posts at a place on the map into numbers 1 to 4, 6 and 7."""
     heights, albedo, _, table, unit_m = ground
     grids, rows, columns = heights.shape

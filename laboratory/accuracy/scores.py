@@ -31,19 +31,17 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Floats, Int64s, Mask
 
-_Float64s = npt.NDArray[np.float64]
-_Int64s = npt.NDArray[np.int64]
-_Bools = npt.NDArray[np.bool_]
+_Bools = Mask
 
 
 class PixelEvents(NamedTuple):
     """The arrays of a `Stream`, for compiled loops."""
 
-    t_us: _Float64s
+    t_us: Floats
     on: _Bools
-    first: _Int64s
+    first: Int64s
 
 
 compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__, error_model="python")
@@ -70,7 +68,7 @@ def _longest_common(a: _Bools, b: _Bools) -> int:
 
 
 @compiled
-def common_subsequences(a: PixelEvents, b: PixelEvents) -> _Int64s:
+def common_subsequences(a: PixelEvents, b: PixelEvents) -> Int64s:
     """Return for each pixel the length of the longest common subsequence of polarities, (pixels,)."""
     common = np.empty(a.first.size - 1, np.int64)
     for p in range(common.size):
@@ -79,7 +77,7 @@ def common_subsequences(a: PixelEvents, b: PixelEvents) -> _Int64s:
 
 
 @compiled
-def _train(events: PixelEvents, p: int, up: bool) -> _Float64s:
+def _train(events: PixelEvents, p: int, up: bool) -> Floats:
     """Return the times of one pixel's events of one polarity."""
     low, high = events.first[p], events.first[p + 1]
     out = np.empty(high - low)
@@ -92,7 +90,7 @@ def _train(events: PixelEvents, p: int, up: bool) -> _Float64s:
 
 
 @compiled
-def _moved(a: _Float64s, b: _Float64s) -> float:
+def _moved(a: Floats, b: Floats) -> float:
     """Return the integral of the difference of two distributions of mass one, us."""
     i = j = 0
     moved = 0.0
@@ -134,9 +132,9 @@ class Stream:
     first : (pixels + 1,) int64, index of each pixel's first event.
     """
 
-    t_us: npt.NDArray[np.float64]
-    on: npt.NDArray[np.bool_]
-    first: npt.NDArray[np.int64]
+    t_us: Floats
+    on: Mask
+    first: Int64s
 
     def __len__(self) -> int:
         return self.t_us.size
@@ -147,24 +145,24 @@ class Stream:
         return self.first.size - 1
 
     @property
-    def counts(self) -> npt.NDArray[np.int64]:
+    def counts(self) -> Int64s:
         """Events of each pixel, (pixels,)."""
         return np.diff(self.first)
 
     @property
-    def pixel(self) -> npt.NDArray[np.int64]:
+    def pixel(self) -> Int64s:
         """Pixel of each event, (n,)."""
         return np.repeat(np.arange(self.pixels), self.counts)
 
-    def where(self, chosen: npt.NDArray[np.bool_]) -> Stream:
+    def where(self, chosen: Mask) -> Stream:
         """Return the chosen events, by a mask of all, (n,)."""
         return Stream.of(self.t_us[chosen], self.pixel[chosen], self.on[chosen], self.pixels)
 
-    def intervals_us(self) -> npt.NDArray[np.float64]:
+    def intervals_us(self) -> Floats:
         """Return the times between successive events of a pixel, (m,), of all pixels, sorted."""
         return np.sort(np.diff(self.t_us)[np.diff(self.pixel) == 0])
 
-    def words(self, length: int = 4) -> npt.NDArray[np.float64]:
+    def words(self, length: int = 4) -> Floats:
         """Return the share of each sequence of so many polarities of a pixel, (2^length,), ON as 1, the first highest.
 
         All are NaN where no pixel has as many events.

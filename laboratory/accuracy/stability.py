@@ -22,9 +22,9 @@ from itertools import takewhile
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Float32s
 from laboratory.accuracy.harness import PLAIN, Case, Method, events, truth
 from laboratory.accuracy.scenes import BlurredCheckerboard, Flash, SineGrating
 from laboratory.accuracy.scores import compare
@@ -34,8 +34,6 @@ _MODULATION = 0.7
 _STEEPEST = 2 * math.pi * _MODULATION / math.sqrt(1 - _MODULATION**2)
 """Steepest slope of the sine's log light, ln units a period."""
 
-_Float32s = npt.NDArray[np.float32]
-
 
 @dataclass(frozen=True)
 class Setting:
@@ -43,7 +41,7 @@ class Setting:
 
     case: Case
     step_s: float
-    seen: Callable[[_Float32s], _Float32s] | None = None
+    seen: Callable[[Float32s], Float32s] | None = None
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ def _burst(value: float) -> Setting:
 def _bit_depth(value: float) -> Setting:
     board = BlurredCheckerboard(pixels=_PIXELS, speed_px_s=25.0, sigma_px=2.0)
 
-    def quantised(light: _Float32s) -> _Float32s:
+    def quantised(light: Float32s) -> Float32s:
         steps = 2.0**value - 1
         return np.asarray(np.round(light * steps) / steps, np.float32)
 

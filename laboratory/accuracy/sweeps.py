@@ -339,7 +339,9 @@ def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = Fals
     at, threshold = (pixel_light(case.scene) if refined else None), case.parameters.threshold_on
     refinement = RefinementModel(threshold) if refined else None
     steps = ControlledSteps(limits, case.parameters.dark_current_relative, 1_000_000, refinement)
-    end_ns, t_ns, frames = round(case.duration_s * 1e9), 0, 0
+    end_ns = round(case.duration_s * 1e9)
+    t_ns = 0
+    frames = 0
     found: list[Crossings] = []
     light, rate = _frame(case, 0)
     array.reset(LightFrame(0, light))

@@ -27,16 +27,14 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Floats, Int64s, Mask
 from laboratory.accuracy.scenes import ClosedLight
 from laboratory.accuracy.scores import Stream
 from laboratory.methods.circuit import cubic, first_crossing
-
-_Float64s = npt.NDArray[np.float64]
 
 _CHUNK = 512
 _LONGEST_STEP = 1.5  # in time constants; Runge-Kutta is unstable from 2.8
@@ -61,11 +59,11 @@ class _Constants(NamedTuple):
 class _Pixels(NamedTuple):
     """Thresholds, leak (ln units a second), leak by light (the same at light 1) and jumps of each pixel."""
 
-    on: _Float64s
-    off: _Float64s
-    leak: _Float64s
-    by_light: _Float64s
-    jumps: _Float64s  # (pixels, k) s
+    on: Floats
+    off: Floats
+    leak: Floats
+    by_light: Floats
+    jumps: Floats  # (pixels, k) s
 
 
 class _State(NamedTuple):
@@ -74,11 +72,11 @@ class _State(NamedTuple):
     With the large-signal photoreceptor v holds x = e^-v, whose equation is linear.
     """
 
-    v: _Float64s
-    w: _Float64s
-    q: _Float64s
-    r: _Float64s
-    refractory_until: _Float64s
+    v: Floats
+    w: Floats
+    q: Floats
+    r: Floats
+    refractory_until: Floats
 
 
 class _Span(NamedTuple):
@@ -93,10 +91,10 @@ class _Span(NamedTuple):
 class _Events(NamedTuple):
     """Buffers of the events found; `n` (1,) counts further events when they are full."""
 
-    t_s: _Float64s
-    pixel: npt.NDArray[np.int64]
-    on: npt.NDArray[np.bool_]
-    n: npt.NDArray[np.int64]
+    t_s: Floats
+    pixel: Int64s
+    on: Mask
+    n: Int64s
 
 
 @compiled
@@ -173,7 +171,7 @@ def _integrate(j: int, span: _Span, p: _Pixels, s: _State, c: _Constants, out: _
 
 
 @compiled
-def _advance(light: _Float64s, t0: float, p: _Pixels, s: _State, c: _Constants, out: _Events) -> None:
+def _advance(light: Floats, t0: float, p: _Pixels, s: _State, c: _Constants, out: _Events) -> None:
     """Integrate over light (2 steps + 1, pixels), sampled each half step from t0 on."""
     for k in range(light.shape[0] // 2):
         end = t0 + (k + 1) * c.h
@@ -262,9 +260,7 @@ def _collected(s: _State, advance: Callable[[_State, _Events], None]) -> tuple[A
 
 
 @compiled
-def _advance_ideal(
-    u: _Float64s, slope: _Float64s, times: tuple[float, float], p: _Pixels, s: _State, out: _Events
-) -> None:
+def _advance_ideal(u: Floats, slope: Floats, times: tuple[float, float], p: _Pixels, s: _State, out: _Events) -> None:
     """Write the events of log light u, (steps + 1, pixels), and its derivative; `times` are the start and a step, s."""
     t0, h = times
     for k in range(u.shape[0] - 1):
@@ -307,7 +303,7 @@ def ideal_events(
     return Stream.of(t_s * 1e6, pixel, on, scene.pixels)
 
 
-def _log_and_slope(scene: ClosedLight, t_s: _Float64s) -> tuple[_Float64s, _Float64s]:
+def _log_and_slope(scene: ClosedLight, t_s: Floats) -> tuple[Floats, Floats]:
     """Return ln of the light at times (m,) s, and its time derivative, (m, pixels) each."""
     light = scene.value(t_s)
     if not light.min() > 0:

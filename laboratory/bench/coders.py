@@ -37,14 +37,16 @@ from typing import Literal
 import numpy as np
 
 from firmware_protocol.c import FOLDER, sources
-from firmware_protocol.davis346 import WordEncoder
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
+from firmware_protocol.davis346.words import WordEncoder
+from firmware_protocol.dvxplorer.decoder import GroupDecoder
+from firmware_protocol.dvxplorer.words import GroupEncoder
 from firmware_protocol.events import EVENT, Events, join_events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, as_received, decode_block
+from firmware_protocol.telemetry.reading import as_received, decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 from laboratory.bench.streams import (
     SIZE,
     BenchFailed,

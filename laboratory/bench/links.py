@@ -14,12 +14,12 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
-from emulator.rig.loading import UsbipLink, load_rig
+from emulator.rig.loading import load_rig
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.link_process import LinkProcess
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.scene.checkerboard.table import CheckerboardParameters
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from laboratory.bench.streams import SIZE, BenchFailed, saturated_stream, stars
@@ -28,12 +28,13 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.reception import InstrumentReception
+from transports.reception import InstrumentReception, Reception
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
-from transports.usb.cameras import CameraReception, receive
+from transports.usb.cameras import receive
 from transports.usb.davis_host import DavisHost
+from transports.usb.kind import UsbipLink
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory
 
@@ -58,12 +59,12 @@ class _Receiver:
         if not self._mine.poll(30.0) or self._mine.recv() != "started":
             raise BenchFailed("the receiver did not start")
 
-    def finish(self, total: int) -> CameraReception:
+    def finish(self, total: int) -> Reception:
         """Return the reception, once it has `total` events."""
         self._total.value = total
         if not self._mine.poll(60.0):
             raise BenchFailed("the receiver did not get all events within a minute")
-        reception: CameraReception = self._mine.recv()
+        reception: Reception = self._mine.recv()
         self._process.join(10.0)
         return reception
 
@@ -73,7 +74,7 @@ def _receive(address: str, control: Connection, total: Any) -> None:
     camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=10.0))
     started = False
 
-    def goes_on(now: CameraReception) -> bool:
+    def goes_on(now: Reception) -> bool:
         nonlocal started
         if not started:
             control.send("started")
@@ -112,7 +113,7 @@ def usbip_events() -> float:
     return pushed / seconds * 1e-6
 
 
-def _check(pushed: int, reception: CameraReception, report: LinkReport) -> None:
+def _check(pushed: int, reception: Reception, report: LinkReport) -> None:
     if report.delivered != pushed or report.dropped or report.dropped_in_device:
         raise BenchFailed(f"{pushed} events pushed, {report}")
     if (reception.events, reception.digest, reception.faults) != (pushed, report.digest, 0):

@@ -30,7 +30,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame, Region
 from emulator.sensor.noise.law import corner_hz, still_hz
@@ -38,6 +37,7 @@ from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
+from firmware_protocol.events import Float32s
 
 _DAVIS = dataclasses.replace(
     PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1, noise=NoiseParameters()
@@ -51,8 +51,7 @@ _STEPS = 400
 _PERIOD_PX = 40.0
 _CONTRAST = 1.0  # amplitude of the grating, ln units
 
-_Light = npt.NDArray[np.float32]
-_Frame = tuple[_Light, _Light]
+_Frame = tuple[Float32s, Float32s]
 """Light and its time derivative, a second."""
 
 

@@ -31,7 +31,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame, SceneFrames
 from emulator.rig.loading import Rig, load_rig
@@ -40,6 +39,7 @@ from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
+from firmware_protocol.events import Float32s, Int64s
 
 _REPEATS = 5
 _REPEAT_S = 1.0
@@ -106,8 +106,7 @@ _STEPS, _WARM_UP, _SETTLED = 120, 20, 10
 _PERIOD_PX = 40
 _FLASH, _FLASH_EVENTS = 13.0, 46
 
-_Light = npt.NDArray[np.float32]
-_Frame = tuple[_Light, _Light]
+_Frame = tuple[Float32s, Float32s]
 """Light and its time derivative, a second."""
 
 _SENSOR = dataclasses.replace(
@@ -131,13 +130,13 @@ def _grating(events: int, k: int) -> _Frame:
     return light.astype(np.float32), (-light * np.cos(angle) * turn * 1e9 / _STEP_NS).astype(np.float32)
 
 
-def _jumping(pixels: npt.NDArray[np.int64], by: float, k: int) -> _Frame:
+def _jumping(pixels: Int64s, by: float, k: int) -> _Frame:
     light = np.full((_SENSOR.height, _SENSOR.width), 0.3, np.float32)
     light.reshape(-1)[pixels] *= np.float32(math.exp(by if k % 2 else 0.0))
     return light, np.zeros_like(light)
 
 
-def _places(events: int) -> dict[str, npt.NDArray[np.int64]]:
+def _places(events: int) -> dict[str, Int64s]:
     """Return the pixels that jump, for all scenes in which they jump alike."""
     side = math.isqrt(events)
     block = (80 + np.arange(side))[:, None] * _SENSOR.width + 80 + np.arange(side)

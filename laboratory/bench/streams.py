@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.rig.loading import load_rig
@@ -19,7 +18,7 @@ from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.chip.readout import ArbiterReadOut
 from emulator.sensor.pixels.array import PixelArray
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.events import EVENT, Events, empty_events
+from firmware_protocol.events import EVENT, Events, Floats, Mask, empty_events
 from firmware_protocol.frames import LineKind, line_record
 from firmware_protocol.fx3.words import Block, Marks, Special, blocks_of, no_marks
 from firmware_protocol.imu_samples import ImuSamples, no_samples
@@ -77,8 +76,7 @@ def checkerboard_stream(count: int) -> Events:
 SIZE = (346, 260)
 _THRESHOLD = 0.2  # ln units
 
-_Floats = npt.NDArray[np.float64]
-_Batch = tuple[_Floats, _Floats, _Floats, npt.NDArray[np.bool_]]
+_Batch = tuple[Floats, Floats, Floats, Mask]
 """t in s, x, y, on, (n,) each."""
 
 
@@ -140,7 +138,7 @@ def target(duration_s: float) -> Events:
     waves = [(*rng.normal(0, 2 * np.pi / 12, 2), rng.uniform(0, 2 * np.pi)) for _ in range(8)]
     offset = rng.uniform(0, 1, len(x))  # level of each pixel at its last event
 
-    def level(t: float) -> _Floats:
+    def level(t: float) -> Floats:
         waves_now = (0.6 * np.sin(kx * (x - 122 * t) + ky * (y - 36 * t) + phase) for kx, ky, phase in waves)
         return np.asarray(sum(waves_now)) / _THRESHOLD + offset
 

@@ -31,7 +31,8 @@ from firmware_protocol.gige.registers import Register
 from firmware_protocol.ptp.slave import PortState
 from firmware_protocol.receiver.clock_estimator import ClockEstimator
 from transports.gige.host import CameraGone, GigeHost
-from transports.gige.ptp_port import PtpPort, ptp_slave, realtime_ahead_ns
+from transports.gige.ptp_port import PtpPort, ptp_slave
+from transports.link.pacing import wall_less_monotonic_ns
 
 app = App(name="clocks")
 
@@ -178,7 +179,9 @@ def follow(seconds: float) -> None:
         if slave.state == PortState.SLAVE and slave.timebase is not None:
             locked_s = locked_s or time.monotonic()
             now_ns, status = time.monotonic_ns(), slave.status
-            rows.append((slave.timebase.at(now_ns) - now_ns - realtime_ahead_ns(), status.offset_ns, status.delay_ns))
+            rows.append(
+                (slave.timebase.at(now_ns) - now_ns - wall_less_monotonic_ns(), status.offset_ns, status.delay_ns)
+            )
         elif time.monotonic() > begin_s + WAIT_S:
             sys.exit(f"no slave after {WAIT_S:.0f} s: {slave.state.name}, {dict(slave.counts)}")
     print(f"SLAVE after {locked_s - begin_s:.1f} s; {len(rows)} readings in {seconds:.0f} s, in us:")

@@ -41,26 +41,18 @@ LAYERS = ((), ("rate",), ("motion",), ("motion", "depth"), ("motion", "depth", "
 class Images(Scene):
     """The images of bodies every `period_ns` with some layers, joined as those of a renderer."""
 
+    has_rate = True
+
     def __init__(self, p: BodiesParameters, pinhole: Pinhole, period_ns: int, layers: tuple[str, ...]) -> None:
         inner = self._inner = RasterBodies(p, pinhole)
-        self._period_ns = period_ns
+        self.size, self._period_ns = inner.size, period_ns
         self._layers = layers
         self._joined, self._drawn = Joined(inner.size), dict[int, TimedImage]()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Those of the scene."""
-        return self._inner.size
 
     @property
     def motion_bound_px_s(self) -> float:
         """That of the scene."""
         return self._inner.motion_bound_px_s
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the joined light has a derivative."""
-        return True
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the joined light."""

@@ -37,7 +37,7 @@ def tell(what: str, value_s: float) -> None:
 
 def measure_encoder() -> None:
     """Print what DAVIS346 words of a saturated read-out cost."""
-    from firmware_protocol.davis346 import WordEncoder
+    from firmware_protocol.davis346.words import WordEncoder
     from laboratory.bench.streams import saturated_stream
 
     events = saturated_stream(EVENTS)

@@ -17,6 +17,7 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, still_hz
 from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Floats, Int64s, Mask
 from laboratory.characterise.stimuli import (
     FIGURE,
     Bench,
@@ -29,8 +30,6 @@ from laboratory.characterise.stimuli import (
     without_readout,
 )
 
-_Floats = npt.NDArray[np.float64]
-
 _S = 1_000_000_000
 _STEP_WAIT_TAUS = 20
 _LEAST_WAIT_S = 1e-3
@@ -40,7 +39,7 @@ _BRIGHT = 2.0  # lowest light of that ramp: the filter is at its fastest
 _BINS = 41
 
 
-def s_curve(p: SensorParameters, series: str, mismatch: float, deviations: _Floats, light: float = 1.0) -> list[Point]:
+def s_curve(p: SensorParameters, series: str, mismatch: float, deviations: Floats, light: float = 1.0) -> list[Point]:
     """Return the share of pixels that respond to a contrast step, ON and OFF, at steps around the threshold.
 
     The model is the normal distribution of the thresholds.
@@ -90,7 +89,7 @@ def spread(p: SensorParameters) -> list[Point]:
     return points
 
 
-def _thresholds(p: SensorParameters, on: bool) -> _Floats:
+def _thresholds(p: SensorParameters, on: bool) -> Floats:
     """Return each pixel's threshold: contrast rate times the median gap, less the dead time, ln."""
     low, high = (log_current(p, light) for light in (_BRIGHT, _BRIGHT * math.exp(_RAMP_SPAN)))
     start, end = (low, high) if on else (high, low)
@@ -104,7 +103,7 @@ def _thresholds(p: SensorParameters, on: bool) -> _Floats:
     return np.asarray((gap_us - p.refractory_us) * 1e-6 * _RAMP_RATE)
 
 
-def _times_us(bench: Bench, events: npt.NDArray[np.void]) -> list[npt.NDArray[np.int64]]:
+def _times_us(bench: Bench, events: npt.NDArray[np.void]) -> list[Int64s]:
     """Return the times of each pixel's events, pixel by pixel, us."""
     pixel = bench.pixel(events)
     order = np.argsort(pixel, kind="stable")
@@ -112,7 +111,7 @@ def _times_us(bench: Bench, events: npt.NDArray[np.void]) -> list[npt.NDArray[np
     return np.split(events["t"][order].astype(np.int64), cuts)
 
 
-def _histogram(curve: str, series: str, values: _Floats, edges: _Floats, below: Sequence[float]) -> list[Point]:
+def _histogram(curve: str, series: str, values: Floats, edges: Floats, below: Sequence[float]) -> list[Point]:
     """Return the share of the values in each bin, beside a distribution by its share below each edge."""
     shares = np.histogram(values, edges)[0] / values.size
     middles, models = (edges[1:] + edges[:-1]) / 2, np.diff(below)
@@ -277,7 +276,7 @@ def _risen(t_s: float, first_s: float, second_s: float) -> float:
     return 1 - rest / (first_s - second_s)
 
 
-def _first_us(bench: Bench, lit: npt.NDArray[np.bool_]) -> _Floats:
+def _first_us(bench: Bench, lit: Mask) -> Floats:
     """Finish, and return the time of the first ON event of each lit pixel, us, pixels without one left out."""
     events = bench.finish()
     events = events[events["on"] & lit[events["y"], events["x"]]]

@@ -34,14 +34,13 @@ from emulator.playback.recording import read_events, read_frames
 from emulator.report.page import Page, write_csv, write_json
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Floats, Int64s, Mask
 from laboratory.characterise.still_light import REFERENCE_DN, StillLight, still_events, still_light
 
 _MOST_INTERVALS = 200_000
 _NEIGHBOURHOOD = 5
 
-_Floats = npt.NDArray[np.float64]
-_Bools = npt.NDArray[np.bool_]
+_Bools = Mask
 
 
 @dataclass(frozen=True)
@@ -70,11 +69,11 @@ class Activity:
     opposite_share: float
     fano: float
     above_50: int
-    counts: npt.NDArray[np.int64]
-    intervals_s: _Floats
+    counts: Int64s
+    intervals_s: Floats
     opposite: _Bools
-    per_ms: npt.NDArray[np.int64]
-    per_10_ms: npt.NDArray[np.int64]
+    per_ms: Int64s
+    per_10_ms: Int64s
 
     @property
     def rate_hz(self) -> float:
@@ -119,11 +118,11 @@ def activity(events: Events, size: tuple[int, int], seconds: float, chosen: _Boo
     )  # fmt: skip
 
 
-def _mean(values: npt.NDArray[np.bool_]) -> float:
+def _mean(values: Mask) -> float:
     return float(values.mean()) if values.size else np.nan
 
 
-def _per(since_us: npt.NDArray[np.uint64], ms: int, seconds: float) -> npt.NDArray[np.int64]:
+def _per(since_us: npt.NDArray[np.uint64], ms: int, seconds: float) -> Int64s:
     stretches = max(1, int(seconds * 1000 / ms))
     return np.bincount(np.minimum(since_us // (1000 * ms), stretches - 1).astype(np.int64), minlength=stretches)
 
@@ -223,7 +222,7 @@ def _most(recorded: Activity) -> float:
     return max(most, _LEAST_HOT)
 
 
-def _pairs(recorded: Activity, events: int, hot: npt.NDArray[np.bool_]) -> tuple[float, float]:
+def _pairs(recorded: Activity, events: int, hot: Mask) -> tuple[float, float]:
     """Return the share of primaries with a follower, and the mean wait for it, s, of pixels that are not hot."""
     ordinary = ~np.repeat(hot, np.maximum(recorded.counts - 1, 0))
     intervals_s, opposite = recorded.intervals_s[ordinary], recorded.opposite[ordinary]
@@ -239,7 +238,7 @@ def _pairs(recorded: Activity, events: int, hot: npt.NDArray[np.bool_]) -> tuple
     return min(seconds / max(events - seconds, 1.0), 0.95), wait_s
 
 
-def _slow_followers(intervals_s: _Floats, opposite: _Bools, recorded: Activity) -> tuple[float, float]:
+def _slow_followers(intervals_s: Floats, opposite: _Bools, recorded: Activity) -> tuple[float, float]:
     """Return the number of followers at any time, and their mean wait, s."""
     on = recorded.on_share
     same = on**2 + (1 - on) ** 2
@@ -275,7 +274,7 @@ def _hot_pairs(opposite: float, first_on: float) -> float:
     return float(np.clip((opposite - other) / max(1 + same - other - opposite, 1e-9), 0, 1))
 
 
-def _spread(counts: npt.NDArray[np.int64], pair: float) -> float:
+def _spread(counts: Int64s, pair: float) -> float:
     """Return the log-normal spread of the rates, from the variance of the counts."""
     mean = float(counts.mean())
     if mean == 0:

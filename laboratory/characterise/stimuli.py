@@ -25,9 +25,7 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.noise.law import corner_hz
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.events import EVENT, Events
-
-_Floats = npt.NDArray[np.float64]
+from firmware_protocol.events import EVENT, Events, Floats, Int64s
 
 _SIZE = 64, 48
 _JUMP_NS = 10
@@ -48,18 +46,18 @@ def without_readout(p: SensorParameters) -> SensorParameters:
     return dataclasses.replace(p, readout=ReadoutParameters(event_ns=0.001, row_ns=0))
 
 
-def log_current(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
+def log_current(p: SensorParameters, light: npt.ArrayLike) -> Floats:
     """Return the logarithm of the photocurrent, dark current at the chip's temperature included."""
     return np.log(np.asarray(light, np.float64) + at_temperature(p).dark_current_relative)
 
 
-def lags_s(p: SensorParameters, light: npt.ArrayLike) -> tuple[_Floats, float]:
+def lags_s(p: SensorParameters, light: npt.ArrayLike) -> tuple[Floats, float]:
     """Return the time constants of the photoreceptor in a light and of the source follower; 0: no such pole."""
     first = 1 / (2 * np.pi * corner_hz(at_temperature(p), light))
     return np.asarray(first), 1 / (2 * math.pi * p.source_follower_hz) if p.source_follower_hz else 0.0
 
 
-def lag_s(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
+def lag_s(p: SensorParameters, light: npt.ArrayLike) -> Floats:
     """Return the lag of the filter behind a slow ramp: the sum of its time constants."""
     first, second = lags_s(p, light)
     return first + second
@@ -88,7 +86,7 @@ class Bench:
         self._sent: list[Events] = []
         self.sensor.reset(LightFrame(0, self.light.astype(np.float32)))
 
-    def _picture(self, light: npt.ArrayLike) -> _Floats:
+    def _picture(self, light: npt.ArrayLike) -> Floats:
         return np.broadcast_to(np.asarray(light, np.float64), (self.parameters.height, self.parameters.width))
 
     def ramp(self, light: npt.ArrayLike, for_ns: int) -> Events:
@@ -122,7 +120,7 @@ class Bench:
         self._sent.append(self.sensor.finish())
         return self.sent()
 
-    def pixel(self, events: Events) -> npt.NDArray[np.int64]:
+    def pixel(self, events: Events) -> Int64s:
         """Return the number of each event's pixel, row * width + column."""
         return np.asarray(events["y"].astype(np.int64) * self.parameters.width + events["x"])
 
@@ -138,7 +136,7 @@ def settled(p: SensorParameters, light: float, seed: int = 1) -> Bench:
     return bench
 
 
-def _settle(bench: Bench) -> _Floats:
+def _settle(bench: Bench) -> Floats:
     """Raise the light until every pixel has fired, each stopped where it did; return log currents, (height, width).
 
     A lamp continues to rise until its pixel has updated its reference, and then returns to the light of that instant.

@@ -31,7 +31,6 @@ from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
@@ -42,6 +41,7 @@ from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
 from emulator.sensor.pixels.state import DEAD_THRESHOLD, draw
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Float32s, Floats, Int64s
 
 _State = tuple[float, float, float]
 
@@ -160,17 +160,14 @@ _BRIGHTEST = 1e20  # light: more counts as this, for which the circuit's equatio
 _LONGEST_NS = 1 << 33  # of a step, whose events are sorted together
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 4.0
 
-_Floats = npt.NDArray[np.float64]
-_Float32s = npt.NDArray[np.float32]
-
 
 class _Model(NamedTuple):
     """Constants; thresholds, leak and parasitic leak at light 1 (ln units per second) are (pixels,)."""
 
-    on: _Floats
-    off: _Floats
-    leak: _Floats
-    parasitic: _Floats
+    on: Floats
+    off: Floats
+    leak: Floats
+    parasitic: Floats
     circuit: Circuit
     refractory_s: float
 
@@ -178,12 +175,12 @@ class _Model(NamedTuple):
 class _Array(NamedTuple):
     """State of the pixels, (pixels,) each: circuit, reference (leak added), end of the refractory period, a substep."""
 
-    p: _Floats
-    y: _Floats
-    w: _Floats
-    reference: _Floats
-    refractory_s: _Floats  # since the start of the step; 0 and below: over
-    substep_s: _Floats
+    p: Floats
+    y: Floats
+    w: Floats
+    reference: Floats
+    refractory_s: Floats  # since the start of the step; 0 and below: over
+    substep_s: Floats
 
 
 class _Piece(NamedTuple):
@@ -341,7 +338,7 @@ def _advance_pixel(
 
 @entry_of(*SOURCES, __name__)
 def _advance(
-    u: tuple[_Floats, _Floats], slopes: tuple[_Floats, _Floats], h_s: float, m: _Model, s: _Array, pending: Pending
+    u: tuple[Floats, Floats], slopes: tuple[Floats, Floats], h_s: float, m: _Model, s: _Array, pending: Pending
 ) -> tuple[tuple[Any, ...], int, int]:
     """Move all pixels over a step; `u` is log light of both frames, `slopes` its derivatives, 1/s; NaN: unknown."""
     n = lost = 0
@@ -405,17 +402,17 @@ class LogLightPixels(PixelMethod):
         self._u, self._slope, self._t_ns = u, slope, t_ns
         return found
 
-    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
+    def kill(self, pixel: Int64s) -> None:
         """Set thresholds that no light reaches, and no leak, for pixels, (n,)."""
         m = self._model
         m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
         m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
 
-    def leak_hz(self) -> npt.NDArray[np.float64]:
+    def leak_hz(self) -> Floats:
         """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
         return np.asarray(self._model.leak / self._model.on)
 
-    def set_leak(self, leak_hz: npt.NDArray[np.float64]) -> None:
+    def set_leak(self, leak_hz: Floats) -> None:
         """Set the leak rate of all pixels, (pixels,)."""
         self._model.leak[:] = leak_hz * self._model.on
 
@@ -424,17 +421,17 @@ class LogLightPixels(PixelMethod):
         """Start at rest on the present light, at the present time."""
 
     @abstractmethod
-    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+    def _move(self, u: Floats, slope: Floats, t_ns: int) -> tuple[Pending, int, int]:
         """Move to a time with that log light and slope; return the events, counted from `settled_ns`, and lost ones."""
 
-    def _slopes(self, rate: _Float32s | None) -> _Floats:
+    def _slopes(self, rate: Float32s | None) -> Floats:
         """Return the time derivative of the present log light, 1/s; NaN where unknown."""
         if rate is None:
             return np.full(self._u.size, np.nan)
         slope = np.where(self._lit, self._flat(rate), 0) / self._current
         return np.where(np.isfinite(slope), slope, np.nan)
 
-    def _log(self, light: _Float32s) -> _Floats:
+    def _log(self, light: Float32s) -> Floats:
         """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
         flat = self._flat(light)
         readable = np.isfinite(flat)
@@ -474,7 +471,7 @@ class CircuitPixels(LogLightPixels):
         shortest = np.full(u.size, 1e-4)
         self._state = _Array(np.zeros(u.size), u.copy(), u.copy(), u - m.on * self._phase, np.zeros(u.size), shortest)
 
-    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+    def _move(self, u: Floats, slope: Floats, t_ns: int) -> tuple[Pending, int, int]:
         h_ns, self._settled_ns = t_ns - self._t_ns, t_ns
         light_of = (self._u, u), (self._slope, slope)
         pending, n, lost = _advance(*light_of, h_ns * 1e-9, self._model, self._state, new_pending())

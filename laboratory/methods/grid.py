@@ -29,7 +29,6 @@ import math
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
@@ -37,6 +36,7 @@ from emulator.sensor.numerics.keyed import Purpose, high, low, normal, normal_fr
 from emulator.sensor.pixels.method import Capabilities
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Floats, Int64s
 from laboratory.methods.circuit import LogLightPixels, log_light, log_light_between
 
 _MOST_EVENTS = 16  # of a pixel in a straight piece of its noise
@@ -45,8 +45,6 @@ _MOST_COUNTED = 2.0**40  # of a piece
 _HOPELESS = 40.0
 _FASTEST_HZ = 1e9
 _PER_E_FOLD = 1024  # different lights of the noise's transition
-
-_Floats = npt.NDArray[np.float64]
 
 
 class _Pole(NamedTuple):
@@ -60,11 +58,11 @@ class _Pole(NamedTuple):
 class _Model(NamedTuple):
     """Constants; thresholds, leak and parasitic leak at light 1 (ln units per second), noise: (pixels,) float64."""
 
-    on: _Floats
-    off: _Floats
-    leak: _Floats
-    parasitic: _Floats
-    rms: _Floats
+    on: Floats
+    off: Floats
+    leak: Floats
+    parasitic: Floats
+    rms: Floats
     voltage_root: np.uint64
     bridge_root: np.uint64
     delta_ns: int
@@ -79,13 +77,13 @@ class _Model(NamedTuple):
 class _State(NamedTuple):
     """State at the last grid time, (pixels,) each: log light, signal and noise behind each pole, comparator."""
 
-    u: _Floats
-    v: _Floats  # with the large-signal photoreceptor e^-v, whose equation is linear
-    w: _Floats
-    n1: _Floats  # over its rms
-    n2: _Floats
-    seen: _Floats  # the input over the reference; NaN: refractory
-    refractory_until_ns: npt.NDArray[np.int64]
+    u: Floats
+    v: Floats  # with the large-signal photoreceptor e^-v, whose equation is linear
+    w: Floats
+    n1: Floats  # over its rms
+    n2: Floats
+    seen: Floats  # the input over the reference; NaN: refractory
+    refractory_until_ns: Int64s
 
 
 class _Piece(NamedTuple):
@@ -261,7 +259,7 @@ def _is_far(seen: float, middle: float, end: float, variance: float, thresholds:
 
 @entry_of(*SOURCES, __name__, "laboratory.methods.circuit")
 def _advance(
-    light_of: tuple[tuple[_Floats, _Floats], tuple[_Floats, _Floats]],
+    light_of: tuple[tuple[Floats, Floats], tuple[Floats, Floats]],
     grid_times: tuple[int, int],
     frame_ns: tuple[int, int],
     m: _Model,
@@ -363,7 +361,7 @@ class NoisyPixels(LogLightPixels):
         seen = m.on * self._phase + m.rms * n2
         self._state = _State(u.copy(), v, u.copy(), n1, n2, seen, np.zeros(pixel.size, np.int64))
 
-    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+    def _move(self, u: Floats, slope: Floats, t_ns: int) -> tuple[Pending, int, int]:
         delta_ns, settled_ns = self._model.delta_ns, self._settled_ns
         light_of, times = ((self._u, u), (self._slope, slope)), (settled_ns // delta_ns, t_ns // delta_ns)
         pending, n, lost = _advance(light_of, times, (self._t_ns, t_ns), self._model, self._state, new_pending())

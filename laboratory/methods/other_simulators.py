@@ -57,7 +57,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
@@ -66,13 +65,12 @@ from emulator.sensor.pixels.event_time import MOST_LOST
 from emulator.sensor.pixels.method import PixelMethod, time_of
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Float32s, Floats, Int64s, Mask
 
 MOST_EVENTS = 64
 """Crossings of one pixel in one step that are listed."""
 
-_Float64s = npt.NDArray[np.float64]
-_Int64s = npt.NDArray[np.int64]
-_Bools = npt.NDArray[np.bool_]
+_Bools = Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +86,8 @@ class Step:
 
     t0_ns: int
     h_ns: int
-    u0: _Float64s
-    u1: _Float64s
+    u0: Floats
+    u1: Floats
     readable: _Bools
 
     @property
@@ -102,13 +100,13 @@ class Step:
 class Fired:
     """Crossings, (n,) each: pixel, time as a share of the step in [0, 1], and polarity; and the number of lost ones."""
 
-    pixel: _Int64s
-    share: _Float64s
+    pixel: Int64s
+    share: Floats
     on: _Bools
     lost: int = 0
 
 
-def each(counts: _Int64s) -> tuple[_Int64s, _Int64s]:
+def each(counts: Int64s) -> tuple[Int64s, Int64s]:
     """Return (pixel, k) of each event, (n,): counts[p] times p, k going from 0 to counts[p] - 1."""
     active = np.flatnonzero(counts)
     many = counts[active]
@@ -186,7 +184,7 @@ class Rule(PixelMethod):
         self.lost_in_pixel += lost
         return Crossings(t0_ns + dt_ns[listed], fired.pixel[listed].astype(np.uint32), fired.on[listed], lost)
 
-    def _rate(self, u1: _Float64s) -> _Float64s:
+    def _rate(self, u1: Floats) -> Floats:
         """Return the filter's rate under log light u1, rad/s."""
         p = self.parameters
         hz = np.clip(p.corner_hz_at_reference * np.exp(u1), p.corner_min_hz, p.corner_max_hz)
@@ -195,7 +193,7 @@ class Rule(PixelMethod):
     def _refractory_ns(self) -> int:
         return round(self.parameters.refractory_us * 1000)
 
-    def _log(self, flat: npt.NDArray[np.float32]) -> _Float64s:
+    def _log(self, flat: Float32s) -> Floats:
         current = np.maximum(flat.astype(np.float64), 0) + self.parameters.dark_current_relative
         current[~np.isfinite(current)] = np.nan
         return np.asarray(np.log(current))
@@ -212,7 +210,7 @@ class V2e(Rule):
         super().reset(frame)
         self._refractory_until_ns[:] = _NEVER_NS
 
-    def _mixing(self, rate: _Float64s, h_s: float) -> _Float64s:
+    def _mixing(self, rate: Floats, h_s: float) -> Floats:
         """Return the share of the new light in the filtered value."""
         return np.minimum(1.0, rate * h_s)
 
@@ -230,9 +228,7 @@ class V2e(Rule):
         self._r = self._r + moved * np.where(on, theta, -theta)
         return Fired(pixel[emitted], share[emitted], on[pixel[emitted]])
 
-    def _pass(
-        self, pixel: npt.NDArray[np.int64], k: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]
-    ) -> npt.NDArray[np.bool_]:
+    def _pass(self, pixel: Int64s, k: Int64s, t_ns: Int64s) -> Mask:
         """Return the mask of events outside the refractory period of the last one emitted, slot by slot."""
         if self._refractory_ns() == 0:
             return np.ones(pixel.size, np.bool_)
@@ -248,7 +244,7 @@ class V2e(Rule):
 class V2eExactFilter(V2e):
     """v2e's rule behind a filter that decays exactly towards the new light."""
 
-    def _mixing(self, rate: _Float64s, h_s: float) -> _Float64s:
+    def _mixing(self, rate: Floats, h_s: float) -> Floats:
         return np.asarray(-np.expm1(-rate * h_s))
 
 
@@ -284,7 +280,7 @@ class Pangu(Rule):
         nothing = np.full(self._fired.size, np.nan)
         self._keep_raw(np.zeros(self._fired.size), nothing, nothing)
 
-    def raw_event_image(self) -> npt.NDArray[np.float32]:
+    def raw_event_image(self) -> Float32s:
         """Return the last step's raw event image, (height, width, 5) float32; see `RAW_CHANNELS`."""
         return self._raw.copy()
 
@@ -310,9 +306,7 @@ class Pangu(Rule):
         self._fired = self._fired + counts
         return Fired(pixel, (k + jitter) / counts[pixel], on[pixel], int((counts - listed).sum()))
 
-    def _with_reset(
-        self, step: Step, apart: _Float64s, theta: _Float64s, refractory_ns: int
-    ) -> tuple[_Int64s, _Float64s]:
+    def _with_reset(self, step: Step, apart: Floats, theta: Floats, refractory_ns: int) -> tuple[Int64s, Floats]:
         """Return counts and the share of the step at which the first event is due (NaN: none); move the references."""
         waits = np.clip((self._refractory_until_ns - step.t0_ns) / step.h_ns, 0, 1)
         reset = refractory_ns / step.h_ns
@@ -332,7 +326,7 @@ class Pangu(Rule):
         self._refractory_until_ns = np.where(fires, ends_ns, self._refractory_until_ns)
         return counts, np.where(fires, waits + per_event, np.nan)
 
-    def _keep_raw(self, counts: _Float64s, first_ns: _Float64s, end_ns: _Float64s) -> None:
+    def _keep_raw(self, counts: Floats, first_ns: Floats, end_ns: Floats) -> None:
         channels = (counts, first_ns * 1e-3, self._r, self._v, end_ns * 1e-3)
         for k, channel in enumerate(channels):
             self._raw[..., k] = channel.reshape(self._raw.shape[:2])
@@ -350,13 +344,13 @@ class Sikorski(Rule):
         super().reset(frame)
         self._refractory_until_ns[:] = _NEVER_NS
 
-    def _thresholds(self, on: _Bools) -> _Float64s:
+    def _thresholds(self, on: _Bools) -> Floats:
         return np.where(on, self._drawn.on, self._drawn.off)
 
-    def _moves(self, u0: _Float64s, u1: _Float64s) -> _Bools:
+    def _moves(self, u0: Floats, u1: Floats) -> _Bools:
         return np.asarray(u0 != u1)
 
-    def _meets(self, level: _Float64s, u0: _Float64s, u1: _Float64s) -> _Bools:
+    def _meets(self, level: Floats, u0: Floats, u1: Floats) -> _Bools:
         """Return whether each line meets its level; a level behind its start, as after unreadable light, counts."""
         return np.where(u1 > u0, level <= u1, level >= u1)
 
@@ -378,7 +372,7 @@ class Sikorski(Rule):
         fired = np.concatenate(met)
         return Fired(fired, np.concatenate(shares), up[fired])
 
-    def _pass(self, pixel: _Int64s, t_ns: _Int64s) -> _Bools:
+    def _pass(self, pixel: Int64s, t_ns: Int64s) -> _Bools:
         """Return the mask of crossings outside the refractory period, and begin new periods."""
         passes = t_ns >= self._refractory_until_ns[pixel]
         self._refractory_until_ns[pixel[passes]] = t_ns[passes] + self._refractory_ns()
@@ -399,7 +393,7 @@ class Esim(Sikorski):
         self._redraw = redraw
         self._steps = 0
 
-    def _thresholds(self, on: _Bools) -> _Float64s:
+    def _thresholds(self, on: _Bools) -> Floats:
         if not self._redraw:
             return super()._thresholds(on)
         self._steps += 1
@@ -407,10 +401,10 @@ class Esim(Sikorski):
         spread = p.mismatch * normal(self.seed, Purpose.THRESHOLD_REDRAWN, np.arange(on.size), self._steps)
         return np.maximum(np.where(on, p.threshold_on, p.threshold_off) * (1 + spread), _LEAST_THRESHOLD)
 
-    def _moves(self, u0: _Float64s, u1: _Float64s) -> _Bools:
+    def _moves(self, u0: Floats, u1: Floats) -> _Bools:
         return np.abs(u1 - u0) > _TOLERANCE
 
-    def _meets(self, level: _Float64s, u0: _Float64s, u1: _Float64s) -> _Bools:
+    def _meets(self, level: Floats, u0: Floats, u1: Floats) -> _Bools:
         return np.where(u1 > u0, (level > u0) & (level <= u1), (level < u0) & (level >= u1))
 
 

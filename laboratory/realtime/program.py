@@ -25,13 +25,15 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from laboratory.bench.streams import BenchFailed
 from laboratory.realtime.variants import Variant
+from transports import Closing
 from transports.link.pacing import MonotonicClock
 from transports.output_file import TemporaryFolder
-from transports.usb.cameras import CameraReception, driver_of, receive
+from transports.reception import Reception
+from transports.usb.cameras import driver_of, receive
 from transports.usb.host import CameraHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
@@ -137,7 +139,7 @@ class Received:
     first_s: float | None
 
 
-class Receiver:
+class Receiver(Closing):
     """The receiver of the camera at a port of this machine; it attaches as soon as the camera is there.
 
     The constructor returns when the process is ready to attach. A context manager: at its end the process has ended.
@@ -160,7 +162,7 @@ class Receiver:
         theirs.close()
         self.pid: int = self._process.pid or 0
         if not self._mine.poll(patience_s):  # its first message: its imports are done, and it can attach at once
-            self.__exit__()
+            self.close()
             raise BenchFailed("the receiver did not start")
         self._mine.recv()
 
@@ -176,10 +178,8 @@ class Receiver:
             raise BenchFailed(f"the receiver: {found}")
         return found
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """End the process."""
         self._process.kill()
         self._process.join()
         self._mine.close()
@@ -208,7 +208,7 @@ def _attached(port: int, deadline_s: float) -> CameraHost[Any]:
 def _read_camera(camera: CameraHost[Any]) -> Received:
     first_s: float | None = None
 
-    def goes_on(now: CameraReception) -> bool:
+    def goes_on(now: Reception) -> bool:
         nonlocal first_s
         if first_s is None and now.events:
             first_s = time.monotonic()

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from emulator.light import MachineLacks
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Float32s, Floats, Int64s, Mask
 from transports.needs import install_command
 
 QUANTITIES = (
@@ -42,9 +42,8 @@ _WINDOWS = 12  # of the Fano factor
 _NEAR_US = 10_000.0
 _BANDS = 5
 
-_Floats = npt.NDArray[np.float64]
-_Ints = npt.NDArray[np.int64]
-_Bools = npt.NDArray[np.bool_]
+_Ints = Int64s
+_Bools = Mask
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Samples:
     rows, columns : (n,) int64, places on the chip, in tiles or in pixels.
     """
 
-    values: npt.NDArray[np.float32]
+    values: Float32s
     rows: _Ints
     columns: _Ints
 
@@ -99,7 +98,7 @@ def tiles(events: Events, chosen: _Bools, side: int, seconds: float, least_share
     return Samples(values.astype(np.float32), rows, columns).where(pixels >= least_share * side**2)
 
 
-def _quantities(events: Events, wide: int, side: int, pixels: _Ints, seconds: float) -> _Floats:
+def _quantities(events: Events, wide: int, side: int, pixels: _Ints, seconds: float) -> Floats:
     """Return the `QUANTITIES` of all tiles, (tiles, quantities), from the events of chosen pixels."""
     pixel = events["y"].astype(np.int64) * (wide * side) + events["x"]
     order = np.lexsort([events["t"], pixel])
@@ -141,13 +140,13 @@ def _quantities(events: Events, wide: int, side: int, pixels: _Ints, seconds: fl
     return np.column_stack(columns)
 
 
-def _mean(tile: _Ints, values: npt.NDArray[Any], size: int) -> _Floats:
+def _mean(tile: _Ints, values: npt.NDArray[Any], size: int) -> Floats:
     """Return the mean of the values of each tile; NaN without any."""
     sums = np.bincount(tile, values.astype(np.float64), size)
     return np.asarray(sums / np.bincount(tile, minlength=size))
 
 
-def _variation(tile: _Ints, values: _Floats, size: int) -> _Floats:
+def _variation(tile: _Ints, values: Floats, size: int) -> Floats:
     """Return the standard deviation over the mean of the values of each tile."""
     mean = _mean(tile, values, size)
     return np.asarray(np.sqrt(np.maximum(_mean(tile, values**2, size) - mean**2, 0)) / mean)
@@ -170,7 +169,7 @@ def area(first: Samples, second: Samples) -> float:
     return _area(*_joined(first, second))
 
 
-def _joined(first: Samples, second: Samples) -> tuple[npt.NDArray[np.float32], _Ints, _Ints]:
+def _joined(first: Samples, second: Samples) -> tuple[Float32s, _Ints, _Ints]:
     """Return the values of all samples, their origins 0 or 1, and their bands of rows, with as many samples each."""
     rows = np.concatenate([first.rows, second.rows])
     edges = np.quantile(rows, np.arange(1, _BANDS) / _BANDS)
@@ -178,7 +177,7 @@ def _joined(first: Samples, second: Samples) -> tuple[npt.NDArray[np.float32], _
     return np.concatenate([first.values, second.values]), origins, np.searchsorted(edges, rows)
 
 
-def _area(values: npt.NDArray[np.float32], origins: _Ints, bands: _Ints) -> float:
+def _area(values: Float32s, origins: _Ints, bands: _Ints) -> float:
     """Return the mean area over the bands that have samples of both origins."""
     try:
         ensemble, metrics, threads = (

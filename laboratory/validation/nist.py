@@ -20,17 +20,15 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.presets import IMX636_W_M2, PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Floats, Int64s
 from firmware_protocol.prophesee.biases import BiasModel
 from laboratory.validation.findings import Source
 
 _DATA = Path(__file__).with_name("data")
-_Floats = npt.NDArray[np.float64]
 
 NIST = Source(
     "NIST, pixel latency of event cameras, camera 1",
@@ -79,8 +77,8 @@ class Edges:
     """Events around the edges of the LED's light: `on_us` and `off_us`, (cycles,), the edges' stream times."""
 
     events: Events
-    on_us: npt.NDArray[np.int64]
-    off_us: npt.NDArray[np.int64]
+    on_us: Int64s
+    off_us: Int64s
 
     def after(self, edge_us: int) -> Events:
         """Return the events from an edge to the next one."""
@@ -112,14 +110,14 @@ def regions() -> SensorParameters:
     return dataclasses.replace(PRESETS["imx636"], width=REGIONS * SIDE, height=SIDE)
 
 
-def first_latencies(events: Events, edge_us: int, on: bool) -> _Floats:
+def first_latencies(events: Events, edge_us: int, on: bool) -> Floats:
     """Return the latency of each pixel that has an event of a polarity, us, in the order of the pixels."""
     events = events[events["on"] == on]
     _, first = np.unique(events["y"].astype(np.int64) << 16 | events["x"], return_index=True)
     return np.asarray(events["t"][first].astype(np.int64) - edge_us, np.float64)
 
 
-def _firsts(events: Events, edge_us: int, on: bool) -> list[_Floats]:
+def _firsts(events: Events, edge_us: int, on: bool) -> list[Floats]:
     """Return the latency of each pixel key of each region that has an event of a polarity, us."""
     events = events[events["on"] == on]
     region, x = np.divmod(events["x"].astype(np.int64), SIDE)
@@ -143,7 +141,7 @@ class Statistics:
 
 def statistics(edges: Edges, on: bool) -> Statistics:
     """Return the statistics of latencies to ON or OFF events; the first cycle is left out."""
-    per_region: list[_Floats] = []
+    per_region: list[Floats] = []
     for edge_us in (edges.on_us if on else edges.off_us)[1:]:
         after = edges.after(int(edge_us))
         own, other = _firsts(after, int(edge_us), on), _firsts(after, int(edge_us), not on)
@@ -155,7 +153,7 @@ def statistics(edges: Edges, on: bool) -> Statistics:
     return Statistics(*(float(value) for value in middle[:3]), *(float(value) for value in mean[:, 3:].mean(axis=0)))
 
 
-def _of_region(own: _Floats, opposite: _Floats) -> tuple[float, ...]:
+def _of_region(own: Floats, opposite: Floats) -> tuple[float, ...]:
     if not own.size:
         return (np.nan, np.nan, np.nan, np.nan, 0.0, float(opposite.size))
     figures = np.median(own), own.min(), own.max(), own.mean()

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import MachineLacks, SceneFrames
 from emulator.optics.lens import LensParameters
@@ -26,6 +25,7 @@ from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import StarsParameters
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
+from firmware_protocol.events import Float32s, Floats, Mask
 from transports.needs import install_command
 
 SETTLE_S, SLICE_S = 5, 5
@@ -43,8 +43,7 @@ _EDGE_PX = 20.0
 _HOT_SIGMAS = 5.0
 _NO_STARS = DrawnField(brightest_g=14.9, faintest_g=15.0, radius_deg=0.01)
 
-Floats = npt.NDArray[np.float64]
-Counts = npt.NDArray[np.float32]
+Counts = Float32s
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class Seen:
     """
 
     magnitudes: Floats
-    matched: npt.NDArray[np.bool_]
+    matched: Mask
     chance: float
     noise_hz: float
     counts: Counts
@@ -135,7 +134,7 @@ def _pictures(camera: Observatory, seed: int) -> tuple[Counts, Floats, Floats]:
         return counts, *sky.stars_at(last_ns - SLICE_S * 500_000_000)
 
 
-def _near(places: Floats, found: Floats) -> npt.NDArray[np.bool_]:
+def _near(places: Floats, found: Floats) -> Mask:
     """Return at which places, (n, 2), a found one, (m, 2), lies within the radius of a match."""
     if not len(found):
         return np.zeros(len(places), np.bool_)
@@ -143,7 +142,7 @@ def _near(places: Floats, found: Floats) -> npt.NDArray[np.bool_]:
     return np.asarray(apart.min(axis=1) < _MATCH_PX)
 
 
-def _noisy(counts: Counts) -> npt.NDArray[np.bool_]:
+def _noisy(counts: Counts) -> Mask:
     """Return the pixels that stand out of a picture without stars, and of what is left without them, and so on."""
     noisy = np.zeros(counts.shape, np.bool_)
     while True:

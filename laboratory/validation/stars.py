@@ -22,7 +22,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import binom
 
 from emulator.report.page import BLUE, INK, panels, save
@@ -30,6 +29,7 @@ from emulator.rig.loading import load_rig
 from emulator.scene.stars.skies import stars_per_deg2, sunlight_lux
 from emulator.scene.stars.table import StarsParameters
 from emulator.sensor.presets import IMX636_W_M2
+from firmware_protocol.events import Floats
 from laboratory.validation.findings import Datum, Findings, Source
 from laboratory.validation.star_fields import FALSE_SOURCES, Observatory, Seen, observe, source_finder
 
@@ -46,8 +46,6 @@ _BIN_MAG = 0.5
 _LADDER = np.arange(5.5, 12.51, _BIN_MAG)
 _PER_PICTURE = 400
 _CHANCE = 0.01  # a share that chance exceeds as often is none
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import evstim
+from firmware_protocol.recordings.part import Facts, Part
 from tests.made_events import events_at
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
 
 COUNT = 100_000  # more than one piece holds
 

@@ -7,7 +7,8 @@ from davis_host import Host as DavisHost
 from davis_strategies import STEPS_US
 from hypothesis import strategies as st
 
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings, GroupDecoder
+from firmware_protocol.dvxplorer.decoder import GroupDecoder
+from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
 from firmware_protocol.events import EVENT
 from tests.made_events import events_at, steady
 

@@ -35,7 +35,7 @@ from firmware_protocol.packets.telecommands import (
     Stop,
     Verification,
 )
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 __all__ = ["COMMANDS", "SAMPLES", "Sample"]
 

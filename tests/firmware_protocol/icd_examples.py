@@ -19,7 +19,7 @@ from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.housekeeping import EventCounts, Housekeeping, LinkCounts, Mode, TimeReport, TimeStatus
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, RequestId, SetTick, Stage, Verification
-from firmware_protocol.telemetry import BlockEncoder
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 __all__ = ["EXAMPLES"]
 

@@ -6,7 +6,7 @@ from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Verification
-from firmware_protocol.telemetry import decode_block
+from firmware_protocol.telemetry.reading import decode_block
 from tests.made_events import steady
 
 SIZE = (346, 260)

@@ -5,7 +5,7 @@ from davis_host import Host as DavisRequests
 from gige_host import Host as GigeHost
 from instrument_ground import Ground, stream
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.gen31.device import Gen31, Gen31Settings

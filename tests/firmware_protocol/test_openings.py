@@ -8,9 +8,9 @@ from gen31_host import INIT as GEN31_INIT
 from genx320_host import OPEN as GENX320_OPEN
 from gige_host import Host as GigeHost
 
-from firmware_protocol.davis346 import BIASES, Davis240c, Davis346
-from firmware_protocol.davis346.biases import DAVIS240_BIASES, CoarseFine
-from firmware_protocol.dvxplorer import Dvxplorer
+from firmware_protocol.davis346.biases import BIASES, DAVIS240_BIASES, CoarseFine
+from firmware_protocol.davis346.device import Davis240c, Davis346
+from firmware_protocol.dvxplorer.device import Dvxplorer
 from firmware_protocol.dvxplorer.micro import DvxplorerMicro
 from firmware_protocol.gen31.device import Gen31
 from firmware_protocol.genx320.device import Genx320

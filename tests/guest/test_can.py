@@ -24,7 +24,7 @@ from firmware_protocol.events import Events, empty_events
 from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, RequestId, Stage, Stop, Verification
-from firmware_protocol.telemetry import as_received, decode_block
+from firmware_protocol.telemetry.reading import as_received, decode_block
 from tests.made_events import scattered
 from transports.link.deliveries import digest_of
 

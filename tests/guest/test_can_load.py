@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 from tests.firmware_protocol.telemetry.slow_decoder import decode
 from tests.guest.machine import CACHE
 from tests.made_events import scattered

@@ -20,9 +20,9 @@ from emulator.sensor.frames import FrameSource
 from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.trajectory.pose import Fixed, Timescale
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.davis346.registers import registers
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.registers import Layout, registers
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EdgeKind, make_edges
 from firmware_protocol.frames import LineKind
@@ -219,7 +219,7 @@ class Campaign:
         assert abs(self.counts.samples - steps) <= 1
         assert self.counts.frames == steps // 40
         assert self.camera.counters.dropped_fifo == dropped
-        assert self.host.decoder.frames_incomplete == 0
+        assert self.host.decoder._frames.incomplete == 0
 
     def start_anew(self):
         """Do what drivers do when they open a camera in any state."""

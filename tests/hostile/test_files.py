@@ -173,8 +173,8 @@ def sound_path(path, attitudes=""):
     trajectory, (start, stop) = read_path(FilePath(path=str(path), attitude_path=str(attitudes), period_s=1.0))
     for t_ns in (start, (start + stop) // 2, stop):
         assert np.isfinite(trajectory.pose(t_ns).position_m).all()
-    assert trajectory.speed_bound_m_s >= 0
-    assert trajectory.turn_bound_rad_s >= 0
+    assert trajectory.bounds.speed_m_s >= 0
+    assert trajectory.bounds.turn_rad_s >= 0
 
 
 def with_places(path):

@@ -12,11 +12,11 @@ from emulator.cli.app import _main
 from emulator.cli.checks import check_output
 from emulator.cli.output import Failure
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.part import Part
 from tests.made_events import events_at
 from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.output_file import OutputFile
-from transports.recording.part import Part
 from transports.recording.record import Recorder
 
 FULL = "/dev/full"

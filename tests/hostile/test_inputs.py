@@ -115,8 +115,8 @@ def test_socketcand():
 
 
 class Session:
-    def inject(self, fault, by):
-        assert fault.kind in FAULTS
+    def order(self, link, order):
+        assert order.fault.kind in FAULTS
 
 
 def test_control():

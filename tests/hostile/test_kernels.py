@@ -76,7 +76,7 @@ def test_a_damaged_kernel_is_refused_by_name_or_read(tmp_path, monkeypatch):
         path = build_trajectory(SpicePath(kernels, "-900", "SUN", frame, "SPINCAM", START_UTC, duration_s=300.0))
         for t_ns in (0, 10**11, 3 * 10**11):
             assert np.isfinite(path.pose(t_ns).position_m).all()
-        assert path.speed_bound_m_s >= 0
+        assert path.bounds.speed_m_s >= 0
 
     for frame in set(USES.values()):
         sound_path(frame)

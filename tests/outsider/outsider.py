@@ -15,12 +15,13 @@ from emulator.scene.kind import SceneKind
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.recordings.part import Facts, Part
 from transports.faults.kinds import ItemStage, LastingFault
 from transports.faults.script import FaultPlan, Faulty, pass_through
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.kind import LinkKind, LinkParameters, Listener, Unsuitable
 from transports.recording.format import Format
-from transports.recording.part import Facts, Part, RecordingError
+from transports.recording.part import RecordingError
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ import can
 
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.kind import CanLink
+from transports.link.pacing import wall_less_monotonic_ns
 
 
 class BusDown(OSError):
@@ -205,9 +206,11 @@ class PythonCanBus(CanBus):
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
         """Pass a frame, stamped now, to the bus; False without room. The driver decides if an urgent one overtakes."""
-        bus = self._living()
+        bus, message = self._living(), to_message(frame)
+        if self._parameters.interface == "udp_multicast":
+            message.channel = self._signature
         try:
-            bus.send(self._message(frame))
+            bus.send(message)
         except can.CanOperationError as error:
             if error.error_code in _FULL or "buffer full" in str(error).lower():
                 return False
@@ -250,12 +253,6 @@ class PythonCanBus(CanBus):
             await asyncio.get_running_loop().run_in_executor(None, reader.join, 2 * _READ_TIMEOUT_S)
         if bus is not None:
             bus.shutdown()
-
-    def _message(self, frame: Frame) -> can.Message:
-        message = to_message(frame)
-        if self._parameters.interface == "udp_multicast":
-            message.channel = self._signature
-        return message
 
     def _living(self) -> can.BusABC:
         if self._failure is not None:
@@ -323,17 +320,6 @@ class PythonCanBus(CanBus):
         cure = _CURES.get(code, "").format(p=p, channel=self._channel, kind=kind) or _cure_by_text(p, str(error))
         message = str(error).partition("Traceback")[0].rstrip()  # python-can's socketcand appends a traceback
         return f"CAN bus {self.address}: {message}; {cure}"
-
-
-def wall_less_monotonic_ns() -> int:
-    """Return the difference of the two clocks by the fastest of three readings: a process may be stopped within one."""
-    readings = []
-    for _ in range(3):
-        before_ns = time.monotonic_ns()
-        wall_ns = time.time_ns()
-        after_ns = time.monotonic_ns()
-        readings.append((after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2))
-    return min(readings)[1]
 
 
 def _has_ended(connection: socket.socket) -> bool:

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +26,13 @@ from firmware_protocol.can_frames.transport import (
     IsoTpSettings,
     cfp_frames,
 )
-from firmware_protocol.events import Edges, copy_events, empty_edges, empty_events
+from firmware_protocol.device.items import Items
+from firmware_protocol.events import Edges, copy_events, empty_edges
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.addresses import Addresses, Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.kind import CanLink
-from transports.faults.bus import Load, Tracker
+from transports.faults.bus import Tracker
 from transports.link.deliveries import Deliveries
 
 
@@ -46,6 +48,7 @@ class FrameSource(ABC):
         self._instrument = instrument
         self._deliveries = deliveries
         self._outgoing: Outgoing | None = None
+        self._frames: deque[Any] = deque()  # the remaining ones of the message in progress
         self.faults: Counter[str] = Counter()
         self.tracker: Tracker | None = None
 
@@ -55,9 +58,9 @@ class FrameSource(ABC):
         return self._outgoing is None
 
     @property
-    def load(self) -> Load:
+    def load(self) -> Items:
         """Events and edges in the last frame returned."""
-        return Load.nothing()
+        return Items()
 
     def reader(self) -> Callable[[Frame], list[Received]] | None:
         """Return a function that decodes frames as the receiver does; None for frames that stand alone."""
@@ -67,14 +70,14 @@ class FrameSource(ABC):
     def next_frame(self, now_ns: int) -> Frame | None:
         """Return the next frame that may be sent now; None if there is none."""
 
-    @abstractmethod
     def left(self) -> Outgoing | None:
         """Record that the bus accepted the last frame; return the message that it ends, unless a tracker follows it."""
+        return None if self._frames else self._finished()
 
     def delivered(self, outgoing: Outgoing) -> None:
         """Record that all frames of a message were on the bus."""
         self._instrument.sent(outgoing)
-        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+        self._deliveries.add_items(outgoing)
 
     def lost(self, outgoing: Outgoing) -> None:
         """Record that the last frames of a message never reached the bus."""
@@ -86,6 +89,7 @@ class FrameSource(ABC):
 
     def drop(self) -> None:
         """Discard the message in progress, because the bus is lost."""
+        self._frames.clear()
         if self._outgoing is not None:
             self._instrument.lost(self._outgoing)
             self._outgoing = None
@@ -108,18 +112,19 @@ class FrameSource(ABC):
 class _RawEvents(FrameSource):
     """Events in frames that stand alone; `sender` encodes the events, clock and epoch frames."""
 
+    _frames: deque[Packed]
+
     def __init__(self, instrument: Instrument, deliveries: Deliveries, settings: RawSettings) -> None:
         super().__init__(instrument, deliveries)
         self._events_a_time = 4 * (FD_CELLS if settings.fd else 2)  # few: their fate is unknown when a bus is lost
         self._tick_us = instrument.tick_us
         self.sender = RawSender(settings)
-        self._frames: deque[Packed] = deque()
-        self._load = Load.nothing()
+        self._load = Items()
         self._given = self._taken = 0  # events in the last frame returned; events of this message on the bus
         self._epoch_us = 0
 
     @property
-    def load(self) -> Load:
+    def load(self) -> Items:
         return self._load
 
     @property
@@ -131,12 +136,12 @@ class _RawEvents(FrameSource):
         if not self._frames and self._outgoing is None:
             self._pack()
         if not self._frames:
-            self._load = Load.nothing()
+            self._load = Items()
             return None
         packed = self._frames.popleft()
         self._given = len(packed.events)
         if self.tracker is not None:
-            self._load = Load(packed.events, empty_edges(), self._epoch_us)
+            self._load = Items(packed.events, epoch_us=self._epoch_us)
         return packed.frame
 
     def left(self) -> Outgoing | None:
@@ -155,7 +160,6 @@ class _RawEvents(FrameSource):
         return replace(outgoing, events=outgoing.events[:taken])
 
     def drop(self) -> None:
-        self._frames.clear()
         self._given = self._taken = 0
         self.sender.forget()
         super().drop()
@@ -184,12 +188,13 @@ class _RawEdges(FrameSource):
     must leave in the order in which it made them.
     """
 
+    _frames: deque[tuple[Frame, Edges]]
+
     def __init__(self, instrument: Instrument, deliveries: Deliveries, events: _RawEvents, identifier: int) -> None:
         super().__init__(instrument, deliveries)
         self._events = events
         self._identifier = identifier
-        self._frames: deque[tuple[Frame, Edges]] = deque()
-        self._load = Load.nothing()
+        self._load = Items()
 
     def next_frame(self, now_ns: int) -> Frame | None:
         if self._outgoing is None:
@@ -200,12 +205,12 @@ class _RawEdges(FrameSource):
         if not self._frames:
             return None
         frame, edges = self._frames.popleft()
-        self._load = Load(empty_events(), edges, self._outgoing.epoch_us)
+        self._load = Items(edges=edges, epoch_us=self._outgoing.epoch_us)
         return frame
 
     @property
-    def load(self) -> Load:
-        return Load.nothing() if self._outgoing is None else self._load
+    def load(self) -> Items:
+        return Items() if self._outgoing is None else self._load
 
     def _pack(self, outgoing: Outgoing) -> None:
         own_edges = outgoing.edges.copy()
@@ -215,11 +220,7 @@ class _RawEdges(FrameSource):
             self._frames += [(packed.frame, empty_edges()) for packed in before]
             self._frames.append((Frame(self._identifier, data), outgoing.edges[at : at + 1]))
 
-    def left(self) -> Outgoing | None:
-        return None if self._frames else self._finished()
-
     def drop(self) -> None:
-        self._frames.clear()
         self._events.sender.forget()
         super().drop()
 
@@ -286,6 +287,7 @@ class _CfpTransport(FrameSource):
     """Messages in CSP packets, fragmented by CFP 2, with telecommands in the other direction."""
 
     label = "CFP"
+    _frames: deque[Frame]
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanLink) -> None:
         super().__init__(instrument, deliveries)
@@ -293,7 +295,6 @@ class _CfpTransport(FrameSource):
         self._profile = Profile("csp", Addresses(csp_node=parameters.csp_address, csp_peer=parameters.csp_peer))
         self._commands = self._profile.command_unwrapper()
         self._receiver = CfpReceiver(parameters.csp_address)
-        self._frames: deque[Frame] = deque()
         self._packets = 0
         self.faults = self._receiver.faults
 
@@ -306,13 +307,6 @@ class _CfpTransport(FrameSource):
             self._frames += cfp_frames(packet, self._address, self._packets)
             self._packets += 1
         return self._frames.popleft() if self._frames else None
-
-    def left(self) -> Outgoing | None:
-        return None if self._frames else self._finished()
-
-    def drop(self) -> None:
-        self._frames.clear()
-        super().drop()
 
     def reader(self) -> Callable[[Frame], list[Received]]:
         addresses = Addresses(csp_node=self._address, csp_peer=self._peer)

@@ -35,8 +35,7 @@ class BusFaults(Faulty[ItemStage[QueuedFrame]]):
         super().__init__(plan, rates)
         self._posted = 0
         self._callbacks = Callbacks(
-            lambda load: deliveries.add(load.events, load.epoch_us, load.edges),
-            lambda load: self._faults.lose(len(load.events), len(load.edges)),
+            deliveries.add_items, lambda load: self._faults.lose(len(load.events), len(load.edges))
         )
 
     @property

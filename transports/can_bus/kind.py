@@ -133,13 +133,8 @@ class CanLink(InstrumentLink):
     @property
     def isotp(self) -> IsoTpSettings:
         """Settings of our ISO-TP channel."""
-        peer = self.peer_isotp
+        peer = self.receiver.isotp
         return replace(peer, send=peer.receive, receive=peer.send)
-
-    @property
-    def peer_isotp(self) -> IsoTpSettings:
-        """Settings of the same channel, as the peer uses them."""
-        return self.receiver.isotp
 
     @property
     def receiver(self) -> CanReceiverSettings:

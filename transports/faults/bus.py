@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from firmware_protocol.can_frames.frame import BitRates, Frame, frame_bits
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.device.items import Items
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Received
 from transports.faults.faulty_line import ReferenceReceiver
@@ -219,37 +219,18 @@ class BabblingIdiot(_OfBus, carriers=(CAN_BUS,), effect=Babbler):
 
 
 @dataclass(frozen=True)
-class Load:
-    """Data of one frame, in stream time."""
-
-    events: Events
-    edges: Edges
-    epoch_us: int
-
-    @classmethod
-    def of(cls, outgoing: Outgoing) -> Load:
-        """Return the data of a whole message."""
-        return cls(outgoing.events, outgoing.edges, outgoing.epoch_us)
-
-    @classmethod
-    def nothing(cls) -> Load:
-        """Return the empty load, for a frame that the link itself makes."""
-        return cls(empty_events(), empty_edges(), 0)
-
-
-@dataclass(frozen=True)
 class Callbacks:
     """Functions that receive the data that arrived, and the data that never will."""
 
-    arrived: Callable[[Load], None]
-    lost: Callable[[Load], None]
+    arrived: Callable[[Items], None]
+    lost: Callable[[Items], None]
 
 
 class Tracker(ABC):
     """Tracker of the frames of one source."""
 
     @abstractmethod
-    def message(self, load: Load) -> QueuedMessage | None:
+    def message(self, load: Items) -> QueuedMessage | None:
         """Return the callbacks for the next frame, which contains `load` if frames stand alone."""
 
     @abstractmethod
@@ -281,10 +262,10 @@ class Tracker(ABC):
 class _Single:
     """Frame that stands alone: its fate is reported when its message has left."""
 
-    def __init__(self, load: Load, callbacks: Callbacks) -> None:
+    def __init__(self, load: Items, callbacks: Callbacks) -> None:
         self._load = load
         self._callbacks: Callbacks | None = callbacks
-        self._fate: Callable[[Load], None] | None = None
+        self._fate: Callable[[Items], None] | None = None
         self._settled = False
 
     def arrived(self, frame: Frame) -> None:
@@ -306,7 +287,7 @@ class _Single:
     def cancel(self) -> None:
         self._callbacks = None
 
-    def _decide(self, fate: Callable[[Load], None]) -> None:
+    def _decide(self, fate: Callable[[Items], None]) -> None:
         self._callbacks = None  # the first fate counts, also for a frame that arrives twice
         self._fate = fate
         if self._settled:
@@ -320,7 +301,7 @@ class FrameTracker(Tracker):
         self._callbacks = callbacks
         self._under_way: list[_Single] = []
 
-    def message(self, load: Load) -> QueuedMessage | None:
+    def message(self, load: Items) -> QueuedMessage | None:
         """Return the callbacks of a frame with data; None for one without."""
         if not len(load.events) and not len(load.edges):
             return None
@@ -353,7 +334,7 @@ class MessageTracker(Tracker):
         self._read = read
         self._reference = ReferenceReceiver()
 
-    def message(self, load: Load) -> QueuedMessage:
+    def message(self, load: Items) -> QueuedMessage:
         """Return this tracker: the fate of a message depends on all its frames."""
         return self
 
@@ -387,9 +368,9 @@ class MessageTracker(Tracker):
         """Report the messages that arrived whole, and those that are now known to be lost."""
         came, lost = self._reference.settle()
         for outgoing in lost:
-            self._callbacks.lost(Load.of(outgoing))
+            self._callbacks.lost(outgoing)
         for outgoing in came:
-            self._callbacks.arrived(Load.of(outgoing))
+            self._callbacks.arrived(outgoing)
 
     def damaged(self) -> None:
         """Record that a fault was active until now."""
@@ -399,4 +380,4 @@ class MessageTracker(Tracker):
         """Report outstanding messages as lost."""
         self.settle()
         for outgoing in self._reference.give_up():
-            self._callbacks.lost(Load.of(outgoing))
+            self._callbacks.lost(outgoing)

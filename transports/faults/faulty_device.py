@@ -31,7 +31,7 @@ import numpy.typing as npt
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.davis346.model import DAVIS240C, DAVIS346
 from firmware_protocol.device.items import Reading
-from firmware_protocol.events import Edges, Events
+from firmware_protocol.events import Edges, Events, Int64s, Mask
 from firmware_protocol.fx3.camera import REGISTER, VENDOR_ID
 from firmware_protocol.fx3.decoded import Decoded
 from firmware_protocol.fx3.registers import Module
@@ -44,8 +44,6 @@ from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplu
 from transports.faults.words import INSERTED, SentWords, WordStage, inserted
 
 _ANY_SIZE = (MAX_ADDRESS + 1, MAX_ADDRESS + 1)  # faults change no address
-
-Mask = npt.NDArray[np.bool_]
 
 
 class Survivors:
@@ -85,7 +83,7 @@ class _DecodedWords(NamedTuple):
     meaning : (n,) time, and place and polarity or code, that a decoder reads from each.
     """
 
-    origin: npt.NDArray[np.int64]
+    origin: Int64s
     meaning: npt.NDArray[np.void]
 
 

@@ -54,7 +54,9 @@ class ReferenceReceiver:
         lost: list[Outgoing] = []
         while self._came:
             message = self._came.popleft()
-            place = next((n for n, sent in enumerate(self._expected) if _same(sent.message, message)), None)
+            came_as = message.kind, message.payload
+            alike = (n for n, sent in enumerate(self._expected) if (sent.message.kind, sent.message.payload) == came_as)
+            place = next(alike, None)
             if place is None:
                 self.false += 1
                 continue
@@ -72,10 +74,6 @@ class ReferenceReceiver:
     def damaged(self) -> None:
         """Record that a fault was active until now."""
         self._in_step = 0
-
-
-def _same(sent: Message, came: Message) -> bool:
-    return sent.kind is came.kind and sent.payload == came.payload
 
 
 _Write = Callable[[bytes], int]
@@ -119,7 +117,9 @@ class FaultyLine(Faulty[ByteStage]):
             self._arrive(stage.finish())
             if self._reference is not None:
                 self._reference.damaged()
-        self._watch(begun)
+        if self._faults.stages and self._reference is None:
+            self._reference, self._unwrapper = ReferenceReceiver(), Profile(self._profile).unwrapper()
+            self._see(begun)
 
     def write(self, data: bytes, port: _Write) -> int:
         """Send bytes through the faults; return the number of accepted bytes."""
@@ -174,11 +174,6 @@ class FaultyLine(Faulty[ByteStage]):
         """End all faults; the messages in progress are lost."""
         self.drop()
         super().close()
-
-    def _watch(self, begun: bytes) -> None:
-        if self._faults.stages and self._reference is None:
-            self._reference, self._unwrapper = ReferenceReceiver(), Profile(self._profile).unwrapper()
-            self._see(begun)
 
     def _hold(self, data: bytes) -> list[ByteStage]:
         holding = [stage for stage in self._faults.stages if stage.holds]

@@ -58,7 +58,12 @@ class Stage:
     over : True when it has no further effect.
     """
 
+    _where: Places
+
     def __init__(self, fault: Any, random: np.random.Generator, carrier: Any = None) -> None:
+        self._fault, self._random = fault, random
+        if isinstance(fault, HitFault):
+            self._where = Places(fault, random)
         self.hits = self.touched = 0
         self.over = False
 
@@ -190,10 +195,6 @@ class ItemStage(Stage, Generic[T]):
 
 class HitStage(ItemStage[T]):
     """Fault that is applied to each item that is hit."""
-
-    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: Any = None) -> None:
-        super().__init__(fault, random, carrier)
-        self._where = Places(fault, random)
 
     def is_hit(self) -> bool:
         """Return whether the next item is hit, and count it."""

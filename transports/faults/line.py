@@ -49,10 +49,6 @@ class ByteStage(Stage, ABC):
 
 
 class _Flips(ByteStage):
-    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: Any = None) -> None:
-        super().__init__(fault, random, carrier)
-        self._where = Places(fault, random)
-
     def change(self, data: bytes) -> bytes:
         bits = self._where.within(8 * len(data))
         self._hit([bit >> 3 for bit in bits], len({bit >> 3 for bit in bits}))
@@ -188,12 +184,8 @@ class Burst(HitFault, carriers=(SERIAL_LINE,)):
 
 
 class _Stuck(ByteStage):
-    def __init__(self, fault: StuckLine, random: np.random.Generator, carrier: Any) -> None:
-        super().__init__(fault, random, carrier)
-        self._low = fault.level == "low"
-
     def change(self, data: bytes) -> bytes:
-        first = self._low and not self.hits and bool(data)
+        first = self._fault.level == "low" and not self.hits and bool(data)
         self._hit([0] if data and not self.hits else [], len(data))
         return b"\0" if first else b""
 

@@ -97,7 +97,11 @@ class Faults(Generic[S]):
     @property
     def records(self) -> tuple[FaultRecord, ...]:
         """Record of each fault."""
-        return tuple(self._record(injected) for injected in self._all)
+        trouble = "" if self._log is None else self._log.trouble
+        return tuple(
+            replace(effect.record, hits=effect.stage.hits, touched=effect.stage.touched, log_trouble=trouble)
+            for effect in self._all
+        )
 
     @property
     def lost(self) -> tuple[int, int]:
@@ -178,10 +182,6 @@ class Faults(Generic[S]):
         injected.record = replace(injected.record, ended_us=self._now_us)
         self._write(injected, "ended", hits=injected.stage.hits, touched=injected.stage.touched)
 
-    def _record(self, injected: _Injected[S]) -> FaultRecord:
-        trouble = "" if self._log is None else self._log.trouble
-        return replace(injected.record, hits=injected.stage.hits, touched=injected.stage.touched, log_trouble=trouble)
-
     def _write(self, injected: _Injected[S], effect: str, **details: object) -> None:
         if self._log is None:
             return
@@ -203,7 +203,7 @@ class Faulty(Generic[S]):
     withholds : True while a fault withholds data from the host, and the camera's buffer is not emptied.
     """
 
-    carrier: ClassVar[str]
+    carrier: ClassVar[str] = "this kind of link"
     withholds: bool = False
 
     def __init__(self, plan: FaultPlan, of_carrier: Any = None) -> None:

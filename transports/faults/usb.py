@@ -216,16 +216,11 @@ class RegisterFlip(Fault, carriers=(USB_LINK,)):
 
 
 class _Refusal(ControlStage):
-    def __init__(self, fault: ControlStall, random: np.random.Generator, carrier: Any) -> None:
-        super().__init__(fault, random, carrier)
-        self._request, self._left = fault.request, fault.count
-
     def check(self, setup: SetupPacket, now_us: int) -> None:
-        if self.over or self._request not in (-1, setup.request):
+        if self.over or self._fault.request not in (-1, setup.request):
             return
-        self._left -= 1
         self.hits += 1
-        self.over = not self._left
+        self.over = self.hits == self._fault.count
         raise Stall(f"{setup} is refused, by a fault")
 
 
@@ -246,13 +241,12 @@ class ControlStall(Fault, carriers=(USB_LINK,), effect=_Refusal):
 class _Slowness(ControlStage):
     def __init__(self, fault: SlowControl, random: np.random.Generator, carrier: Any) -> None:
         super().__init__(fault, random, carrier)
-        self._delay_us = round(fault.delay_ms * 1000)
         self._pending: SetupPacket | None = None
         self._due_us = 0
 
     def check(self, setup: SetupPacket, now_us: int) -> None:
         if setup is not self._pending:  # equal bytes after a time-out are another request
-            self._pending, self._due_us = setup, now_us + self._delay_us
+            self._pending, self._due_us = setup, now_us + round(self._fault.delay_ms * 1000)
             self.hits += 1
         if now_us < self._due_us:
             raise NotReady

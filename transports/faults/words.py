@@ -14,7 +14,7 @@ import numpy.typing as npt
 from msgspec import Meta
 
 from firmware_protocol.fx3.words import Special, Words, is_column
-from transports.faults.kinds import USB_LINK, Fault, HitFault, LastingFault, Places, Stage
+from transports.faults.kinds import USB_LINK, Fault, HitFault, LastingFault, Stage
 
 INSERTED = -1
 """Origin of a word that the camera did not send."""
@@ -94,20 +94,15 @@ class WordStage(Stage, ABC):
 
 
 class _OddEnds(WordStage):
-    def __init__(self, fault: OddBytes, random: np.random.Generator, carrier: Any) -> None:
-        super().__init__(fault, random, carrier)
-        self._where, self._random = Places(fault, random), random
-        self._extra = fault.change == "extra"
-
     def room(self, max_bytes: int) -> int:
-        return max_bytes - 2 if self._extra else max_bytes
+        return max_bytes - 2 if self._fault.change == "extra" else max_bytes
 
     def change(self, sent: SentWords) -> SentWords:
         if not len(sent.words) or sent.odd or not self._where.within(1):
             return sent
         self.count(1, 1)
         self.over = self._where.over
-        if self._extra:
+        if self._fault.change == "extra":
             return SentWords(sent.words, sent.origin, self._random.bytes(1))
         return SentWords(sent.words[:-1], sent.origin[:-1], sent.words[-1:].tobytes()[:1])
 
@@ -128,10 +123,6 @@ class OddBytes(HitFault, carriers=(USB_LINK,), effect=_OddEnds):
 
 
 class _Repetition(WordStage):
-    def __init__(self, fault: RepeatedEvents, random: np.random.Generator, carrier: Any) -> None:
-        super().__init__(fault, random, carrier)
-        self._where = Places(fault, random)
-
     def room(self, max_bytes: int) -> int:
         return max_bytes // 4 * 2
 
@@ -150,10 +141,6 @@ class RepeatedEvents(HitFault, carriers=(USB_LINK,), effect=_Repetition):
 
 
 class _MissedWraps(WordStage):
-    def __init__(self, fault: MissedWraps, random: np.random.Generator, carrier: Any) -> None:
-        super().__init__(fault, random, carrier)
-        self._where = Places(fault, random)
-
     def change(self, sent: SentWords) -> SentWords:
         wraps = np.flatnonzero(_is_wrap(sent.words))
         gone = wraps[self._where.within(len(wraps))]
@@ -178,20 +165,17 @@ def _is_wrap(words: Words) -> npt.NDArray[np.bool_]:
 
 
 class _Ahead(WordStage):
-    def __init__(self, fault: TimeAhead, random: np.random.Generator, carrier: Any) -> None:
-        super().__init__(fault, random, carrier)
-        self._wraps = fault.wraps
-
     def room(self, max_bytes: int) -> int:
-        return max(0, max_bytes - 2 * self._wraps)
+        wraps: int = self._fault.wraps
+        return max(0, max_bytes - 2 * wraps)
 
     def change(self, sent: SentWords) -> SentWords:
         timing = np.flatnonzero(sent.words >= _WRAP)  # a wrap anywhere else would also change the current low bits
         if self.over or not len(timing):
             return sent
-        self.count(1, self._wraps)
+        self.count(1, self._fault.wraps)
         self.over = True
-        return inserted(sent, int(timing[0]), [_WRAP | 1] * self._wraps)
+        return inserted(sent, int(timing[0]), [_WRAP | 1] * self._fault.wraps)
 
 
 @dataclass(frozen=True)
@@ -207,15 +191,11 @@ class TimeAhead(Fault, carriers=(USB_LINK,), effect=_Ahead):
 
 
 class _Back(WordStage):
-    def __init__(self, fault: TimeBack, random: np.random.Generator, carrier: Any) -> None:
-        super().__init__(fault, random, carrier)
-        self._by = fault.by_us
-
     def change(self, sent: SentWords) -> SentWords:
         stamps = sent.words >= _TIMESTAMP
         words = sent.words.copy()
         low = (words[stamps] & _LOW).astype(np.int64)
-        words[stamps] = (np.maximum(low - self._by, 0) | _TIMESTAMP).astype(_WORD)
+        words[stamps] = (np.maximum(low - self._fault.by_us, 0) | _TIMESTAMP).astype(_WORD)
         count = int(np.count_nonzero(stamps))
         self.count(count, count)
         return SentWords(words, sent.origin, sent.odd)
@@ -261,26 +241,25 @@ class TimeFrozen(LastingFault, carriers=(USB_LINK,), effect=_Frozen):
 class _Stale(WordStage):
     def __init__(self, fault: StaleData, random: np.random.Generator, carrier: Any) -> None:
         super().__init__(fault, random, carrier)
-        self._events, self._random = fault.events, random
         self._due = False
 
     def started(self) -> None:
         self._due = True
 
     def room(self, max_bytes: int) -> int:
-        return max(0, max_bytes - 2 * _STALE_WORDS * self._events) if self._due else max_bytes
+        return max(0, max_bytes - 2 * _STALE_WORDS * self._fault.events) if self._due else max_bytes
 
     def change(self, sent: SentWords) -> SentWords:
         if not self._due or self.over:
             return sent
-        self.count(1, _STALE_WORDS * self._events)
+        self.count(1, _STALE_WORDS * self._fault.events)
         self.over = True
         return inserted(sent, 0, self._words())
 
     def _words(self) -> list[int]:
         """Return timestamp, row and column of each event, in order of increasing time."""
-        times = np.sort(self._random.choice(_LOW, self._events, replace=False) + 1)
-        addresses = self._random.integers(0, _STALE_ADDRESSES, (2, self._events))
+        times = np.sort(self._random.choice(_LOW, self._fault.events, replace=False) + 1)
+        addresses = self._random.integers(0, _STALE_ADDRESSES, (2, self._fault.events))
         triples = np.stack([times | _TIMESTAMP, addresses[0] | _ROW, addresses[1] | _COLUMN_OFF], axis=1)
         return triples.ravel().tolist()
 

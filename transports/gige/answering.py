@@ -100,12 +100,6 @@ class Stop:
     """Request of the link to send the last counts and end."""
 
 
-def read_time(cells: memoryview) -> DeviceTime:
-    """Return the time that the link has written, clock before starts."""
-    starts = cells[0]
-    return DeviceTime(starts, cells[1])
-
-
 def write_timebase(memory: mmap.mmap, timebase: Timebase | None) -> None:
     """Write the relation of a master's time to the local clock; None: there is none."""
     (writes, *_) = _TIMEBASE.unpack_from(memory, _TIMEBASE_AT)
@@ -138,7 +132,7 @@ class _Answering:
         self._slave, self._ptp = _ptp(setup)
         self._timebase: Timebase | None = None
         clock = None if self._slave is None else PtpClock(self._slave, time.monotonic_ns)
-        self._control = Triton2Control(setup.settings, lambda: read_time(cells), setup.stream_port, clock)
+        self._control = Triton2Control(setup.settings, lambda: DeviceTime(cells[0], cells[1]), setup.stream_port, clock)
         self._room = select.poll()
         self._room.register(outgoing, select.POLLOUT)
         self._news = select.poll()

@@ -254,7 +254,7 @@ class GigeEndpoint(Endpoint):
         self._stream = StreamSocket(link.host, segmented=link.segmentation)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns(), _BURST_NS)
         self.faulty = FaultyPackets(wiring.faults)
-        self._fates = BlockFates(self._arrived, self._destroyed)
+        self._fates = BlockFates(deliveries.add_items, self._destroyed)
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()
         self._whole = True
@@ -489,9 +489,6 @@ class GigeEndpoint(Endpoint):
             self._fates.left(outgoing, self._clock.now_ns())
         else:
             self._camera.lost(outgoing)
-
-    def _arrived(self, outgoing: Outgoing) -> None:
-        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def _destroyed(self, outgoing: Outgoing) -> None:
         self.faulty.attribute(len(outgoing.events), len(outgoing.edges))

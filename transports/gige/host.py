@@ -232,11 +232,6 @@ class GigeReception(Reception):
     packets_requested: int = 0
     packets_repeated: int = 0
 
-    @property
-    def fault_count(self) -> int:
-        """Number of incomplete blocks."""
-        return self.blocks_lost
-
 
 def receive(
     camera: GigeHost,
@@ -252,7 +247,7 @@ def receive(
     def now(*, gone: bool = False) -> GigeReception:
         of = camera.assembly
         counts = {"blocks_lost": of.lost, "packets_requested": of.requested, "packets_repeated": of.repeated}
-        return arrivals.reception(GigeReception, gone=gone, **counts)
+        return arrivals.reception(GigeReception, gone=gone, faults=of.lost, **counts)
 
     def turn() -> None:
         arrivals.add(camera.read(_READ_TIMEOUT_S), camera.take_edges(), clock.now_ns())

@@ -24,6 +24,7 @@ from contextlib import suppress
 
 from firmware_protocol.ptp.messages import EVENT_PORT, GENERAL_PORT, GROUP
 from firmware_protocol.ptp.slave import PortState, Slave
+from transports.link.pacing import wall_less_monotonic_ns
 from transports.network import AllowList
 
 _LONGEST = 1500
@@ -69,7 +70,7 @@ class PtpSockets:
 
     def take(self) -> Iterator[tuple[bytes, int]]:
         """Yield the received datagrams and their times by CLOCK_MONOTONIC, ns; event messages first."""
-        ahead_ns = realtime_ahead_ns()
+        ahead_ns = wall_less_monotonic_ns()
         for sock, is_event in self._sockets:
             for _ in range(_AT_A_TIME):
                 try:
@@ -97,7 +98,7 @@ class PtpSockets:
             while True:
                 _, control, _, _ = self._event.recvmsg(_LONGEST, _CONTROL_OCTETS, _ERROR_QUEUE)
                 left_ns = _stamp_ns(control)
-        return None if left_ns is None else left_ns - realtime_ahead_ns()
+        return None if left_ns is None else left_ns - wall_less_monotonic_ns()
 
     def close(self) -> None:
         """Close the sockets."""
@@ -196,17 +197,6 @@ class PtpPort:
 def ptp_slave(identity: int, domain: int) -> Slave:
     """Return the slave of a camera; its pauses are drawn by its identity."""
     return Slave(identity, domain, random.Random(identity).random)
-
-
-def realtime_ahead_ns() -> int:
-    """Return CLOCK_REALTIME less CLOCK_MONOTONIC, ns: the best of three readings, each between two of the other."""
-    best = (1 << 62, 0)
-    for _ in range(3):
-        before_ns = time.monotonic_ns()
-        real_ns = time.time_ns()
-        after_ns = time.monotonic_ns()
-        best = min(best, (after_ns - before_ns, real_ns - (before_ns + after_ns) // 2))
-    return best[1]
 
 
 def _stamp_ns(control: list[tuple[int, int, bytes]]) -> int | None:

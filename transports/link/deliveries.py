@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.device.clock import DeviceClock
-from firmware_protocol.device.items import Reading, ReadingKind
+from firmware_protocol.device.items import Items, Reading, ReadingKind
 from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges
 from firmware_protocol.frames import FrameAssembler, WholeFrame
@@ -253,6 +253,10 @@ class Deliveries:
             if restarted:
                 self._unix_us = self.unix_us(epoch_us)
             self._recorder.append(part, restarted=restarted, unix_us=self._unix_us)
+
+    def add_items(self, items: Items) -> None:
+        """Add the events and edges of `items`, as `add`."""
+        self.add(items.events, items.epoch_us, items.edges)
 
     def reach(self, device_us: int, epoch_us: int) -> None:
         """Record that everything up to `device_us`, in the device's time, has left or was dropped."""

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 from firmware_protocol.events import Edges
 from firmware_protocol.recordings.part import RecordingSummary
-from transports.faults.script import Faulty
+from transports.faults.script import FaultPlan, Faulty
 from transports.link.deliveries import Deliveries
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
@@ -77,10 +77,10 @@ class EndpointReport:
 class Endpoint(ABC):
     """Host side of a camera's connector: the transport that reads the camera's bytes.
 
-    `faulty`: path of its data through the faults of the link; None: this kind of link has no faults.
+    `faulty`: path of its data through the faults of the link; by default this kind of link has none.
     """
 
-    faulty: Faulty[Any] | None = None
+    faulty: Faulty[Any] = Faulty(FaultPlan())
 
     @abstractmethod
     async def start(self) -> None:

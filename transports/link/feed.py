@@ -182,7 +182,8 @@ class Feed:
         self._sync_out, self._sync_in = timing.sync_out, timing.sync_in
         self.clock = None if timing.clock is None else DeviceClock(timing.clock, timing.seed)
         self.readings = ReadingFeed(device, readings, self.clock)
-        self._restarts_us = [] if self.clock is None else self.clock.restarts_us
+        restarts_s = () if timing.clock is None else timing.clock.restarts_s
+        self._restarts_us = sorted(round(at_s * 1e6) for at_s in restarts_s)
         self._period_us = timing.send_period_us
         self._last_mark = 0
         self._marks = 0

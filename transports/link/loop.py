@@ -85,6 +85,9 @@ class Happen:
     by: str = ""
 
 
+Order = InjectFault | EndFault | Happen
+
+
 class LinkLoop:
     """Ticks of a link in the running event loop, made there; `turns`: number of turns so far."""
 
@@ -204,7 +207,7 @@ class LinkLoop:
 
     def _obey(self) -> None:
         """Execute an order of the session."""
-        order: Stop | InjectFault | EndFault | Happen = self._control.recv()
+        order: Stop | Order = self._control.recv()
         if isinstance(order, Stop):
             self._drain_ns, self._last_ns = int(order.drain_s * 1e9), self._clock.now_ns()
             self._loop.remove_reader(self._control.fileno())

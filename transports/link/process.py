@@ -15,7 +15,6 @@ link determines the sending time of an event: its own time in a paced run, other
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -24,12 +23,11 @@ from firmware_protocol.device.event_device import EventDevice, HostAdjusted, Sta
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.recordings.part import Facts
 from transports.faults.kinds import Fault
-from transports.faults.script import FaultRecord
 from transports.link.deliveries import Deliveries, DeliveryTally, RecorderFactory
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.feed import ClockReport, Feed, Timing
 from transports.link.pacing import Clock
-from transports.link.report import CameraSettings, ChangeWatch, LinkReport, Occurrence
+from transports.link.report import ChangeWatch, LinkReport, Occurrence
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
 from transports.output_file import OutputFile
 
@@ -78,11 +76,12 @@ class LinkSetup(Generic[_Device]):
 class Link:
     """Event device that is fed from a ring and read by an endpoint. One tick moves all due data.
 
-    `ring`: ring of its events; `ticked_ns`: start of the last tick.
+    `ring`: ring of its events; `ticked_ns`: start of the last tick; `changes`: those of the camera that have not been
+    sent to the session, the oldest first.
     """
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
-        self.ring = self._ring = setup.ring
+        self.ring = setup.ring
         self._tally = setup.tally
         self._clock = clock
         self._period_ns = setup.tick_us * 1000
@@ -90,6 +89,7 @@ class Link:
         recorder = None if setup.recorder is None else setup.recorder.open(setup.facts)
         self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
         self._watch = ChangeWatch(self._device)
+        self.changes = self._watch.waiting
         self._holdback_us = setup.timing.holdback_us
         self._truth = None if setup.timing.truth is None else OutputFile(setup.timing.truth, "truth")
         if self._truth is not None:
@@ -104,7 +104,7 @@ class Link:
 
     def tick(self) -> None:
         """Feed the due data to the camera, and let the endpoint send the requested data."""
-        origin_ns, now_us = self._ring.origin_ns, self._ring.now_us  # read first: no data of a run, or of a time,
+        origin_ns, now_us = self.ring.origin_ns, self.ring.now_us  # read first: no data of a run, or of a time,
         self.endpoint.listen()  # that began after a request was made are fed before it
         self._advance(origin_ns, now_us)
 
@@ -116,7 +116,7 @@ class Link:
         """
         behind_ns = self._clock.now_ns() - self.ticked_ns
         if self.is_paced and behind_ns >= (_GATHER_US * 1000 if self._device.at_rest else self._period_ns):
-            self._advance(self._ring.origin_ns, self._ring.now_us)
+            self._advance(self.ring.origin_ns, self.ring.now_us)
 
     def _advance(self, origin_ns: int | None, now_us: int) -> None:
         """Move all data that are due, of a stream with the origin `origin_ns` that has reached `now_us`."""
@@ -131,14 +131,16 @@ class Link:
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
-        self._tally.delivered = self._device.delivered - sum(fault.events_lost for fault in self._faults)
+        self._tally.delivered = self._device.delivered - sum(
+            fault.events_lost for fault in self.endpoint.faulty.records
+        )
         if self._deliveries.recording is not None and not self._device.waiting_items:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
     def _feed_due(self, origin_ns: int, now_us: int) -> int:
         """Feed the due data; return the number of events."""
         if origin_ns == FREE_RUNNING:
-            bounded = self._device.streaming and not self._withholds
+            bounded = self._device.streaming and not self.endpoint.faulty.withholds
             room = self._device.room_events if bounded else _TAKE_LIMIT
             return self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
         due_us = (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us
@@ -147,7 +149,7 @@ class Link:
     @property
     def is_paced(self) -> bool:
         """True in a run whose events leave at their own time."""
-        return self._ring.origin_ns not in (None, FREE_RUNNING)
+        return self.ring.origin_ns not in (None, FREE_RUNNING)
 
     @property
     def is_at_rest(self) -> bool:
@@ -167,10 +169,10 @@ class Link:
     @property
     def next_ns(self) -> int:
         """Time at which the next tick is due if neither a request nor a publication comes before."""
-        if self._watch.is_behind or self._next_fault_us <= self._feed.reached_us:
+        if self._watch.is_behind or self.endpoint.faulty.next_us <= self._feed.reached_us:
             return self.soonest_ns
         if not self.is_paced and self._lags:
-            waited_for = self._watch.acts and self._ring.now_us > self._seen_us
+            waited_for = self._watch.acts and self.ring.now_us > self._seen_us
             return self.ticked_ns if waited_for or self._fed >= _MANY_EVENTS else self.soonest_ns
         longest_ns = self._longest_sleep_ns
         latest_ns = self.ticked_ns + longest_ns
@@ -180,7 +182,7 @@ class Link:
 
     def asleep_us(self, until_ns: int) -> int:
         """Return the stream time until which a sleep until `until_ns` lasts; 0 if no publication need end it."""
-        origin_ns = self._ring.origin_ns
+        origin_ns = self.ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return FOREVER_US
         return 0 if self.is_at_rest else max(0, (until_ns - origin_ns) // 1000 - self._holdback_us)
@@ -188,8 +190,8 @@ class Link:
     @property
     def _lags(self) -> bool:
         """True if the camera has not reached the stream time of the run that has begun."""
-        begun = self._ring.origin_ns is not None
-        return begun and (self._feed.reached_us < self._ring.now_us or self._ring.waiting > 0)
+        begun = self.ring.origin_ns is not None
+        return begun and (self._feed.reached_us < self.ring.now_us or self.ring.waiting > 0)
 
     @property
     def _longest_sleep_ns(self) -> int:
@@ -203,52 +205,28 @@ class Link:
     @property
     def _due_ns(self) -> int:
         """Time at which the first data, fault or restart of the clock is due; never in a run that is not paced."""
-        origin_ns = self._ring.origin_ns
+        origin_ns = self.ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return self.ticked_ns + REST_NS
-        due_us = min(self._next_fault_us, self._feed.restart_us)
+        due_us = min(self.endpoint.faulty.next_us, self._feed.restart_us)
         if not self.is_at_rest:
             due_us = min(due_us, self._feed.due_us + _GATHER_US)
         return origin_ns + (due_us + self._holdback_us) * 1000
 
-    @property
-    def _faults(self) -> tuple[FaultRecord, ...]:
-        faulty = self.endpoint.faulty
-        return () if faulty is None else faulty.records
-
-    @property
-    def _next_fault_us(self) -> int:
-        """Stream time at which a fault of the rig begins; the past while one is active."""
-        faulty = self.endpoint.faulty
-        return FOREVER_US if faulty is None else faulty.next_us
-
-    @property
-    def _withholds(self) -> bool:
-        """True while a fault withholds data from the host: stream time must not wait for the host then."""
-        faulty = self.endpoint.faulty
-        return faulty is not None and faulty.withholds
-
-    @property
-    def changes(self) -> deque[CameraSettings | Occurrence]:
-        """Changes of the camera that have not been sent to the session, the oldest first."""
-        return self._watch.waiting
-
     def settle(self) -> None:
         """Report the stream time before which no change can come to the session, when all changes have been sent."""
-        self._ring.settle(self._feed.reached_us if self._watch.acts else FOREVER_US)
+        self.ring.settle(self._feed.reached_us if self._watch.acts else FOREVER_US)
 
     def inject(self, fault: Fault, by: str = "") -> None:
         """Begin a fault, on behalf of `by`."""
         faulty = self.endpoint.faulty
-        if faulty is None:
-            raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
         faulty.inject(fault)
         self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}", faulty.records[-1].number))
 
     def end_fault(self, number: int, by: str = "") -> None:
         """End a fault on behalf of `by`; one that is over already is left as it is."""
         faulty = self.endpoint.faulty
-        if faulty is not None and faulty.end(number):
+        if faulty.end(number):
             kind = next(record.kind for record in faulty.records if record.number == number)
             self._watch.add(Occurrence(self._feed.reached_us, by, f"end of fault {kind}", number))
 
@@ -265,7 +243,7 @@ class Link:
         """
         if self._watch.pending is not None:
             return self._feed.reached_us
-        if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
+        if self.endpoint.faulty.withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
         if not isinstance(self._device, StartsSilent) or self._device.silent_until_us <= self._device.now_us:
@@ -279,15 +257,15 @@ class Link:
     @property
     def idle(self) -> bool:
         """True when no data wait, neither in the ring nor in the camera."""
-        if self._lags or self._ring.waiting or self._feed.readings.waiting:
+        if self._lags or self.ring.waiting or self._feed.readings.waiting:
             return False
         return self._device.waiting_items == 0
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
         """Return the report of the link; the final report counts the data left in the ring as dropped."""
         counters = self._device.counters
-        left = self._ring.waiting if final else 0
-        faults = self._faults
+        left = self.ring.waiting if final else 0
+        faults = self.endpoint.faulty.records
         endpoint = self.endpoint.report()
         adjusted = self._device if isinstance(self._device, HostAdjusted) else None
         destroyed = sum(fault.events_lost for fault in faults)
@@ -298,7 +276,7 @@ class Link:
             address=None if final else endpoint.address,
             attach_command="" if final else endpoint.attach_command,
             delivered=counters.delivered - destroyed,
-            dropped=counters.lost_on_link + self._ring.refused + left + destroyed,
+            dropped=counters.lost_on_link + self.ring.refused + left + destroyed,
             camera=counters,
             latency=self._deliveries.latency.summary(),
             digest=self._deliveries.digest,
@@ -320,7 +298,7 @@ class Link:
         if final:  # the host has disconnected, so the device's time is not valid
             return self._last_clock
         report = self._last_clock = self._feed.clock_report()
-        origin_ns = self._ring.origin_ns
+        origin_ns = self.ring.origin_ns
         if report is not None and self._truth is not None and origin_ns is not None:
             at_ns = self._clock.now_ns() if origin_ns == FREE_RUNNING else origin_ns + report.t_us * 1000
             self._truth.write(f"{at_ns},{report.t_us},{report.device_us:.3f}\n".encode("ascii"))

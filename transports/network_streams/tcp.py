@@ -17,6 +17,7 @@ import socket
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 
 from firmware_protocol.device.items import Items
@@ -100,21 +101,7 @@ class ClientBatches:
             taken = batch.taken
             self._open_events -= len(taken.events)
             if batch.delivered:
-                self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
-
-
-@dataclass(frozen=True)
-class ClientTerms:
-    """Common settings of all clients of a stream.
-
-    Attributes
-    ----------
-    greeting : first data for each client.
-    most_bytes : limit of the data that wait for one client; one batch more may be in transit.
-    """
-
-    greeting: bytes
-    most_bytes: int
+                self._deliveries.add_items(taken)
 
 
 class Client(asyncio.Protocol):
@@ -122,37 +109,32 @@ class Client(asyncio.Protocol):
 
     Attributes
     ----------
+    seat : its place in the server's admission.
     missed : number of events for which it had no room.
     sent_data : True if it was closed because it sent too much.
     """
 
-    def __init__(
-        self, terms: ClientTerms, batches: ClientBatches, clock: Clock, joined: Callable[[Client], None],
-        left: Callable[[Client], None],
-    ) -> None:  # fmt: skip
-        self._terms = terms
-        self._batches = batches
-        self._clock = clock
-        self._joined = joined
-        self._left = left
+    def __init__(self, group: ClientGroup, seat: Seat) -> None:
+        self._group = group
+        self.seat = seat
         self._transport: asyncio.Transport | None = None
         self._queue: deque[ClientBatch] = deque()
         self._sending: ClientBatch | None = None
         self._paused = False
         self._waiting_bytes = self._received = 0
-        self._progress_ns = clock.now_ns()
+        self._progress_ns = group.clock.now_ns()
         self.missed = 0
         self.sent_data = False
 
     @property
     def has_room(self) -> bool:
         """True if it can be given a batch now."""
-        return self._waiting_bytes < self._terms.most_bytes
+        return self._waiting_bytes < self._group.most_bytes
 
     @property
     def stalled(self) -> bool:
         """True if data wait for it, and it has read nothing for two seconds."""
-        return self._waiting_bytes > 0 and self._clock.now_ns() - self._progress_ns > _STALLED_NS
+        return self._waiting_bytes > 0 and self._group.clock.now_ns() - self._progress_ns > _STALLED_NS
 
     def holds(self, batch: ClientBatch) -> bool:
         """Return True if a batch is the first that waits for it."""
@@ -161,7 +143,7 @@ class Client(asyncio.Protocol):
     def offer(self, batch: ClientBatch) -> None:
         """Queue a batch for it, as one of the batch's holders; `send_on` sends it."""
         if not self._waiting_bytes:
-            self._progress_ns = self._clock.now_ns()
+            self._progress_ns = self._group.clock.now_ns()
         self._queue.append(batch)
         self._waiting_bytes += len(batch.data)
 
@@ -191,8 +173,8 @@ class Client(asyncio.Protocol):
         self._transport = transport
         transport.set_write_buffer_limits(high=0)  # so that "not paused" means that the socket has taken everything
         _keep_alive(transport.get_extra_info("socket"))
-        transport.write(self._terms.greeting)
-        self._joined(self)
+        transport.write(self._group.greeting)
+        self._group.joined(self)
 
     def data_received(self, data: bytes) -> None:
         """Ignore received data, up to a limit."""
@@ -219,15 +201,15 @@ class Client(asyncio.Protocol):
         self._sending = None
         self._transport = None
         for batch in waiting:
-            self._batches.dropped(batch)
-        self._left(self)
+            self._group.batches.dropped(batch)
+        self._group.left(self)
 
     def _written(self) -> None:
         batch, self._sending = self._sending, None
         assert batch is not None
         self._waiting_bytes -= len(batch.data)
-        self._progress_ns = self._clock.now_ns()
-        self._batches.written(batch)
+        self._progress_ns = self._group.clock.now_ns()
+        self._group.batches.written(batch)
 
 
 def _keep_alive(sock: socket.socket) -> None:
@@ -248,6 +230,11 @@ class ClientGroup:
     ----------
     coder : makes the greeting; it is restarted when the last client has left.
     changed : called with True when the first client has connected, with False when the last one has left.
+
+    Attributes
+    ----------
+    greeting : first data for each client.
+    most_bytes : limit of the data that wait for one client; one batch more may be in transit.
     """
 
     def __init__(
@@ -260,13 +247,14 @@ class ClientGroup:
     ) -> None:
         self._host = link.host
         self._coder = coder
-        self._batches = batches
-        self._clock = clock
+        self.batches = batches
+        self.clock = clock
         self._changed = changed
-        self._terms = ClientTerms(coder.greeting, round(link.buffer_mib * (1 << 20)))
+        self.greeting = coder.greeting
+        self.most_bytes = round(link.buffer_mib * (1 << 20))
         self._admission = Admission(AllowList(link.allow))
-        self._listener = Listener(self._admission, self._connect)
-        self._clients: dict[Client, Seat] = {}
+        self._listener = Listener(self._admission, partial(Client, self))
+        self._clients: dict[Client, None] = {}  # in the order in which they connected
         self._counts: Counter[str] = Counter()
         self._empty = asyncio.Event()
         self._empty.set()
@@ -313,7 +301,7 @@ class ClientGroup:
         for client in self._clients.keys() - having_room:
             client.missed += len(taken.events)
         batch = ClientBatch(taken, data, len(having_room))
-        self._batches.begin(batch)
+        self.batches.begin(batch)
         for client in having_room:
             client.offer(batch)
             client.send_on()
@@ -339,19 +327,19 @@ class ClientGroup:
                 client.abort()
             await self._empty.wait()
 
-    def _connect(self, seat: Seat) -> Client:
-        def joined(client: Client) -> None:
-            self.attend()
-            self._admission.settle(seat)
-            self._clients[client] = seat
-            self._counts["clients"] += 1
-            self._empty.clear()
-            self._changed(True)
+    def joined(self, client: Client) -> None:
+        """Add a client that has been greeted."""
+        self.attend()
+        self._admission.settle(client.seat)
+        self._clients[client] = None
+        self._counts["clients"] += 1
+        self._empty.clear()
+        self._changed(True)
 
-        return Client(self._terms, self._batches, self._clock, joined, self._forget)
-
-    def _forget(self, client: Client) -> None:
-        self._admission.leave(self._clients.pop(client))
+    def left(self, client: Client) -> None:
+        """Remove a client whose connection has ended."""
+        self._admission.leave(client.seat)
+        del self._clients[client]
         self._counts["events that single clients missed"] += client.missed
         self._counts["clients closed: sent data"] += client.sent_data
         if not self._clients:
@@ -398,7 +386,8 @@ class TcpEndpoint(Endpoint):
         if (overdue := self._batches.overdue) is not None:
             for clients in self._groups:
                 clients.give_up(overdue)
-        while self._has_room and (taken := self._device.take(_MOST_EVENTS)) is not None:
+        paced = self._deliveries.paced
+        while self._clients.has_room(paced=paced) and (taken := self._device.take(_MOST_EVENTS)) is not None:
             self._send(taken)
         if len(self._clients) and not self._device.waiting:
             nothing = Items(empty_events(), empty_edges(), self._epoch_us)
@@ -437,10 +426,6 @@ class TcpEndpoint(Endpoint):
     @property
     def _groups(self) -> list[ClientGroup]:
         return [self._clients, *([] if self._trigger_clients is None else [self._trigger_clients])]
-
-    @property
-    def _has_room(self) -> bool:
-        return self._clients.has_room(paced=self._deliveries.paced)
 
     def _take_edges(self, has_clients: bool) -> None:
         """Let the camera take edges while any client receives them."""

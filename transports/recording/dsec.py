@@ -23,7 +23,8 @@ import h5py
 import numpy as np
 
 from firmware_protocol.events import make_events
-from transports.recording.part import DamagedRecording, Facts, Part, RecordingError, Size
+from firmware_protocol.recordings.part import Facts, Part
+from transports.recording.part import DamagedRecording, RecordingError, Size
 
 _CHUNK = 1 << 16
 _MS = 1000

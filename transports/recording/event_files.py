@@ -16,8 +16,9 @@ from typing import Any, TypeVar
 
 from firmware_protocol.recordings.aedat4 import KINDS, MAGIC, Aedat4Decoder, Aedat4Head, packet_at
 from firmware_protocol.recordings.event_table import EventTable, TableForm
+from firmware_protocol.recordings.part import Facts, Part
 from transports.needs import install_command
-from transports.recording.part import Facts, LibraryMissing, Part, RecordingError, Size
+from transports.recording.part import LibraryMissing, RecordingError, Size
 from transports.registry import imported
 
 _HEAD_BYTES = 1 << 16

@@ -22,8 +22,9 @@ from faery.extension import aedat, csv, dat, es
 
 from firmware_protocol.events import Edges, Events, make_events
 from firmware_protocol.recordings.aedat4 import SOURCES, Aedat4Head, aedat4_picture
+from firmware_protocol.recordings.part import Facts, Frame, Part
 from transports.output_file import TemporaryFolder
-from transports.recording.part import Facts, Frame, Part, Writer
+from transports.recording.part import Writer
 
 _COMMA = 44
 _DAT_EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("payload", "u1")])

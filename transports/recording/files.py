@@ -26,28 +26,25 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, Events, join_events
 from firmware_protocol.recordings.event_table import TableForm, TimeUnit
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, counts_of
+from transports import Closing
 from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
 from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
 from transports.recording.part import (
-    IMU,
     MOST_PIXELS,
     DamagedRecording,
-    Facts,
-    Frame,
     LibraryMissing,
-    Part,
     PipeReader,
     RecordingError,
     Size,
     Writer,
-    counts_of,
     encoded_facts,
     encoded_part,
     facts_of,
@@ -324,7 +321,7 @@ _MOST_GROWTH = 1000  # from a file to its records; those of a regular pattern gr
 _ALWAYS_BYTES = 1 << 26
 
 
-class OpenRecording:
+class OpenRecording(Closing):
     """Recording that is open in a child process; a context manager.
 
     Raises RecordingError if it cannot be read, LibraryMissing without its library, OSError if it cannot be opened.
@@ -390,12 +387,6 @@ class OpenRecording:
     def close(self) -> None:
         """End the child process."""
         self._reader.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def read_messages(

@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from firmware_protocol.recordings.event_table import TableForm, is_table
+from firmware_protocol.recordings.part import Facts
 from transports.needs import install_command
-from transports.recording.part import MOST_PIXELS, Facts, LibraryMissing, Reader, RecordingError, Size, Writer
+from transports.recording.part import MOST_PIXELS, LibraryMissing, Reader, RecordingError, Size, Writer
 from transports.registry import PluginError, Registry, UnknownName, imported
 
 

@@ -15,22 +15,18 @@ from pathlib import Path
 from typing import Any
 
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.part import Facts, Part, RecordingSummary, counts_of, named
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS, Format, format_to_write, with_addition
 from transports.recording.part import (
-    Facts,
-    Part,
     PipeReader,
     Reached,
     RecordingError,
-    RecordingSummary,
     Restart,
-    counts_of,
     encoded_part,
     encoded_reached,
     encoded_restart,
     facts_of,
-    named,
     values_of,
 )
 from transports.recording.record import Recorder

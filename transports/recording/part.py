@@ -17,13 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from firmware_protocol.events import EDGE, EVENT, Events
-from firmware_protocol.recordings.part import IMU as IMU
-from firmware_protocol.recordings.part import Facts as Facts
-from firmware_protocol.recordings.part import Frame as Frame
-from firmware_protocol.recordings.part import Part as Part
-from firmware_protocol.recordings.part import RecordingSummary as RecordingSummary
-from firmware_protocol.recordings.part import counts_of as counts_of
-from firmware_protocol.recordings.part import named as named
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part
 
 Size = tuple[int, int]
 """(width, height) of a sensor, pixels."""

@@ -44,8 +44,9 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from firmware_protocol.events import EDGE, EVENT, Events, make_events
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, RecordingSummary
 from transports.output_file import OutputFile
-from transports.recording.part import IMU, DamagedRecording, Facts, Frame, Part, RecordingError, RecordingSummary, Size
+from transports.recording.part import DamagedRecording, RecordingError, Size
 
 _MOST_GROWTH = 100
 _ALWAYS_BYTES = 1 << 26

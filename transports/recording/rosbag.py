@@ -50,8 +50,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from firmware_protocol.events import EVENT, Events, make_events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
-from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
-from transports.recording.part import DamagedRecording, Facts, Part, RecordingError, Size
+from firmware_protocol.recordings.part import IMU, Facts, Frame, ImuRecords, Part, ten_bits
+from transports.recording.part import DamagedRecording, RecordingError, Size
 
 _HEADER = "std_msgs/Header header\nuint32 height\nuint32 width\n"
 EVENT_PACKET = f"{_HEADER}uint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n"

@@ -36,9 +36,10 @@ from firmware_protocol.recordings.aedat import (
     parse_aedat31_header,
 )
 from firmware_protocol.recordings.event_files import DatDecoder, EventStreamDecoder
+from firmware_protocol.recordings.part import Facts, Part
 from transports.recording.event_files import EventReader, check_end, decoded, opened
 from transports.recording.format import format_to_read
-from transports.recording.part import Facts, Part, RecordingError, Size
+from transports.recording.part import RecordingError, Size
 
 _MOST_HEADER = 1 << 22  # jAER writes all its preferences: 2100 lines
 

@@ -212,5 +212,5 @@ def _qos(kind: MessageType, qos: TopicQos) -> Qos:
         Policy.Durability.Volatile,
         Policy.History.KeepLast(qos.depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
-        Policy.Userdata(kind.user_data),
+        Policy.Userdata(f"typehash=RIHS01_{kind.rihs01};".encode("ascii")),
     )

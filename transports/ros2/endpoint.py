@@ -298,18 +298,15 @@ class Ros2Endpoint(Endpoint):
         if taken is None or self._events_to is None:
             return
         if taken.epoch_us != self._epoch_us:
-            self._restart(taken.epoch_us)
+            self._epoch_us, self._zero_us = taken.epoch_us, None
+            self._packets.restart()
+            if self._pictures is not None:
+                self._pictures.restart()
         events, edges = own_time(taken.events, taken.epoch_us), own_time(taken.edges, taken.epoch_us)
         if self._packets.has_edges or len(events):
             self._report(taken, self._events_to.write(self._packets.packet(events, edges, self._unix_us)))
         if self._pictures is not None:
             self._show(self._pictures.add(events, self._unix_us))
-
-    def _restart(self, epoch_us: int) -> None:
-        self._epoch_us, self._zero_us = epoch_us, None
-        self._packets.restart()
-        if self._pictures is not None:
-            self._pictures.restart()
 
     def _report(self, taken: Items, written: bool) -> None:
         """Report events whose message DDS has accepted or refused."""
@@ -317,7 +314,7 @@ class Ros2Endpoint(Endpoint):
         self._counts["messages of events" if written else "messages that DDS refused"] += 1
         if written:
             self._device.sent(taken)
-            self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
+            self._deliveries.add_items(taken)
         else:
             self._device.lost(taken)
 

@@ -61,7 +61,10 @@ class DdsNetwork:
     def configuration(self) -> str:
         """Configuration of CycloneDDS: large datagrams on the loopback interface, limits for foreign data."""
         names = self.interfaces or (_LOOPBACK,)
-        interfaces = "".join(_interface(name) for name in names)
+        keys = ["address" if name[:1].isdigit() or ":" in name else "name" for name in names]
+        interfaces = "".join(
+            f"<NetworkInterface {key}={quoteattr(name)}/>" for key, name in zip(keys, names, strict=True)
+        )
         peers = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in (_LOOPBACK, *self.peers))
         sizes = "" if self.interfaces else "<MaxMessageSize>65500B</MaxMessageSize><FragmentSize>60000B</FragmentSize>"
         return (
@@ -84,11 +87,6 @@ def check_topic(key: str, topic: str) -> None:
             f'{key} is {topic!r}: a topic begins with "/" and has letters, digits, "_" and "/", such as '
             '"/event_camera/events"'
         )  # fmt: skip
-
-
-def _interface(name: str) -> str:
-    key = "address" if name[:1].isdigit() or ":" in name else "name"
-    return f"<NetworkInterface {key}={quoteattr(name)}/>"
 
 
 @dataclass(frozen=True)

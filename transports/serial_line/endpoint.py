@@ -259,7 +259,6 @@ class SerialEndpoint(Endpoint):
     def __init__(self, factory: SerialFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         self._line = factory.line
         self._instrument = instrument
-        self._deliveries = deliveries
         self._clock = deliveries.clock
         self._profile = Profile(self._line.profile)
         self._commands = self._profile.command_unwrapper()
@@ -275,7 +274,9 @@ class SerialEndpoint(Endpoint):
         self._most_events = max(1, round(self._baud.bytes_per_s * _WORDS_S))
         self._epoch_us = 0
         self._out: Transmitter[Outgoing] = Transmitter(self._baud, self._next_frame, self._left, _AHEAD_NS)
-        self.faulty = FaultyLine(factory.wiring.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
+        self.faulty = FaultyLine(
+            factory.wiring.faults, self._line.profile, self._baud.bytes_per_s, deliveries.add_items
+        )
         self._counts: Counter[str] = Counter()
         self._port: Port | None = None
         self._has_reader = False
@@ -405,9 +406,6 @@ class SerialEndpoint(Endpoint):
     def _left(self, outgoing: Outgoing) -> None:
         self._instrument.sent(outgoing)
         self.faulty.left(outgoing)
-
-    def _arrived(self, outgoing: Outgoing) -> None:
-        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def _set_reader(self, present: bool) -> None:
         """Follow the presence of a reader."""

@@ -51,7 +51,13 @@ _THREAD_BYTES = 4096  # limit of the bytes that wait for a blocking port: the si
 
 
 class Port(ABC):
-    """Open serial port. Its methods return at once; they raise OSError when the port is lost."""
+    """Open serial port. Its methods return at once; they raise OSError when the port is lost.
+
+    `address` is where the other side finds it, `descriptor` becomes readable when bytes arrive; None: there is none.
+    """
+
+    address: str
+    descriptor: int | None = None
 
     @abstractmethod
     def write(self, data: bytes) -> int:
@@ -75,28 +81,13 @@ class Port(ABC):
         """Number of accepted bytes that still wait inside this machine."""
         return 0
 
-    @property
-    def descriptor(self) -> int | None:
-        """Descriptor that becomes readable when bytes arrive; None if there is none."""
-        return None
-
-    @property
-    @abstractmethod
-    def address(self) -> str:
-        """Address at which the other side finds it."""
-
 
 class _NonBlockingPort(Port):
     """Port with non-blocking input and output on a file descriptor."""
 
     def __init__(self, fd: int) -> None:
-        self._fd = fd
+        self._fd = self.descriptor = fd
         os.set_blocking(fd, False)
-
-    @property
-    def descriptor(self) -> int:
-        """Descriptor that is readable when bytes have arrived."""
-        return self._fd
 
     def write(self, data: bytes) -> int:
         """Accept as many bytes as there is room for."""
@@ -129,12 +120,8 @@ class DescriptorPort(_NonBlockingPort):
 
     def __init__(self, opened: serial.SerialBase) -> None:
         self._serial = opened
+        self.address = str(opened.port)
         super().__init__(opened.fileno())
-
-    @property
-    def address(self) -> str:
-        """Device or URL."""
-        return str(self._serial.port)
 
     def read(self) -> bytes:
         """Return the received bytes."""
@@ -167,17 +154,13 @@ class ThreadedPort(Port):
 
     def __init__(self, opened: serial.SerialBase) -> None:
         self._serial = opened
+        self.address = str(opened.port)
         self._pieces: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._waiting = 0
         self._lock = threading.Lock()
         self._error: OSError | None = None
         self._thread = threading.Thread(target=self._write_all, daemon=True)
         self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """URL of the port."""
-        return str(self._serial.port)
 
     def write(self, data: bytes) -> int:
         """Accept as many bytes as there is room for; a failure of earlier bytes is raised here."""
@@ -286,12 +269,7 @@ class PtyPort(_NonBlockingPort):
         except OSError:
             os.close(master)
             raise
-        self._address = symlink or self._path
-
-    @property
-    def address(self) -> str:
-        """Path of the other side."""
-        return self._address
+        self.address = symlink or self._path
 
     @property
     def has_reader(self) -> bool:

@@ -40,14 +40,13 @@ class UdpPacketEndpoint(Endpoint):
 
     def __init__(self, link: UdpPacketsLink, wiring: Wiring, instrument: Instrument, deliveries: Deliveries) -> None:
         self._instrument = instrument
-        self._deliveries = deliveries
         self._clock = deliveries.clock
         self._profile = Profile("ccsds")
         self._commands = self._profile.command_unwrapper()
         self._outlet = DatagramOutlet(link.host, link.port)
         self._inlet = DatagramInlet(link.command_host, link.command_port, link.allow)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
-        self.faulty = FaultyDatagrams(wiring.faults, self._arrived)
+        self.faulty = FaultyDatagrams(wiring.faults, deliveries.add_items)
         self._next: tuple[bytes, Outgoing] | None = None
 
     async def start(self) -> None:
@@ -135,9 +134,6 @@ class UdpPacketEndpoint(Endpoint):
         self._budget.left -= len(data)
         (self._instrument.sent if left else self._instrument.lost)(outgoing)
         return True
-
-    def _arrived(self, outgoing: Outgoing) -> None:
-        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
 
 _LOOK_PERIOD_NS = 500_000

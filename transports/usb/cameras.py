@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any, cast
 
@@ -63,29 +62,17 @@ def first_on_the_bus() -> UsbHost:
 _READ_TIMEOUT_S = 0.1
 
 
-@dataclass(frozen=True)
-class CameraReception(Reception):
-    """Events and edges received so far from a camera, in device time; `faults`: words that no intact stream has."""
-
-    faults: int = 0
-
-    @property
-    def fault_count(self) -> int:
-        """Number of faults."""
-        return self.faults
-
-
 def receive(
-    camera: CameraHost[Any], goes_on: Callable[[CameraReception], bool], clock: Clock, recorder: Recorder | None = None
-) -> CameraReception:
+    camera: CameraHost[Any], goes_on: Callable[[Reception], bool], clock: Clock, recorder: Recorder | None = None
+) -> Reception:
     """Start the camera and read it while `goes_on`, called after each transfer, returns True; then stop it.
 
     The loss of the camera ends it too. Raises UsbHostError when the camera cannot be started.
     """
     arrivals = Arrivals(clock, recorder)
 
-    def now(*, gone: bool = False) -> CameraReception:
-        return arrivals.reception(CameraReception, gone=gone, faults=camera.faults.total)
+    def now(*, gone: bool = False) -> Reception:
+        return arrivals.reception(Reception, gone=gone, faults=camera.faults.total)
 
     def take(events: Events | None) -> None:
         arrivals.add(empty_events() if events is None else events, camera.take_edges(), clock.now_ns())

@@ -17,7 +17,7 @@ from firmware_protocol.events import Edges, Events
 from firmware_protocol.frames import FrameAssembler
 from firmware_protocol.fx3.decoded import FrameRead
 from firmware_protocol.imu_samples import ImuSamples, no_samples
-from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
+from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
@@ -57,14 +57,10 @@ class DirectHost:
 
     def __init__(self, device: UsbDevice) -> None:
         self._device = device
+        self.identity = device.identity
         self._is_open = True
         self.reader: DirectReader | None = None
         device.attached()
-
-    @property
-    def identity(self) -> Identity:
-        """Identity of the device."""
-        return self._device.identity
 
     def configure(self) -> None:
         """Select configuration 1."""

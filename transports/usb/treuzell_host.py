@@ -125,16 +125,12 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
     """
 
     model = "EVK4"
+    faults = WordFaults()  # always none: any bits are a valid word
 
     def __init__(self, host: UsbHost) -> None:
         self._sensor = _CHIPS[IMX636.number]
         self._decoder: Evt3Decoder | Evt2Decoder | None = None
         super().__init__(host)
-
-    @property
-    def faults(self) -> WordFaults:
-        """Always none: any bits are a valid word."""
-        return WordFaults()
 
     @property
     def node(self) -> NodeSensor | None:

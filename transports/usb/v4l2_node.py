@@ -59,22 +59,17 @@ class Node:
             raise UnsuitableDevice(f"{camera.model}: no driver on V4L2 is known for its sensor")
         self.counts = Forwarded()
         self._camera = camera
-        self._sensor = camera.node
-        self._settings = NodeSettings(self._sensor, camera)
-        self._form = self._sensor.formats[0].form
+        self.sensor = camera.node
+        self._settings = NodeSettings(self.sensor, camera)
+        self._form = self.sensor.formats[0].form
         self._buffer_bytes = buffer_bytes
         self._streams = False
         self._waiting = memoryview(b"")
         self._fd = file
         try:
-            os.write(file, self._sensor.description(camera.info.serial, buffer_bytes))
+            os.write(file, self.sensor.description(camera.info.serial, buffer_bytes))
         except OSError as error:
             raise NodeError(f"the module refuses the sensor, perhaps an older one is loaded: {error}") from error
-
-    @property
-    def sensor_name(self) -> str:
-        """Name of the sensor's entity."""
-        return self._sensor.name
 
     def run(self, goes_on: Callable[[Forwarded], bool]) -> None:
         """Forward words and settings while `goes_on`, called in each turn, returns True, and the camera is there."""
@@ -145,7 +140,7 @@ class Node:
         if request.kind == RequestKind.STREAM:
             self._stream(on=bool(request.value))
         elif request.kind == RequestKind.FORMAT:
-            self._form = self._sensor.formats[request.id].form
+            self._form = self.sensor.formats[request.id].form
         else:
             self._settings.apply(request)
             self.counts.settings += 1

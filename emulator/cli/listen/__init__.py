@@ -96,7 +96,7 @@ def listen_to(source: Source[Any], limits: Limits, *, json: bool) -> int:
     print_result(json, {**dataclasses.asdict(reception), "problems": problems}, lines)
     for problem in problems:
         status.print(f"evstim: {problem}", markup=False)
-    return BAD_VERDICT if problems or reception.fault_count else GOOD
+    return BAD_VERDICT if problems or reception.faults else GOOD
 
 
 def _until(limits: Limits) -> Callable[[Reception], bool]:

@@ -15,7 +15,8 @@ from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 from transports.gige.host import GigeHost, GigeHostError, GigeReception
 from transports.gige.host import receive as receive_gige
 from transports.link.pacing import MonotonicClock
-from transports.usb.cameras import CameraReception, driver_of, first_on_the_bus, receive
+from transports.reception import Reception
+from transports.usb.cameras import driver_of, first_on_the_bus, receive
 from transports.usb.host import CameraHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
@@ -43,7 +44,7 @@ def listen(*, usbip: str | None = None, busid: str = "1-1", limits: Limits = NO_
     with failing(LACKING, UsbHostError), usb_camera(usbip, busid) as camera:
         status.print(f"{camera.model} serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
 
-        def summary(reception: CameraReception) -> list[str]:
+        def summary(reception: Reception) -> list[str]:
             return [f", {reception.faults} malformed words{', the camera was unplugged' if reception.gone else ''}"]
 
         source = Source(lambda goes_on, to: receive(camera, goes_on, MonotonicClock(), to), summary, _USB_GONE)

@@ -21,7 +21,7 @@ from emulator.report.charts import printable
 from emulator.report.document import Column, Document, Section, signature, swatch_legend
 from emulator.report.page import write_json
 from emulator.rig.loading import Rig
-from emulator.run.outcome import Judgement, RunResult, judge, undersampled_advice, undersampled_text
+from emulator.run.outcome import Judgement, RunResult, judge, undersampled_advice
 from emulator.run.report.content import (
     SCHEMA,
     Circumstances,
@@ -46,7 +46,8 @@ _OWN_RULES = ("max_drop", "min_rate_hz", "max_rate_hz", "max_latency_us", "max_u
 def begin_files(rig: Rig, folder: Path, began: datetime) -> None:
     """Write the page and the JSON of a run that has not ended, and remove an earlier junit.xml; raises OSError."""
     text = began.isoformat(timespec="seconds")
-    unfinished_page(rig.name, rig.title, text).write(folder / "report.html")
+    words = f"The run that began at {text} has not ended. If it no longer runs, it was killed: it has no verdict."
+    Document(f"{rig.name}: report of a run", rig.title, "unfinished", words).write(folder / "report.html")
     begun = {"schema": SCHEMA, "verdict": "unfinished", "rig": rig.name, "rig_file": rig_file(rig), "began": text}
     write_json(begun, folder / "report.json")
     (folder / "junit.xml").unlink(missing_ok=True)
@@ -118,12 +119,6 @@ def page_of(of: ReportContent, json_digest: str) -> Document:
     return page
 
 
-def unfinished_page(rig: str, title: str, began: str) -> Document:
-    """Return the page in the place of a report until its run has ended."""
-    words = f"The run that began at {began} has not ended. If it no longer runs, it was killed: it has no verdict."
-    return Document(f"{rig}: report of a run", title, "unfinished", words)
-
-
 def _sections(of: ReportContent, json_digest: str) -> Iterator[Section]:
     for section in (_rules, _run, _timeline, _ledger, _latency, _pictures, _modelled, _machine):
         yield section(of)
@@ -169,7 +164,9 @@ def _run(of: ReportContent) -> Section:
         "stream time": f"{result.sim_seconds:.3f} s in {result.wall_seconds:.3f} s",
         "light frames": result.frames,
         "late steps": f"{late.frames_late} of {result.steps}, worst {late.worst_gap_us:.0f} us",
-        "undersampled": undersampled_text(result.undersampled_share),
+        "undersampled": "not measured"
+        if (share := result.undersampled_share) is None
+        else f"{share:.3g} of the solved pixel-steps",
     }
     return Section("Run").facts("The run and its rig", facts)
 

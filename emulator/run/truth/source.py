@@ -14,14 +14,14 @@ import dataclasses
 import hashlib
 import math
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,7 @@ from emulator.sensor.parameters import KickParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from firmware_protocol.events import Events, join_events
+from transports import Closing
 from transports.needs import install_command
 
 
@@ -258,7 +259,7 @@ ABSENT: Mapping[str, tuple[tuple[str, ...], str]] = {
 """Layers that scenes of a kind do not have, and the reason."""
 
 
-class RunTruth(ABC):
+class RunTruth(Closing):
     """Truth of one run, for `build_session`; a context manager.
 
     Attributes
@@ -310,12 +311,6 @@ class RunTruth(ABC):
                 self._digest.update(name.encode())
                 self._digest.update(np.ascontiguousarray(values).data)
         self._put(rows)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class TruthFile(RunTruth):

@@ -31,15 +31,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.photometry.reflectance import Water
-from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.gltf import CLAMP, MIRROR, REPEAT
 from emulator.scene.bodies.grain import fractal_noise
 from emulator.scene.bodies.lit_surface import cut_facets, split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
 from emulator.scene.bodies.table import Clouds
+from firmware_protocol.events import Float32s, Floats, Int64s
 
 
 def smooth_step(x: Floats) -> Floats:
@@ -71,7 +70,7 @@ _PLACES = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) 
 _FLAT = _PLACES @ np.linalg.pinv(_PLACES)
 """The values of ten places on the plane that fits them best, from their values."""
 
-_Image = npt.NDArray[np.float32]
+_Image = Float32s
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ class Texture:
         return np.asarray(upper * (1 - fv) + lower * fv)
 
 
-def _wrapped(index: npt.NDArray[np.int64], count: int, wrap: int) -> npt.NDArray[np.int64]:
+def _wrapped(index: Int64s, count: int, wrap: int) -> Int64s:
     if wrap == CLAMP:
         return np.clip(index, 0, count - 1)
     if wrap == MIRROR:
@@ -168,7 +167,7 @@ def _sides_px(uv: Floats, texture: Texture) -> Floats:
     return np.asarray(np.hypot(along[..., 0], along[..., 1]))
 
 
-def _uneven(mesh: Mesh, uv: Floats, texture: Texture) -> npt.NDArray[np.int64]:
+def _uneven(mesh: Mesh, uv: Floats, texture: Texture) -> Int64s:
     """Return the facets on which the texture varies, those with most of it first."""
     longest = _sides_px(uv, texture).max(axis=1)
     count = len(_PLACES)
@@ -181,7 +180,7 @@ def _uneven(mesh: Mesh, uv: Floats, texture: Texture) -> npt.NDArray[np.int64]:
     return np.asarray(order[(varies & (longest > _LEAST_PX))[order]])
 
 
-def _divided(mesh: Mesh, uv: Floats, texture: Texture, chosen: npt.NDArray[np.int64]) -> tuple[Mesh, Floats]:
+def _divided(mesh: Mesh, uv: Floats, texture: Texture, chosen: Int64s) -> tuple[Mesh, Floats]:
     lengths = _sides_px(uv, texture)
     split = np.zeros(mesh.faces.shape, bool)
     split[chosen] = lengths[chosen] > 0.5 * lengths[chosen].max(axis=1, keepdims=True)

@@ -33,9 +33,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import ZERO, Floats, Point, cross, dot, entry, kernel, minus, plus, row, vertex
+from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, entry, kernel, minus, plus, row, vertex
+from firmware_protocol.events import Floats, Int32s, Int64s
 
 
 @kernel
@@ -98,7 +98,7 @@ class TriangleTree(NamedTuple):
     """
 
     boxes: Floats
-    sizes: npt.NDArray[np.int32]
+    sizes: Int32s
     corners: Floats
 
     @property
@@ -125,7 +125,7 @@ def build_tree(triangles: Floats) -> TriangleTree:
 
 
 @kernel
-def _select(places: Floats, axis: int, order: npt.NDArray[np.int64], low: int, high: int, middle: int) -> None:
+def _select(places: Floats, axis: int, order: Int64s, low: int, high: int, middle: int) -> None:
     """Reorder entries low to high - 1 so that the lowest along an axis come before `middle`: Hoare's selection."""
     last = high - 1
     while low < last:
@@ -149,7 +149,7 @@ def _select(places: Floats, axis: int, order: npt.NDArray[np.int64], low: int, h
 
 
 @entry
-def sort_by_leaves(middles: Floats, starts: npt.NDArray[np.int32], depth: int, order: npt.NDArray[np.int64]) -> None:
+def sort_by_leaves(middles: Floats, starts: Int32s, depth: int, order: Int64s) -> None:
     """Sort triangles by the leaves of their tree: at each node the lower half along the longest side comes first.
 
     Parameters
@@ -177,9 +177,7 @@ def sort_by_leaves(middles: Floats, starts: npt.NDArray[np.int32], depth: int, o
 
 
 @entry
-def _fill(
-    triangles: Floats, starts: npt.NDArray[np.int32], order: npt.NDArray[np.int64], boxes: Floats, corners: Floats
-) -> None:
+def _fill(triangles: Floats, starts: Int32s, order: Int64s, boxes: Floats, corners: Floats) -> None:
     """Write `boxes` and `corners` of a `TriangleTree`, from the leaves upwards."""
     leaves = len(corners)
     for node in range(2 * leaves - 1, 0, -1):
@@ -369,7 +367,7 @@ def _hide(tree: TriangleTree, point: Point, moved: Floats, tangent: float, near_
 
 @entry
 def dim(
-    tree: TriangleTree, points: Floats, chosen: npt.NDArray[np.int32], count: int, moved: Floats, tangent: float,
+    tree: TriangleTree, points: Floats, chosen: Int32s, count: int, moved: Floats, tangent: float,
     near_m: float, shares: Floats
 ) -> None:  # fmt: skip
     """Multiply the sunlit shares of chosen points by the share of the disc that the tree's triangles do not cover.

@@ -5,10 +5,8 @@ Kernels and most entries count no references and so cannot allocate: with it sha
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
 from firmware_protocol.compiled import entry_of, kernel
+from firmware_protocol.events import Floats, Int32s
 
 __all__ = ["ZERO", "Point", "cross", "dot", "entry", "kernel", "minus", "plus", "row", "vertex"]
 
@@ -17,8 +15,7 @@ _SOURCES = "emulator.scene.bodies", "emulator.photometry", "emulator.raster.layo
 entry = entry_of(*_SOURCES, _nrt=False)
 """Compile a function for calls from Python; it releases the GIL."""
 
-Floats = npt.NDArray[np.float64]
-Numbers = npt.NDArray[np.int32]
+Numbers = Int32s
 Point = tuple[float, float, float]
 """A place, m, or a direction."""
 ZERO: Point = (0.0, 0.0, 0.0)

@@ -26,10 +26,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.topology import PARTS
-from emulator.scene.bodies.compiled import ZERO, Floats, Numbers, cross, dot, entry, minus, plus, row
-from emulator.scene.bodies.lit_surface import Bools, Surface, lit_surface, middles_of, split_sides
+from emulator.scene.bodies.compiled import ZERO, Numbers, cross, dot, entry, minus, plus, row
+from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.sun_rays import Window, depth_in
+from firmware_protocol.events import Bytes, Floats, Mask
 
 BEND_PX = 0.02  # of a side that is not seen; what casts shadows is cut from there on
 _DARKEST = -0.1  # cosine of incidence: where no corner of a facet is above, its outline is black
@@ -50,7 +51,7 @@ class Sides(NamedTuple):
     bends_m: Floats
 
 
-def split_round(mesh: Mesh, split: Bools) -> Mesh:
+def split_round(mesh: Mesh, split: Mask) -> Mesh:
     """Return the mesh with the sides of `split`, (m, 3), cut in the middle of their curves."""
     sides, _ = middles_of(mesh, split)
     cut = split_sides(mesh, split)
@@ -98,7 +99,7 @@ _SHARES = np.array([(2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0
 """Shares of a facet's corners in points 3 to 9."""
 
 
-def _with_points(mesh: Mesh, between: Numbers, split: Bools) -> Mesh:
+def _with_points(mesh: Mesh, between: Numbers, split: Mask) -> Mesh:
     """Return the mesh cut at the points of `between`, (m, 7), on the sides of `split`, (m, 3), and within facets."""
     points = np.column_stack([mesh.faces, between])
     cuts = split @ np.array([1, 2, 4])
@@ -144,7 +145,7 @@ def _write_points(faces: Numbers, between: Numbers, shares: Floats, vertices: Fl
 @entry
 def mark(  # noqa: PLR0913, PLR0917
     points: Floats, normals: Floats, sides: Sides, sun: Floats, window: Window,
-    is_hidden: npt.NDArray[np.int8], at: Floats, marked: npt.NDArray[np.uint8],
+    is_hidden: npt.NDArray[np.int8], at: Floats, marked: Bytes,
 ) -> None:  # fmt: skip
     """Mark the sides that are to be cut: those of facets that a shadow's edge, terminator or outline may pass through.
 

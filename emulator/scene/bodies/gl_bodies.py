@@ -25,7 +25,8 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.render_target import Rectangle, RenderTarget
-from emulator.raster import Topology, View
+from emulator.raster.layout import View
+from emulator.raster.topology import Topology
 from emulator.scene.bodies.raster_bodies import LIFT, NEAREST_SHARE, BodiesGeometry, LitBodies
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import BodyWorld

@@ -33,13 +33,14 @@ import numpy.typing as npt
 from emulator.geometry.camera import Pinhole
 from emulator.light import Light, Region
 from emulator.photometry.reflection_kernels import Law, reflect
-from emulator.raster import Owners, Renderer
-from emulator.raster.layout import Data, W
-from emulator.scene.bodies.compiled import ZERO, Floats, Numbers, Point, dot, entry, minus, plus, row
+from emulator.raster.layout import Data, Owners, W
+from emulator.raster.renderer import Renderer
+from emulator.scene.bodies.compiled import ZERO, Numbers, Point, dot, entry, minus, plus, row
 from emulator.sensor.numerics.compiled import Real, lane
 from emulator.threads import ThreadPool
+from firmware_protocol.events import Float32s, Floats
 
-Tile = npt.NDArray[np.float32]
+Tile = Float32s
 
 _SIDE = 32  # texels of the tile along each axis: with 64 it does not fit a cache, and takes 1.5 times as long
 _LAST = _SIDE - 1

@@ -33,10 +33,10 @@ from emulator.geometry.attitude import Vector, unit
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import PLANET_ALBEDO, Water, air_light
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
-from emulator.raster import Facets, join, prepare
 from emulator.raster.surfaces import camera_from_body, motion_of
+from emulator.raster.topology import Facets, join, prepare
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
-from emulator.scene.bodies.compiled import Floats, Numbers, dot, entry, minus, row
+from emulator.scene.bodies.compiled import Numbers, dot, entry, minus, row
 from emulator.scene.bodies.curved_sides import Sides, mark
 from emulator.scene.bodies.grain import Ground, Octaves, Placed, placed
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
@@ -48,8 +48,7 @@ from emulator.scene.bodies.table import BodiesParameters, Clouds
 from emulator.scene.bodies.world import RigidGroup, rigid_groups
 from emulator.threads import ThreadPool
 from emulator.trajectory.pose import Pose, Timescale, Trajectory
-
-Bytes = npt.NDArray[np.uint8]
+from firmware_protocol.events import Bytes, Floats
 
 
 @entry

@@ -18,15 +18,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import Floats, Numbers, cross, dot, entry, minus, row
+from emulator.scene.bodies.compiled import Numbers, cross, dot, entry, minus, row
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means
+from firmware_protocol.events import Floats, Mask
 
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
 _MOST_FACETS = 1e7
 _ONE_PLANE = 1e-6  # normals that differ by less are one
-
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +108,7 @@ def shadow_triangles(mesh: Mesh) -> Floats:
     return np.concatenate([triangles, triangles[:, ::-1]]) if mesh.open_edges else triangles
 
 
-def subdivide(mesh: Mesh, size_m: float, cut: Callable[[Mesh, Bools], Mesh] | None = None) -> Mesh:
+def subdivide(mesh: Mesh, size_m: float, cut: Callable[[Mesh, Mask], Mesh] | None = None) -> Mesh:
     """Return a mesh without a side longer than `size_m`, cut by `cut` or else in the middle of chords.
 
     No vertex is put on a side of one facet alone.
@@ -156,7 +155,7 @@ def _ends(faces: Numbers) -> tuple[Numbers, Numbers]:
     return np.minimum(faces, after), np.maximum(faces, after)
 
 
-def middles_of(mesh: Mesh, split: Bools) -> tuple[Numbers, npt.NDArray[np.intp]]:
+def middles_of(mesh: Mesh, split: Mask) -> tuple[Numbers, npt.NDArray[np.intp]]:
     """Return the sides of `split`, (m, 3), each once: their ends, (n, 2), and the number of each chosen one among them.
 
     The second array has an entry for each True in `split`, row after row.
@@ -167,7 +166,7 @@ def middles_of(mesh: Mesh, split: Bools) -> tuple[Numbers, npt.NDArray[np.intp]]
     return np.stack(np.divmod(sides, count), axis=1).astype(np.int32), number
 
 
-def split_sides(mesh: Mesh, split: Bools) -> Mesh:
+def split_sides(mesh: Mesh, split: Mask) -> Mesh:
     """Return a mesh with a vertex in the middle of the sides of `split`, (m, 3), and the facets cut there.
 
     Both facets of a side must have the same value. Normals and tints of new vertices are means of its ends.
@@ -186,7 +185,7 @@ def split_sides(mesh: Mesh, split: Bools) -> Mesh:
     return replace(mesh, vertices=vertices, faces=faces, normals=normals, **tints)
 
 
-def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools) -> npt.NDArray[Any]:
+def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: Mask) -> npt.NDArray[Any]:
     """Return the entries at the corners of facets, (n, 3), that `split_sides` makes.
 
     `corners` and `middle`, (m, 3), are the entries at corners and in the middle of sides from corner k to k + 1:

@@ -31,11 +31,12 @@ import numpy.typing as npt
 
 from emulator.light import SceneError
 from emulator.scene.bodies import mesh_files
-from emulator.scene.bodies.compiled import Floats, Numbers
+from emulator.scene.bodies.compiled import Numbers
 from emulator.scene.bodies.mesh_files import PlateTable, PlateTableError, parse_plates, parse_wavefront
 from emulator.scene.files import Kind, cached_arrays, read_in_child, reader_errors
 from emulator.tables.toml_text import TextFileError, read_text, shortened
 from firmware_protocol.compiled import checksum_of
+from firmware_protocol.events import Floats, Int64s
 
 SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md gives the origin of each."""
@@ -183,7 +184,7 @@ def _from_cache(parse: Callable[[str], PlateTable], text: str) -> PlateTable:
     """Return the contents of a text, from the cache of scenes where it was parsed by the same sources before."""
     made_from = (hashlib.sha256(text.encode()).hexdigest(), checksum_of(Path(mesh_files.__file__)))
 
-    def parsed() -> tuple[Floats, npt.NDArray[np.int64], Floats]:
+    def parsed() -> tuple[Floats, Int64s, Floats]:
         vertices, facets, albedo = parse(text)
         return vertices, facets, np.empty(0) if albedo is None else albedo
 
@@ -192,7 +193,7 @@ def _from_cache(parse: Callable[[str], PlateTable], text: str) -> PlateTable:
     return PlateTable(vertices, facets, albedo if len(albedo) else None)
 
 
-def _require_sound(points: Floats, corners: npt.NDArray[np.int64]) -> None:
+def _require_sound(points: Floats, corners: Int64s) -> None:
     if not len(corners):
         raise SceneError("no facet, nothing to draw: a cloud of points needs facets first, for instance by MeshLab")
     if not len(points):
@@ -212,7 +213,7 @@ def _require_sound(points: Floats, corners: npt.NDArray[np.int64]) -> None:
         )
 
 
-def _join_equal_vertices(points: Floats, corners: npt.NDArray[np.int64]) -> tuple[Floats, npt.NDArray[np.int64]]:
+def _join_equal_vertices(points: Floats, corners: Int64s) -> tuple[Floats, Int64s]:
     """Give vertices at the same place one number: files with textures or several grids repeat those on the seams."""
     order = np.lexsort(points.T)
     is_new = np.empty(len(points), bool)
@@ -235,7 +236,7 @@ def group_means(values: Floats, number: npt.NDArray[np.integer], counts: npt.NDA
     return np.asarray(sums / counts[:, None])
 
 
-def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:
+def _count_open_edges(corners: Int64s) -> int:
     """Count the edges with one facet; refuse edges that two facets pass in the same direction."""
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -335,7 +336,7 @@ def read_dsk(path: Path) -> dict[str, npt.NDArray[Any]]:
     return {"vertices": np.concatenate([vertices for _, vertices, _ in segments]), "faces": np.concatenate(faces)}
 
 
-def _segments(spice: Any, handle: int) -> Iterator[tuple[int, Floats, npt.NDArray[np.int64]]]:
+def _segments(spice: Any, handle: int) -> Iterator[tuple[int, Floats, Int64s]]:
     """Yield of each segment its frame's number, vertices, and plates that count vertices from 1."""
     segment = spice.dlabfs(handle)
     while segment is not None:

@@ -44,6 +44,7 @@ from emulator.scene.files import read_in_child
 from emulator.trajectory.joints import Joint, JointPath, Track
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 from emulator.trajectory.pose import Pose
+from firmware_protocol.events import Floats
 from transports.guarded_reader import Limits
 
 _USD = "emulator.scene.bodies.usd:read_usd"
@@ -60,7 +61,6 @@ _FINE = f"parts of its textures are finer than {_MOST_PAINTED} facets can show: 
 _EVEN = 1e-6
 _DIELECTRIC = 0.04
 
-_Floats = npt.NDArray[np.float64]
 _Array = npt.NDArray[Any]
 _Tracks = dict[int, dict[str, Track]]
 
@@ -195,7 +195,7 @@ def _named(name: str, model: Model, number: int) -> str:
 
 
 def _covered(
-    body: BodyTable, model: Model, part: dict[str, Any], matrix: _Floats
+    body: BodyTable, model: Model, part: dict[str, Any], matrix: Floats
 ) -> tuple[Mesh, dict[str, float] | None]:
     """Return a part's shape with its texture in its body's frame, and its material; None: the rig gives the law."""
     mesh, uv = _mesh(model, part, matrix)
@@ -211,7 +211,7 @@ def _covered(
     return mesh, material and material | {"luminance": min(luminance, 1.0)}
 
 
-def _mesh(model: Model, part: dict[str, Any], matrix: _Floats) -> tuple[Mesh, _Floats | None]:
+def _mesh(model: Model, part: dict[str, Any], matrix: Floats) -> tuple[Mesh, Floats | None]:
     """Return a part's shape, and the place in its texture of each corner, (m, 3, 2); None: it has no texture.
 
     Its winding, which gives the outside, is taken from the file.
@@ -233,7 +233,7 @@ class _Chain(NamedTuple):
     """Nodes from the root to a node: those that move, and the product (4, 4) of transforms below the last of them."""
 
     moving: tuple[int, ...]
-    still: _Floats
+    still: Floats
 
 
 def _chains(model: Model, tracks: _Tracks) -> dict[int, _Chain]:
@@ -250,7 +250,7 @@ def _chains(model: Model, tracks: _Tracks) -> dict[int, _Chain]:
     return chains
 
 
-def _local(node: dict[str, Any]) -> _Floats:
+def _local(node: dict[str, Any]) -> Floats:
     if "matrix" in node:
         return np.asarray(node["matrix"], np.float64)
     matrix = np.eye(4)
@@ -259,7 +259,7 @@ def _local(node: dict[str, Any]) -> _Floats:
     return matrix
 
 
-def _unit(q: Sequence[float]) -> _Floats:
+def _unit(q: Sequence[float]) -> Floats:
     return np.asarray(np.array(q) / np.linalg.norm(q))
 
 
@@ -301,7 +301,7 @@ def _closes(track: Track) -> bool:
 
 def _joints(
     moving: Sequence[int], model: Model, tracks: _Tracks, chains: dict[int, _Chain], units_m: float
-) -> tuple[tuple[Joint, ...], _Floats]:
+) -> tuple[tuple[Joint, ...], Floats]:
     """Return the joints of a chain of moving nodes, and the scale of what is fixed to the last of them, (4, 4)."""
     nodes, joints = model.header["nodes"], []
     frame = np.diag([units_m, units_m, units_m, 1.0])
@@ -320,7 +320,7 @@ def _joints(
     return tuple(joints), frame
 
 
-def _split(frame: _Floats, name: str, model: Model) -> tuple[Pose, float]:
+def _split(frame: Floats, name: str, model: Model) -> tuple[Pose, float]:
     """Return a transform as a pose and an even scale that comes before it."""
     linear = frame[:3, :3]
     determinant = float(np.linalg.det(linear))

@@ -13,7 +13,8 @@ import math
 from typing import NamedTuple
 
 from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after, outward_of
-from emulator.scene.bodies.compiled import ZERO, Floats, Numbers, Point, cross, dot, kernel, minus, row, vertex
+from emulator.scene.bodies.compiled import ZERO, Numbers, Point, cross, dot, kernel, minus, row, vertex
+from firmware_protocol.events import Floats
 
 ROOM = 24
 """Corners of a polygon; a cut adds one."""

@@ -27,9 +27,10 @@ import numpy as np
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import NOTHING, LastArrays, Light, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
-from emulator.raster import Renderer, Screen, View
+from emulator.raster.layout import Screen, View
+from emulator.raster.renderer import Renderer
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
-from emulator.scene.bodies.compiled import Floats, entry
+from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_thirds
 from emulator.scene.bodies.grain import GrainLayer, Ground, Placed
 from emulator.scene.bodies.lighting import Lighting, Motion, motion_at
@@ -40,6 +41,7 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import BodyWorld, rigid_groups
 from emulator.scene.world import WorldScene
 from emulator.threads import available_threads
+from firmware_protocol.events import Floats
 
 NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 

@@ -48,7 +48,6 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.albedo import clouded, smooth_step, with_albedo
-from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.curved_sides import split_round
 from emulator.scene.bodies.grain import (
     CRATER_REACH,
@@ -68,12 +67,11 @@ from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
 from emulator.scene.files import Kind, cached_arrays
 from firmware_protocol.compiled import checksum_of
+from firmware_protocol.events import Floats, Int64s
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-
-Longs = npt.NDArray[np.int64]
 
 FADED = 1.5
 _PER_FEATURE = 8  # numbers between 0 and 1 that shape one of them
@@ -111,11 +109,6 @@ def number_above(law: Law, diameter_m: float) -> float:
     return float(law.number * diameter_m**-law.power)
 
 
-def faded(diameters_m: Floats, smallest_m: float) -> Floats:
-    """Return the share of their height, 0 to 1, that features have when `smallest_m` is the smallest there is."""
-    return smooth_step((diameters_m / smallest_m - 1) / (FADED - 1))
-
-
 def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: float) -> Features:
     """Return the features of a body between two sizes."""
     first, last = math.floor(math.log2(smallest_m)), math.ceil(math.log2(max(largest_m, smallest_m)))
@@ -123,7 +116,8 @@ def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: floa
     places, normals, sizes, lots = (np.concatenate(parts) for parts in zip(*octaves, strict=True))
     chosen = np.flatnonzero((sizes > smallest_m) & (sizes <= largest_m))
     chosen = chosen[np.argsort(-sizes[chosen], kind="stable")]
-    return Features(places[chosen], normals[chosen], sizes[chosen], faded(sizes[chosen], smallest_m), lots[chosen])
+    heights = smooth_step((sizes[chosen] / smallest_m - 1) / (FADED - 1))  # shares of their own
+    return Features(places[chosen], normals[chosen], sizes[chosen], heights, lots[chosen])
 
 
 def _octave(mesh: Mesh, law: Law, seed: int, k: int) -> tuple[Floats, Floats, Floats, Floats]:
@@ -352,7 +346,7 @@ def _not_turned_over(mesh: Mesh, moved: Floats) -> Floats:
     return mesh.vertices
 
 
-def _near(tree: cKDTree, group: Features, reach: float, more_m: float) -> tuple[Longs, Longs]:
+def _near(tree: cKDTree, group: Features, reach: float, more_m: float) -> tuple[Int64s, Int64s]:
     """Return pairs of a feature and a point of the tree within `reach` of its radius, and `more_m`."""
     lists = tree.query_ball_point(group.places, reach * group.diameters_m / 2 + more_m)
     feature = np.repeat(np.arange(len(lists)), [len(points) for points in lists])

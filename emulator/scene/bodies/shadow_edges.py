@@ -33,12 +33,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import TriangleTree
-from emulator.scene.bodies.compiled import Floats, Numbers, Point, cross, dot, entry, kernel, minus, plus, row
+from emulator.scene.bodies.compiled import Numbers, Point, cross, dot, entry, kernel, minus, plus, row
 from emulator.scene.bodies.shadow_polygons import Polygons, Triangles, add_triangle
 from emulator.scene.bodies.sun_rays import RayTree, Verdicts, Window, corner, depth_in, first_met, look_to_sun, next_met
 from emulator.threads import ThreadPool
-
-Longs = npt.NDArray[np.int64]
+from firmware_protocol.events import Floats, Int64s
 
 _LIFT = 0.002  # of the mean length of sides: rays begin as high above the surface; .005 loses low shadows
 _MOST_TRIANGLES = 32  # left one after the other on a side
@@ -302,7 +301,7 @@ def _cross_once(  # noqa: PLR0913, PLR0917
 
 @entry
 def list_crossed(
-    receiver: Receiver, facets: FrameFacets, is_hidden: npt.NDArray[np.int8], window: Window, crossed: Longs
+    receiver: Receiver, facets: FrameFacets, is_hidden: npt.NDArray[np.int8], window: Window, crossed: Int64s
 ) -> int:
     """List facets before the camera of which one or two corners are hidden; return how many.
 
@@ -322,7 +321,7 @@ def list_crossed(
 
 @entry
 def cut_facets(  # noqa: PLR0913, PLR0917
-    tree: RayTree, receiver: Receiver, corners: Numbers, crossed: Longs, part: tuple[int, int],
+    tree: RayTree, receiver: Receiver, corners: Numbers, crossed: Int64s, part: tuple[int, int],
     is_hidden: npt.NDArray[np.int8], lights: Lights, suns: Suns, window: Window, sides: Sides, out: Triangles
 ) -> None:  # fmt: skip
     """Cut facets along the shadow edge that crosses them, and write the parts.

@@ -27,10 +27,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import TriangleTree, after, axes_around
-from emulator.scene.bodies.compiled import ZERO, Floats, Point, cross, dot, entry, kernel, minus, plus, row, vertex
+from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, entry, kernel, minus, plus, row, vertex
 from emulator.scene.bodies.lit_surface import Surface
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.polygons import (
@@ -54,6 +53,7 @@ from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import rigid_groups
 from emulator.threads import ThreadPool
 from emulator.trajectory.pose import Pose
+from firmware_protocol.events import Floats, Int32s
 
 _LEAST_COSINE = 1e-3  # of incidence: a facet with less is nearly dark, and its shadows would be infinitely long
 _LEAST_AREA = 1e-7  # of the facet's area
@@ -63,7 +63,7 @@ _MOST_EARLIER = 2048
 _WIDE_RAD = 0.05
 _NO_CONE = 2.0  # a cosine that none exceeds
 
-Numbers = npt.NDArray[np.int32]
+Numbers = Int32s
 
 
 class Receivers(NamedTuple):

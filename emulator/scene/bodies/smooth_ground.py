@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 
 from emulator.scene.bodies.albedo import smooth_step
-from emulator.scene.bodies.compiled import Floats, dot, entry, minus, row
+from emulator.scene.bodies.compiled import dot, entry, minus, row
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means
+from firmware_protocol.events import Floats
 
 _SHELLS = 6  # point masses along each cone from the origin to a facet
 _SHORE = 0.01  # of the surface, the part over which smooth ground passes into rough ground, on either side

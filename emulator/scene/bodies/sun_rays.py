@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import DUST, TriangleTree, covered, inverse_of, seen_above
-from emulator.scene.bodies.compiled import Floats, Numbers, Point, cross, dot, entry, kernel, minus, plus, row, vertex
+from emulator.scene.bodies.compiled import Numbers, Point, cross, dot, entry, kernel, minus, plus, row, vertex
+from firmware_protocol.events import Floats, Int64s
 
 SUNLIT, UNKNOWN = -1, -2
 _WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
@@ -143,7 +144,7 @@ class Verdicts(NamedTuple):
     suns : (n, 4), the Sun's direction at the last ray of a sunlit point, and the cosine up to which it is sunlit.
     """
 
-    hiding: npt.NDArray[np.int64]
+    hiding: Int64s
     suns: Floats
 
     @classmethod

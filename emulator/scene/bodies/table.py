@@ -11,7 +11,7 @@ from emulator.photometry.reflectance import LommelSeeliger, Reflectance, Sun
 from emulator.scene.kind import SceneKind
 from emulator.tables.typed_table import NO_FILE, RigFile, Seed, TimeScale
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
-from firmware_protocol.bounds import Share, check_bounds
+from firmware_protocol.bounds import Bounded, Share, check_bounds
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Bare:
 
 
 @dataclass(frozen=True)
-class Regolith:
+class Regolith(Bounded):
     """Ground of an asteroid: boulders and craters that the shape model does not have, roughness and albedo.
 
     All of it is fixed to the body and the same for a seed. Boulders and craters are made where the shape model is too
@@ -60,12 +60,9 @@ class Regolith:
     facet_px: Annotated[float, Meta(ge=0.5, le=100)] = 3.0
     most_facets: Annotated[int, Meta(ge=100, le=2_000_000)] = 100_000
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
 
 @dataclass(frozen=True)
-class Clouds:
+class Clouds(Bounded):
     """A planet like the Earth: the shape made round, with oceans, land, and clouds in belts about its +z axis.
 
     Attributes
@@ -81,9 +78,6 @@ class Clouds:
     cloud_cover: Share = 0.6
     wind_m_s: Annotated[float, Meta(ge=0, le=15)] = 7.0
     facet_px: Annotated[float, Meta(ge=1, le=1000)] = 8.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 Detail = Bare | Regolith | Clouds

@@ -17,11 +17,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
-from emulator.scene.bodies.compiled import Floats
 from emulator.scene.bodies.grain import Octaves
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.models import load_bodies
@@ -31,6 +29,7 @@ from emulator.trajectory.building import build_trajectories, build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError, instants_over
+from firmware_protocol.events import Float32s, Floats
 
 log = logging.getLogger(__name__)
 
@@ -82,8 +81,8 @@ class Arrangement:
     @property
     def turn_bound_rad_s(self) -> float:
         """Upper bound of the angular speed of all points of bodies as seen from the camera, at the closest ranges."""
-        return self._camera.turn_bound_rad_s + max(
-            (self._camera.speed_bound_m_s + self._speed_bound_m_s(k))
+        return self._camera.bounds.turn_rad_s + max(
+            (self._camera.bounds.speed_m_s + self._speed_bound_m_s(k))
             / max(float(range_m) - body.radius_m, 0.01 * body.radius_m)
             for k, (range_m, body) in enumerate(zip(self.ranges_m, self._bodies, strict=True))
         )
@@ -101,7 +100,7 @@ class Arrangement:
         speed, arm_m = 0.0, self._bodies[k].radius_m
         for j in self._ancestry(k):
             path = self._bodies[j].path
-            speed += path.speed_bound_m_s + path.turn_bound_rad_s * arm_m
+            speed += path.bounds.speed_m_s + path.bounds.turn_rad_s * arm_m
             arm_m += float(self._offsets_m[j])
         return speed
 
@@ -174,7 +173,7 @@ class BodyWorld:
         """Counts of poses received from outside, and of light frames from inside a body."""
         return live_counts(self.camera, *self.paths) | self.inside.counts
 
-    def notes(self, first_frame: npt.NDArray[np.float32]) -> tuple[str, ...]:
+    def notes(self, first_frame: Float32s) -> tuple[str, ...]:
         """Return remarks on faults of the shapes, on detail that was left out, and on a black first frame."""
         black = () if first_frame.any() else ("the first light frame is black: the camera sees no sunlit side",)
         return (*self._notes, *black)

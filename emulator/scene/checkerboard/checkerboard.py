@@ -27,7 +27,6 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from emulator.geometry.camera import Cycle, Given, Rays, SceneGeometry, Seen
@@ -35,6 +34,7 @@ from emulator.light import NOTHING, Light, PixelLight
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.scene.kind import SizedScene
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Float32s, Int64s
 
 
 class BoardGeometry(SceneGeometry):
@@ -53,7 +53,6 @@ class BoardGeometry(SceneGeometry):
 
 
 _entry = entry_of(__name__, error_model="python")
-_Floats = npt.NDArray[np.float32]
 
 
 class _Board(NamedTuple):
@@ -123,7 +122,7 @@ class Checkerboard(SizedScene):
             return
         board = self._board(t_ns)
         if self._sin == 0.0:
-            (width, height), half = self._size, self._half
+            (width, height), half = self.size, self._half
             wave_x, slope_x = _box_waves(width, board.cos, board.u)
             wave_y, slope_y = _box_waves(height, board.cos, board.v)
             by_slope = wave_y * (half * np.float32(-float(self._u.rate_hz)))
@@ -142,9 +141,9 @@ class Checkerboard(SizedScene):
         """Function that gives the light of single pixels, in closed form."""
         return self._light_of
 
-    def _light_of(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Floats, _Floats]:
+    def _light_of(self, t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
         light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
-        _listed(pixels, self._size, self._board(t_ns), light, rate)
+        _listed(pixels, self.size, self._board(t_ns), light, rate)
         return light, rate
 
 
@@ -173,7 +172,7 @@ def _slope(turns: float, half_box: float) -> float:
 
 
 @_entry
-def _box_waves(n: int, step: float, start: float) -> tuple[_Floats, _Floats]:
+def _box_waves(n: int, step: float, start: float) -> tuple[Float32s, Float32s]:
     """Means of the square wave over n pixels and their derivatives by the phase, (n,) float32 each.
 
     `start` is the phase in the middle of the light frame.
@@ -188,7 +187,7 @@ def _box_waves(n: int, step: float, start: float) -> tuple[_Floats, _Floats]:
 
 @_entry
 def _outer_and_rate(  # noqa: PLR0913, PLR0917
-    wave: _Floats, slope: _Floats, scale: _Floats, by_slope: _Floats, by_wave: _Floats, middle: np.float32,
+    wave: Float32s, slope: Float32s, scale: Float32s, by_slope: Float32s, by_wave: Float32s, middle: np.float32,
     light: Light, rate: Light
 ) -> None:  # fmt: skip
     """Fill light, middle + wave[x] scale[y], and its time derivative in the same pass: both rows stay in the cache.
@@ -227,7 +226,7 @@ def _turned(board: _Board, light: Light, rate: Light) -> None:
 
 
 @_entry
-def _listed(pixels: npt.NDArray[np.int64], size: tuple[int, int], board: _Board, light: _Floats, rate: _Floats) -> None:
+def _listed(pixels: Int64s, size: tuple[int, int], board: _Board, light: Float32s, rate: Float32s) -> None:
     """Compute `_turned` for some pixels of a frame of `size`."""
     width, height = size
     for k in range(pixels.size):

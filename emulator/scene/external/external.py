@@ -204,6 +204,7 @@ class External(SizedScene):
 
     def __init__(self, images: ImageQueue, pinhole: Pinhole, white_w_m2_sr: float, threads: int = 0) -> None:
         super().__init__(pinhole.size)
+        self.renderer = images.name or None
         self._images, self._paths = images, [] if images.path is None else [images.path]
         if images.path is not None:  # which an inertial unit follows too
             self.camera_path, self.path_time = images.path, images.time
@@ -213,11 +214,6 @@ class External(SizedScene):
     def motion_bound_px_s(self) -> float:
         """The bound of the newest image; infinite where the renderer gives none."""
         return self._images.bound_px_s
-
-    @property
-    def renderer(self) -> str | None:
-        """The name that the renderer gave."""
-        return self._images.name or None
 
     @property
     def counts(self) -> Mapping[str, int]:

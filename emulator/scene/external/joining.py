@@ -51,14 +51,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import Light
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import entry_of, kernel
+from firmware_protocol.events import Float32s
 
 _entry = entry_of(__name__, _nrt=False)
-_Floats = npt.NDArray[np.float32]
 _NONE = np.zeros((0, 0), np.float32)
 _NO_MOTION = np.zeros((0, 0, 2), np.float32)
 _MANY_PX = 50_000
@@ -84,17 +83,17 @@ class TimedImage:
     """
 
     t_ns: int
-    light: _Floats
-    motion: _Floats | None = None
-    depth: _Floats | None = None
-    rate: _Floats | None = None
+    light: Float32s
+    motion: Float32s | None = None
+    depth: Float32s | None = None
+    rate: Float32s | None = None
 
 
 Pair = tuple[TimedImage, TimedImage]
 """The images around a time; the same one twice where light stands still."""
 
 
-def front_motion(motion: _Floats, depth: _Floats | None) -> _Floats:
+def front_motion(motion: Float32s, depth: Float32s | None) -> Float32s:
     """Return, for each pixel, the velocity of the nearest point among 3 x 3 pixels; without depth, the greatest."""
     out = np.empty_like(motion)
     _write_front(motion, _NONE if depth is None else depth, out)
@@ -102,7 +101,7 @@ def front_motion(motion: _Floats, depth: _Floats | None) -> _Floats:
 
 
 @_entry
-def _write_front(motion: _Floats, depth: _Floats, out: _Floats) -> None:
+def _write_front(motion: Float32s, depth: Float32s, out: Float32s) -> None:
     rows, columns = motion.shape[0], motion.shape[1]
     for row in range(rows):
         for column in range(columns):
@@ -145,14 +144,14 @@ class Joined:
         self._pool.close()
 
 
-def _planes(pair: Pair) -> tuple[_Floats, ...]:
+def _planes(pair: Pair) -> tuple[Float32s, ...]:
     """Return light, motion, depth and rate of both images, empty where they are not known."""
     before, after = pair
     depths, rates = _both(before.depth, after.depth), _both(before.rate, after.rate)
     return (before.light, after.light, *_both(before.motion, after.motion, _NO_MOTION), *depths, *rates)
 
 
-def _both(before: _Floats | None, after: _Floats | None, none: _Floats = _NONE) -> tuple[_Floats, _Floats]:
+def _both(before: Float32s | None, after: Float32s | None, none: Float32s = _NONE) -> tuple[Float32s, Float32s]:
     return (none, none) if before is None or after is None else (before, after)
 
 
@@ -181,7 +180,7 @@ def _slopes(f: float) -> tuple[float, float, float, float]:
 
 
 @kernel
-def sampled(image: _Floats, y: float, x: float) -> tuple[float, float, float]:
+def sampled(image: Float32s, y: float, x: float) -> tuple[float, float, float]:
     """Return the value at a point, and its derivatives along rows and columns; at (r, c) the value of that pixel."""
     last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
     row, column = bounded(y, last_row), bounded(x, last_column)
@@ -214,7 +213,7 @@ def sampled(image: _Floats, y: float, x: float) -> tuple[float, float, float]:
 
 
 @kernel
-def _with_edges(image: _Floats, at: Any, f: Any, cubic: Any) -> tuple[float, float, float]:
+def _with_edges(image: Float32s, at: Any, f: Any, cubic: Any) -> tuple[float, float, float]:
     """Return value and derivatives at the shares `f` behind the pixel `at`, with its straight edges."""
     share = share_down = share_across = 0.0
     value = down = across = 0.0
@@ -239,7 +238,7 @@ def _with_edges(image: _Floats, at: Any, f: Any, cubic: Any) -> tuple[float, flo
 
 
 @kernel
-def _edge(image: _Floats, row: int, column: int) -> Any:
+def _edge(image: Float32s, row: int, column: int) -> Any:
     """Return whether a pixel is in two parts, dark and bright light, and its edge.
 
     The dark part is ny v + nx u <= d, with v and u from 0 to 1 down and to the right, back where n is negative;
@@ -323,14 +322,14 @@ def _differ(vx: float, vy: float, wx: float, wy: float, apart_s: float) -> bool:
 
 
 @kernel
-def _at(front: _Floats, y: float, x: float) -> tuple[float, float]:
+def _at(front: Float32s, y: float, x: float) -> tuple[float, float]:
     """Return the velocity, along x and y, of the pixel at a point; its index is that of its middle."""
     row, column = bounded(y + 0.5, front.shape[0] - 1), bounded(x + 0.5, front.shape[1] - 1)
     return front[row, column, 0], front[row, column, 1]
 
 
 @kernel
-def _source(motion: _Floats, other: _Floats, y: float, x: float, guess: Any, terms: Any) -> Any:
+def _source(motion: Float32s, other: Float32s, y: float, x: float, guess: Any, terms: Any) -> Any:
     """Return the point of one image that is at (y, x) at the time, and its velocity then.
 
     Also the error of the path in px, and whether the other image shows the point too.
@@ -358,7 +357,7 @@ def _source(motion: _Floats, other: _Floats, y: float, x: float, guess: Any, ter
 
 
 @kernel
-def _found(motion: _Floats, other: _Floats, depth: _Floats, at: Any, guesses: Any, terms: Any) -> Any:
+def _found(motion: Float32s, other: Float32s, depth: Float32s, at: Any, guesses: Any, terms: Any) -> Any:
     """Return point, velocity, distance and rank of the surface of an image that is at the pixel at the time.
 
     Ranks: 0 there is none, 1 the other image does not show it, 2 it does.

@@ -28,11 +28,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import Light
 from emulator.photometry.reflectance import SUN_W_M2
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Floats, Int64s
 
 SUN_V = -26.74
 FAINTEST_V = 6.8
@@ -70,8 +70,6 @@ _BRIGHTEST = np.array([
     (24.429, -57.237, 0.46),  # Achernar
     (88.793, 7.407, 0.50),  # Betelgeuse
 ])  # fmt: skip
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +137,7 @@ _LEAST_LIGHT = 1e-7  # of a pixel: less is left out, even before the dark curren
 _MOST = 256
 _entry = entry_of(__name__, error_model="python")
 
-
-Boxes = npt.NDArray[np.int64]
+Boxes = Int64s
 """(n, 4) int64: first and last row, first and last column, the last ones not included."""
 
 

@@ -31,8 +31,9 @@ from msgspec import Meta
 
 from emulator.light import MachineLacks
 from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
-from emulator.scene.stars.catalogue import Floats, Stars, moved
+from emulator.scene.stars.catalogue import Stars, moved
 from firmware_protocol.bounds import check_bounds
+from firmware_protocol.events import Floats
 from transports.needs import install_command
 
 SUN_G = -26.90

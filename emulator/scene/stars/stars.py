@@ -28,12 +28,13 @@ from emulator.light import Light, Region, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
 from emulator.scene.kind import SizedScene
-from emulator.scene.stars.catalogue import Boxes, Floats, Stars, boxes_of, clear, irradiance_w_m2, load_stars, splat
+from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError
+from firmware_protocol.events import Floats
 
 _REACH = 2.0  # standard deviations
 
@@ -120,7 +121,7 @@ class StarField(SizedScene):
         if self._paths:
             return math.inf
         stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
-        return self.camera_path.turn_bound_rad_s * self.path_time.factor * self._pinhole.focal_px * stretch
+        return self.camera_path.bounds.turn_rad_s * self.path_time.factor * self._pinhole.focal_px * stretch
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -140,7 +141,7 @@ class StarField(SizedScene):
         camera = self.camera_path.pose(self.path_time.scene_ns(t_ns))
         in_view = self._near(camera)
         seen = self._seen(self._directions[in_view], camera)
-        return np.array(self._size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[in_view]
+        return np.array(self.size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[in_view]
 
     def close(self) -> None:
         """Close the sockets of live poses."""
@@ -156,10 +157,10 @@ class StarField(SizedScene):
             rate.fill(0)
         clear(self._boxes, sky, light, rate)  # always, so that the kernel is loaded before the run begins
         before, self._boxes = self._boxes, np.empty((len(points), 4), np.int64)
-        boxes_of(points, self._sigma_px, self._size, self._boxes)
+        boxes_of(points, self._sigma_px, self.size, self._boxes)
         splat(points, self._sigma_px, self._boxes, light, rate)
         boxes = np.concatenate([before, self._boxes])
-        self.changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
+        self.changed = Region(0, self.size[1], 0, self.size[0], boxes) if hold_last else None
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the light frame, (n, 5).
@@ -173,7 +174,7 @@ class StarField(SizedScene):
         moving_after, _ = self._moving(after_ns, after)
         behind = self._seen(np.vstack([self._directions[stars], moving_before]), before)
         ahead = self._seen(np.vstack([self._directions[stars], moving_after]), after)
-        focal, middle = self._pinhole.focal_px, np.array(self._size) / 2
+        focal, middle = self._pinhole.focal_px, np.array(self.size) / 2
         place = middle + focal / 2 * (ahead[:, :2] + behind[:, :2])
         light = np.concatenate([self._irradiance[stars], shine]) * focal**2 * self._lens.light_per_radiance
         speed = focal / (2e-9 * _APART_NS) * (ahead[:, :2] - behind[:, :2])

@@ -13,12 +13,12 @@ from emulator.scene.stars.catalogue import FAINTEST_V
 from emulator.scene.stars.skies import GAIA_FAINTEST_G, DrawnField
 from emulator.tables.typed_table import TimeScale
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded
 from transports.needs import Need, package
 
 
 @dataclass(frozen=True)
-class MovingPoint:
+class MovingPoint(Bounded):
     """A body in sunlight that is too far away to have a shape.
 
     Attributes
@@ -32,12 +32,9 @@ class MovingPoint:
     radius_m: Annotated[float, Meta(gt=0, le=1e9)] = 1.0
     albedo: Annotated[float, Meta(ge=0, le=2)] = 0.2
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
 
 @dataclass(frozen=True)
-class StarsParameters:
+class StarsParameters(Bounded):
     """A sky of stars, and points that move before it.
 
     Attributes
@@ -67,9 +64,6 @@ class StarsParameters:
     sun: Sun = field(default_factory=Sun)
     time_scale: TimeScale = 1.0
     points: tuple[MovingPoint, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 def _needs(parameters: StarsParameters) -> tuple[Need, ...]:

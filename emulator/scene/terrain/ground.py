@@ -34,13 +34,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.raster.layout import Floats
 from emulator.scene.terrain.box_moments import to_half
 from emulator.scene.terrain.tile import BP, BPP, BPQ, BQ, BQQ, MOMENTS, B, P, Q
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Float32s, Floats, Int64s, UInt16s
 
 _SOURCES = ("emulator.scene.terrain", "emulator.photometry", "emulator.raster.layout", "emulator.sensor.numerics")
 
@@ -50,7 +49,7 @@ entry = entry_of(*_SOURCES, fastmath={"contract"}, _nrt=False)
 map_entry = entry_of(*_SOURCES, error_model="python")
 """Compile a loop over a map, which may allocate; a division by zero raises."""
 
-Heights = npt.NDArray[np.float32]
+Heights = Float32s
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +116,7 @@ class Ground:
         return None
 
 
-def nested(
-    unit_m: float, grids: list[npt.NDArray[np.float64]], notes: tuple[str, ...] = (), *, level: bool = True
-) -> Ground:
+def nested(unit_m: float, grids: list[Floats], notes: tuple[str, ...] = (), *, level: bool = True) -> Ground:
     """Return a ground of `grids`, (rows, columns) each, finest first: coarser ones take the finer ones' heights.
 
     `level` brings the site's height to 0.
@@ -139,9 +136,8 @@ SHADOWS = 2
 RADII, ALBEDO = range(SHADOWS)
 _BEYOND = 16  # rows of zeros after the last post: boxes of posts extend beyond a map of few posts
 
-Halves = npt.NDArray[np.uint16]
-Ints = npt.NDArray[np.int64]
-_Moments = npt.NDArray[np.float32]
+Halves = UInt16s
+_Moments = Float32s
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +156,7 @@ class Pyramid:
 
     heights: Heights
     moments: Halves
-    levels: Ints
+    levels: Int64s
     shadows: Halves
 
 
@@ -201,12 +197,12 @@ def _write_halves(numbers: Heights, out: Halves) -> None:
         out[k] = to_half(numbers[k])
 
 
-def _evens(posts: int) -> Ints:
+def _evens(posts: int) -> Int64s:
     """Return the numbers of the posts of a line that the next level has too; the last one's again at an odd end."""
     return np.minimum(2 * np.arange(posts // 2 + 1), posts - 1)
 
 
-def _table(ground: Ground, levels: int) -> Ints:
+def _table(ground: Ground, levels: int) -> Int64s:
     rows, columns = ground.shape
     spans = columns - 1, rows - 1
     table = np.zeros((levels, 9), np.int64)

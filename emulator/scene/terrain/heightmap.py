@@ -24,10 +24,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.raster.layout import Floats
 from emulator.scene.files import read_array, read_in_child, reader_errors
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
+from firmware_protocol.events import Floats
 
 _STEEPEST_DEG = 75.0
 _FARTHEST = 100.0  # tangent of half the angle from the projection's pole: 1 is the equator

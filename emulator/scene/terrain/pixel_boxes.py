@@ -22,13 +22,13 @@ import math
 
 import numpy as np
 
-from emulator.raster.layout import Floats
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.box_moments import MOST_POSTS, add_box
 from emulator.scene.terrain.ground import Halves
 from emulator.scene.terrain.pixel_hits import Fields, Posts, Projection, clamp, write_levels
-from emulator.scene.terrain.tile import MOMENTS, RATES, TILE, Floats32, Ints32, Tile, set_triple, triple
+from emulator.scene.terrain.tile import MOMENTS, RATES, TILE, Tile, set_triple, triple
 from emulator.sensor.numerics.compiled import lane, vector_kernel
+from firmware_protocol.events import Float32s, Floats, Int32s
 
 LONGEST = MOST_POSTS - 2.0
 """Side of a box, posts; BOX_SIZE is the side over it."""
@@ -45,7 +45,7 @@ _PER_BLEND, _BLENDED = _f(2.0 / (LONGEST * (1.0 - _BLEND))), _f(_BLEND / (1.0 - 
 
 
 @vector_kernel
-def footprints(row: int, first: int, projection: Projection, turn: Floats, unit_m: float, s: Floats32) -> None:
+def footprints(row: int, first: int, projection: Projection, turn: Floats, unit_m: float, s: Float32s) -> None:
     """Write the boxes of a row of pixels from column `first` on, unit vectors to the eye, and which are doubtful."""
     _eyes(row, first, projection, turn, s)
     _sides(s)
@@ -53,7 +53,7 @@ def footprints(row: int, first: int, projection: Projection, turn: Floats, unit_
 
 
 @vector_kernel
-def _eyes(row: int, first: int, projection: Projection, turn: Floats, s: Floats32) -> None:
+def _eyes(row: int, first: int, projection: Projection, turn: Floats, s: Float32s) -> None:
     """Write unit vectors from the pixels' middles to the eye."""
     focal = projection.focal_px
     per_focal = _f(1.0 / focal)
@@ -72,7 +72,7 @@ def _eyes(row: int, first: int, projection: Projection, turn: Floats, s: Floats3
 
 
 @vector_kernel
-def _sides(s: Floats32) -> None:
+def _sides(s: Float32s) -> None:
     """Write the footprints' middles and spreads, and doubt where they are seen edge-on or twisted."""
     for k in range(TILE):
         # Hits of the corners, 0 and 1 above and below, left and right.
@@ -107,7 +107,7 @@ def _sides(s: Floats32) -> None:
 
 
 @vector_kernel
-def _boxes(per_m: float, s: Floats32) -> None:
+def _boxes(per_m: float, s: Float32s) -> None:
     """Write the boxes of footprints; `per_m` brings half a side to a share of the longest one in level 0."""
     for k in range(TILE):
         m11, m12, m22 = triple(s, t.SPREAD_X, k)
@@ -133,7 +133,7 @@ def _boxes(per_m: float, s: Floats32) -> None:
 
 
 @vector_kernel
-def mismatches(focal: float, s: Floats32) -> None:
+def mismatches(focal: float, s: Float32s) -> None:
     """Make pixels doubtful whose facet has other corners than the neighbours' facets."""
     per_focal = _f(0.5 / focal)
     for k in range(TILE):
@@ -167,7 +167,7 @@ def box_means(count: int, posts: Posts, top: int, place: Floats, tile: Tile) -> 
 
 
 @vector_kernel
-def _windows(s: Floats32) -> None:
+def _windows(s: Float32s) -> None:
     """Write the boxes in posts of their level, and the share of the next one."""
     for k in range(TILE):
         per_m, n = s[t.PER_M * TILE + k], s[t.TAPS * TILE + k]
@@ -189,7 +189,7 @@ def _windows(s: Floats32) -> None:
 
 
 @vector_kernel
-def _add_boxes(count: int, moments: Halves, s: Floats32, places: Ints32, sums: Floats32) -> None:
+def _add_boxes(count: int, moments: Halves, s: Float32s, places: Int32s, sums: Float32s) -> None:
     """Write the means over boxes, times their weights."""
     for k in range(count):
         for n in range(MOMENTS):
@@ -213,7 +213,7 @@ def _add_boxes(count: int, moments: Halves, s: Floats32, places: Ints32, sums: F
 
 
 @lane
-def _add_next(k: int, posts: Posts, place: Floats, s: Floats32, places: Ints32, sums: Floats32) -> None:
+def _add_next(k: int, posts: Posts, place: Floats, s: Float32s, places: Int32s, sums: Float32s) -> None:
     """Add the means over the boxes of pixel k on the next level, times NEXT: as `_windows` and `_add_boxes` do."""
     levels, unit = posts.levels, posts.grids.unit_m
     level = places[t.LEVEL * TILE + k] + 1

@@ -13,15 +13,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.raster.layout import Floats, Ints, W, WHighest, WLowest
+from emulator.raster.layout import W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.ground import Halves
-from emulator.scene.terrain.tile import TILE, Floats32, Ints32, set_triple
+from emulator.scene.terrain.tile import TILE, set_triple
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
+from firmware_protocol.events import Float32s, Floats, Int32s, Int64s
 
-Table = npt.NDArray[np.int64]
+Table = Int64s
 
 
 class Projection(NamedTuple):
@@ -43,7 +43,7 @@ class Sight(NamedTuple):
     turn : camera_from_world (3, 3).
     """
 
-    owner: Ints
+    owner: Int32s
     facets: Floats
     projection: Projection
     place: Floats
@@ -61,7 +61,7 @@ class Grids(NamedTuple):
 class Posts(NamedTuple):
     """The fine map: heights, moments, table and shadows of a `Pyramid`, and its grids."""
 
-    heights: Floats32
+    heights: Float32s
     moments: Halves
     levels: Table
     grids: Grids
@@ -108,7 +108,7 @@ def lowest_level(x: float, y: float, level: int, grids: Grids) -> int:
 
 
 @vector_kernel
-def keep_row(s: Floats32) -> None:
+def keep_row(s: Float32s) -> None:
     """Make the row of corners the one above, and its planes those of the pixels between."""
     for k in range(TILE):
         s[t.OWN_W * TILE + k] = s[t.MIDDLE_W * TILE + k]
@@ -121,7 +121,7 @@ def keep_row(s: Floats32) -> None:
 
 
 @vector_kernel
-def corner_hits(row: int, first: int, sight: Sight, posts: Posts, s: Floats32, places: Ints32) -> None:
+def corner_hits(row: int, first: int, sight: Sight, posts: Posts, s: Float32s, places: Int32s) -> None:
     """Write the hits of a row of corners, relative to the camera, and the planes of the pixels right of them and below.
 
     `first` is the first column.
@@ -133,7 +133,7 @@ def corner_hits(row: int, first: int, sight: Sight, posts: Posts, s: Floats32, p
 
 
 @vector_kernel
-def _planes(row: int, first: int, sight: Sight, s: Floats32) -> None:
+def _planes(row: int, first: int, sight: Sight, s: Float32s) -> None:
     """Write w and its change of each pixel's facet, and the height of its normal; no change without a facet."""
     facets, turn = sight.facets, sight.turn
     focal, middle_column, middle_row = sight.projection
@@ -159,7 +159,7 @@ def _planes(row: int, first: int, sight: Sight, s: Floats32) -> None:
 
 
 @vector_kernel
-def _on_facets(row: int, first: int, projection: Projection, turn: Floats, unit_m: float, s: Floats32) -> None:
+def _on_facets(row: int, first: int, projection: Projection, turn: Floats, unit_m: float, s: Float32s) -> None:
     """Write where the corners' rays meet their facets, the change for lifting these, and the size of half a pixel."""
     focal = projection.focal_px
     per_focal = np.float32(1.0 / focal)
@@ -183,7 +183,7 @@ def _on_facets(row: int, first: int, projection: Projection, turn: Floats, unit_
 
 @vector_kernel
 def write_levels(
-    count: int, posts: Posts, top: int, place: Floats, fields: Fields, s: Floats32, places: Ints32
+    count: int, posts: Posts, top: int, place: Floats, fields: Fields, s: Float32s, places: Int32s
 ) -> None:
     """Write the level of each place: the finest one there whose 2^level is not below the size.
 
@@ -209,7 +209,7 @@ def write_levels(
 
 
 @vector_kernel
-def meet_map(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
+def meet_map(heights: Float32s, up: float, s: Float32s, places: Int32s) -> None:
     """Move places from their facets to the map along their rays; `up` is the camera's height."""
     _heights(heights, s, places)
     for k in range(TILE):
@@ -227,7 +227,7 @@ def meet_map(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
 
 
 @vector_kernel
-def _heights(heights: Floats32, s: Floats32, places: Ints32) -> None:
+def _heights(heights: Float32s, s: Float32s, places: Int32s) -> None:
     """Write the heights of the four posts around each place."""
     find_posts(s, places)
     for k in range(TILE):
@@ -238,7 +238,7 @@ def _heights(heights: Floats32, s: Floats32, places: Ints32) -> None:
 
 
 @vector_kernel
-def find_posts(s: Floats32, places: Ints32) -> None:
+def find_posts(s: Float32s, places: Int32s) -> None:
     """Write the post left of and below each place, and the place from there in posts."""
     for k in range(TILE):
         u = s[t.FIRST_X * TILE + k] + s[t.X * TILE + k] * s[t.PER_M * TILE + k]
@@ -251,7 +251,7 @@ def find_posts(s: Floats32, places: Ints32) -> None:
 
 
 @lane
-def _above(up: float, k: int, s: Floats32) -> Real:
+def _above(up: float, k: int, s: Float32s) -> Real:
     """Return the map's height above a place, linear between posts; `up` is the camera's."""
     u, v = s[t.WITHIN_X * TILE + k], s[t.WITHIN_Y * TILE + k]
     low = s[t.POST_00 * TILE + k] + u * (s[t.POST_01 * TILE + k] - s[t.POST_00 * TILE + k])
@@ -260,7 +260,7 @@ def _above(up: float, k: int, s: Floats32) -> Real:
 
 
 @lane
-def _move(by: float, k: int, s: Floats32) -> None:
+def _move(by: float, k: int, s: Float32s) -> None:
     """Move a place along its ray, as if its facet were lifted by `by` metres."""
     s[t.X * TILE + k] += by * s[t.LIFT_X * TILE + k]
     s[t.Y * TILE + k] += by * s[t.LIFT_Y * TILE + k]

@@ -42,12 +42,13 @@ from typing import NamedTuple
 import numpy as np
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Bytes, Float32s, Floats, W, WHighest, WLowest
+from emulator.raster.layout import W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.ground import entry
 from emulator.scene.terrain.pixel_hits import Sight
-from emulator.scene.terrain.tile import BP, BPP, BPQ, BQ, BQQ, MOMENTS, TILE, B, Floats32, P, Q, set_triple, triple
+from emulator.scene.terrain.tile import BP, BPP, BPQ, BQ, BQQ, MOMENTS, TILE, B, P, Q, set_triple, triple
 from emulator.sensor.numerics.compiled import lane, vector_kernel
+from firmware_protocol.events import Bytes, Float32s, Floats
 
 _f = np.float32
 _TINY, _ZERO, _QUARTER, _HALF, _ONE, _TWO = (_f(v) for v in (1e-9, 0.0, 0.25, 0.5, 1.0, 2.0))
@@ -111,7 +112,7 @@ def mean_light(sun: Sunlight, tile: t.Tile) -> None:
 
 
 @vector_kernel
-def _angles(towards: Floats, s: Floats32, sums: Floats32, inputs: Floats) -> None:
+def _angles(towards: Floats, s: Float32s, sums: Float32s, inputs: Floats) -> None:
     """Write the inputs of the law of reflection, and sunlight by the cosine of incidence."""
     sx, sy, sz = _f(towards[0]), _f(towards[1]), _f(towards[2])
     for k in range(TILE):
@@ -146,7 +147,7 @@ def _angles(towards: Floats, s: Floats32, sums: Floats32, inputs: Floats) -> Non
 
 
 @vector_kernel
-def footprint_moves(motion: Motion, s: Floats32) -> None:
+def footprint_moves(motion: Motion, s: Float32s) -> None:
     """Write the rates of footprints and of directions to the eye, and each pixel's moment.
 
     `motion` is that of places that turn with the camera, relative to it, in the world.

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from emulator.raster.layout import Floats, W, WHighest, WLowest
+from emulator.raster.layout import W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.box_moments import from_half
 from emulator.scene.terrain.ground import ALBEDO, RADII, SHADOWS, Halves, sunlit
@@ -45,8 +45,9 @@ from emulator.scene.terrain.pixel_hits import (
 )
 from emulator.scene.terrain.pixel_law import GRAZING, Sunlight
 from emulator.scene.terrain.quadtree import BLOCK
-from emulator.scene.terrain.tile import MOMENTS, TILE, Floats32, P, Q, Tile, set_triple, triple
+from emulator.scene.terrain.tile import MOMENTS, TILE, P, Q, Tile, set_triple, triple
 from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane
+from firmware_protocol.events import Float32s, Floats
 
 Triple = tuple[float, float, float]
 
@@ -276,7 +277,7 @@ def _between(table: Halves, numbers: int, k: int, low: int, high: int, u: float,
 
 
 @kernel
-def first_hits(count: int, posts: Posts, peaks: Peaks, place: Floats, s: Floats32) -> None:
+def first_hits(count: int, posts: Posts, peaks: Peaks, place: Floats, s: Float32s) -> None:
     """Move places, given as directions from the camera at `place`, to where their rays first meet the map.
 
     Rays begin LIFTED from the camera; those below ground there begin at the camera. Rays that meet nothing get TAPS 0.

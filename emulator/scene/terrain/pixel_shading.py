@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Bytes, Float32s, Floats, Ints
 from emulator.scene.terrain import pixel_parts as parts
 from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.box_moments import MOST_POSTS
@@ -27,8 +26,9 @@ from emulator.scene.terrain.pixel_boxes import box_means, footprints, mismatches
 from emulator.scene.terrain.pixel_hits import Posts, Sight, Table, corner_hits, keep_row
 from emulator.scene.terrain.pixel_law import GRAZING, Motion, Sunlight, around, footprint_moves, light_rate, mean_light
 from emulator.scene.terrain.pixel_parts import Peaks, into_world, part_means
-from emulator.scene.terrain.tile import TILE, Floats32, Tile
+from emulator.scene.terrain.tile import TILE, Tile
 from emulator.sensor.numerics.compiled import NONE, lane, vector_kernel
+from firmware_protocol.events import Bytes, Float32s, Floats, Int32s
 
 _PIXELS = TILE - 1
 _STEEPEST = 10.0
@@ -83,7 +83,7 @@ def shade_rows(
 
 
 @lane
-def _keep(row: int, first: int, columns: int, owner: Ints, s: Floats32, out: Smooth) -> None:
+def _keep(row: int, first: int, columns: int, owner: Int32s, s: Float32s, out: Smooth) -> None:
     """Write a row's light, which pixels are doubtful, and the rate of light where it is right."""
     for k in range(columns):
         seen = owner[row, first + k] >= 0
@@ -163,7 +163,7 @@ def _add_outlines(row: int, coverage: Float32s, least: Floats, doubtful: Bytes) 
 
 
 @lane
-def _list_columns(row: int, owner: Ints, doubtful: Bytes, least: float, s: Floats, line: Floats) -> tuple[int, int]:
+def _list_columns(row: int, owner: Int32s, doubtful: Bytes, least: float, s: Floats, line: Floats) -> tuple[int, int]:
     """List a row's doubtful pixels, then the others around which light changes much; return the ends of both lists."""
     count: int = NONE
     for column in range(len(doubtful)):

@@ -26,10 +26,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.raster.layout import Floats
-from emulator.scene.terrain.ground import Ground, Heights, Ints, entry, map_entry
+from emulator.scene.terrain.ground import Ground, Heights, entry, map_entry
+from firmware_protocol.events import Floats, Int32s, Int64s
 
 BLOCK = 8
 LEAST_REACH = 80.0
@@ -83,9 +82,9 @@ class Quadtree:
         shapes = np.array([level.shape for level in lowest])
         firsts = [ground.first(min(level, ground.grids - 1)) for level in range(len(shapes))]
         blocks_before = np.cumsum([0, *shapes.prod(axis=1)[:-1]])
-        self.levels: Ints = np.column_stack([shapes, firsts, blocks_before])
+        self.levels: Int64s = np.column_stack([shapes, firsts, blocks_before])
 
-    def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:
+    def blocks(self, camera_m: Floats, planes: Floats) -> list[Int32s]:
         """Return the blocks to draw of each grid: (n, 3) first column and row, posts from vertex to vertex; near first.
 
         `camera_m`, (3,), is its place in the world; `planes`, (n, 3), are the inward normals, in the world, of the
@@ -94,20 +93,20 @@ class Quadtree:
         chosen = self._chosen(camera_m, planes)
         return [np.ascontiguousarray(chosen[chosen[:, 3] == k, 4:]) for k in range(self._split.grids)]
 
-    def by_level(self, camera_m: Floats, planes: Floats) -> Ints:
+    def by_level(self, camera_m: Floats, planes: Floats) -> Int64s:
         """Return the same blocks, (n, 3): level, first column and row in posts of the level's own array; near first.
 
         See `Pyramid.levels` for these arrays.
         """
         return np.ascontiguousarray(self._chosen(camera_m, planes)[:, :3], np.int64)
 
-    def _chosen(self, camera_m: Floats, planes: Floats) -> npt.NDArray[np.int32]:
+    def _chosen(self, camera_m: Floats, planes: Floats) -> Int32s:
         """Return the blocks, (n, 7) as `_select` does; near first."""
         blocks, distance = _select(self.levels, self._low, self.highest, self._split, camera_m, planes)
         return blocks[np.argsort(distance, kind="stable")]
 
 
-def block_facets() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+def block_facets() -> tuple[Int32s, Int32s]:
     """Return a block's corners, (n, 2) column and row, and its facets, (m, 3), counter-clockwise from above."""
     rows, columns = np.mgrid[:SIDE, :SIDE]
     corners = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.int32)
@@ -151,8 +150,8 @@ def _quarters(values: Floats, extreme: np.ufunc) -> Floats:
 
 @map_entry
 def _select(
-    levels: Ints, low: Floats, high: Floats, split: _Split, camera: Floats, planes: Floats
-) -> tuple[npt.NDArray[np.int32], Floats]:
+    levels: Int64s, low: Floats, high: Floats, split: _Split, camera: Floats, planes: Floats
+) -> tuple[Int32s, Floats]:
     """Return blocks and their distances.
 
     Blocks are (n, 7): level, first column and row of the level; grid, first column and row of that, posts from vertex
@@ -239,7 +238,7 @@ class Vertices(NamedTuple):
 
 @entry
 def block_vertices(  # noqa: PLR0913, PLR0917
-    blocks: Ints, begin: int, end: int, heights: Heights, levels: Ints, unit_m: float, reach_m: float, crowd: float,
+    blocks: Int64s, begin: int, end: int, heights: Heights, levels: Int64s, unit_m: float, reach_m: float, crowd: float,
     camera: Camera, out: Vertices,
 ) -> None:  # fmt: skip
     """Write the vertices of blocks `begin` to `end`, 81 each.

@@ -26,8 +26,10 @@ import numpy.typing as npt
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import NOTHING, LastArrays, Light
 from emulator.photometry.reflection_kernels import law_of
-from emulator.raster import Owners, Renderer, Screen, Topology, View, join, prepare
+from emulator.raster.layout import Owners, Screen, View
+from emulator.raster.renderer import Renderer
 from emulator.raster.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
+from emulator.raster.topology import Topology, join, prepare
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, Sunlight, rate_of_doubtful

@@ -38,9 +38,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from emulator.raster.layout import Floats
 from emulator.scene.terrain.ground import Ground, Heights, map_entry, nested
 from emulator.scene.terrain.table import Ridge
+from firmware_protocol.events import Floats
 
 DEPTH, RIM, REACH = 0.2, 0.04, 3.0
 YOUNG, BRIGHTER = 0.8, 0.3  # craters younger than this are brighter, by at most this

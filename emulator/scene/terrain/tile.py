@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import inlined
+from firmware_protocol.events import Float32s, Floats, Int32s
 
 TILE = 64
 """Corners in a row of a tile; it has one pixel less."""
@@ -21,8 +21,6 @@ B, BP, BQ, BPP, BPQ, BQQ, P, Q = range(MOMENTS)
 RATES = MOMENTS * TILE
 """Place of the moments' rates behind the moments."""
 
-Floats32 = npt.NDArray[np.float32]
-Ints32 = npt.NDArray[np.int32]
 
 # Corners of a row: facets' planes.
 CORNER_W, MIDDLE_W, W_ACROSS, W_DOWN, NORMAL_Z = range(5)
@@ -67,10 +65,10 @@ class Tile(NamedTuple):
     inputs : (MEANS, TILE), of the law of reflection.
     """
 
-    fields: Floats32
-    places: Ints32
-    sums: Floats32
-    inputs: npt.NDArray[np.float64]
+    fields: Float32s
+    places: Int32s
+    sums: Float32s
+    inputs: Floats
 
 
 def new_tile() -> Tile:
@@ -80,13 +78,13 @@ def new_tile() -> Tile:
 
 
 @inlined
-def triple(s: Floats32, field: int, k: int) -> tuple[float, float, float]:
+def triple(s: Float32s, field: int, k: int) -> tuple[float, float, float]:
     """Return three fields of pixel k that follow each other, as x, y and z do."""
     return s[field * TILE + k], s[(field + 1) * TILE + k], s[(field + 2) * TILE + k]
 
 
 @inlined
-def set_triple(s: Floats32, field: int, k: int, x: float, y: float, z: float) -> None:
+def set_triple(s: Float32s, field: int, k: int, x: float, y: float, z: float) -> None:
     """Write three fields of pixel k that follow each other."""
     s[field * TILE + k] = x
     s[(field + 1) * TILE + k] = y

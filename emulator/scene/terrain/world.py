@@ -26,7 +26,6 @@ import numpy as np
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
-from emulator.raster.layout import Float32s, Floats
 from emulator.scene.files import cached_array, report_progress
 from emulator.scene.terrain.ground import Ground, map_entry
 from emulator.scene.terrain.heightmap import load_heightmap
@@ -36,6 +35,7 @@ from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, instants_over, measured_bounds
+from firmware_protocol.events import Float32s, Floats
 
 
 def horizon_slopes(ground: Ground, azimuth_deg: float) -> Float32s:
@@ -242,7 +242,7 @@ class TerrainWorld:
 
     def _moving_px_s(self, scene_ns: int) -> float:
         """Return the speed of the ground in the light frame, from the path's speed, turning and height then."""
-        if not math.isfinite(self.camera.speed_bound_m_s):
+        if not math.isfinite(self.camera.bounds.speed_m_s):
             return math.inf
         speed, turn = measured_bounds(self.camera.pose, [scene_ns, scene_ns + _APART_NS])
         height_m = self.height_m(scene_ns, self.camera.pose(scene_ns))

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import Meta
 
 from emulator.light import MachineLacks, SceneError
@@ -32,6 +31,7 @@ from emulator.scene.kind import SceneKind
 from emulator.scene.video.video import Around, Frames, JoinedFrames, linear_light, resampled
 from emulator.trajectory.live import SceneClock
 from firmware_protocol.bounds import check_bounds
+from firmware_protocol.events import Float32s
 from firmware_protocol.ros2 import IMAGE, CdrError, ImageError, levels_of, parse_image
 from transports.needs import Need, install_command, package
 from transports.ros2.kind import DdsNetwork, check_topic
@@ -40,12 +40,9 @@ if TYPE_CHECKING:
     from transports.ros2.dds import DdsParticipant, Message, TopicReader
 
 
-_Float32s = npt.NDArray[np.float32]
-
 _KNOWN = 16
 _LEAST_APART_NS = 1000
 _MOST_ASTRAY_NS = 1_000_000_000
-
 
 _USED = "images"
 _REPEATED = "images at the time of the one before"  # refused
@@ -63,14 +60,14 @@ class LiveImages:
     by_stamp : True: times follow the stamps; False: the arrival.
     """
 
-    def __init__(self, grey: _Float32s, delay_ns: int, *, by_stamp: bool) -> None:
+    def __init__(self, grey: Float32s, delay_ns: int, *, by_stamp: bool) -> None:
         self._grey = grey
         self._delay_ns, self._by_stamp = delay_ns, by_stamp
-        self._known: deque[tuple[int, _Float32s]] = deque(maxlen=_KNOWN)
+        self._known: deque[tuple[int, Float32s]] = deque(maxlen=_KNOWN)
         self._ahead_ns: int | None = None  # of the stamps, beyond the scene's time
         self.counts = Counter({_USED: 0, _REPEATED: 0, _CLOCK_JUMPS: 0, _LATE: 0})
 
-    def add(self, log_light: _Float32s, stamp_ns: int, arrival_ns: int) -> None:
+    def add(self, log_light: Float32s, stamp_ns: int, arrival_ns: int) -> None:
         """Add an image, (height, width) log light, that arrived at the scene's time `arrival_ns`."""
         t_ns = self._time_ns(stamp_ns, arrival_ns)
         if self._known and t_ns < self._known[-1][0] + _LEAST_APART_NS:
@@ -234,9 +231,9 @@ class Ros2Images(JoinedFrames):
         is_float = levels.dtype.kind == "f"
         light = linear_light(levels, Frames(levels).full_scale, is_linear=is_float or self._p.levels == "linear")
         arrival_ns = self._scene_clock.scene_ns(message.written_ns)  # never after now
-        self._images.add(self._log_light(resampled(light, self._size)), image.header.stamp_ns, arrival_ns)
+        self._images.add(self._log_light(resampled(light, self.size)), image.header.stamp_ns, arrival_ns)
 
-    def _log_light(self, light: npt.NDArray[np.float32] | np.float32) -> npt.NDArray[np.float32]:
+    def _log_light(self, light: Float32s | np.float32) -> Float32s:
         return np.asarray(np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white)), np.float32)
 
 

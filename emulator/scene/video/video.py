@@ -50,6 +50,7 @@ from emulator.scene.kind import SceneKind, SizedScene
 from emulator.tables.toml_text import read_text, shortened
 from emulator.tables.typed_table import NO_FILE, RigFile
 from firmware_protocol.bounds import check_bounds
+from firmware_protocol.events import Float32s, Floats
 from transports.guarded_reader import Limits
 from transports.needs import Need, package
 
@@ -114,7 +115,7 @@ def read_frames(path: Path) -> Frames:
     return Frames(arrays["levels"], times_s, tuple(map(str, arrays["notes"])))
 
 
-def linear_light(levels: Levels, full_scale: float, *, is_linear: bool) -> npt.NDArray[np.float32]:
+def linear_light(levels: Levels, full_scale: float, *, is_linear: bool) -> Float32s:
     """Return linear light of levels, white 1."""
     share = np.asarray(levels, np.float32) / np.float32(full_scale)
     if is_linear:
@@ -183,7 +184,7 @@ def _files_of(folder: Path) -> tuple[list[Path], list[Path]]:
     return images, no_images
 
 
-def _timed(listed: Path, images: list[Path]) -> tuple[npt.NDArray[np.float64], list[Path], list[str]]:
+def _timed(listed: Path, images: list[Path]) -> tuple[Floats, list[Path], list[str]]:
     """Return the times of a list, s, the images that have them, and notes; raises ValueError with the line."""
     stamps, named = list[Decimal](), list[Path]()
     for number, line in enumerate(read_text(listed, _MOST_LIST_BYTES).splitlines(), 1):
@@ -210,7 +211,7 @@ def _timed(listed: Path, images: list[Path]) -> tuple[npt.NDArray[np.float64], l
     return times_s[kept] - times_s[kept[0]], [shown[k] for k in kept], notes
 
 
-def _seconds(stamps: list[Decimal]) -> tuple[npt.NDArray[np.float64], str]:
+def _seconds(stamps: list[Decimal]) -> tuple[Floats, str]:
     """Return times in s, from the first, and the unit that they were taken to have, with the reason."""
     gaps = sorted(abs(after - before) for before, after in itertools.pairwise(stamps))
     usual = gaps[len(gaps) // 2] if gaps else Decimal(0)
@@ -224,7 +225,7 @@ def _seconds(stamps: list[Decimal]) -> tuple[npt.NDArray[np.float64], str]:
     return times_s, unit
 
 
-def _later(times_s: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.intp], list[str]]:
+def _later(times_s: Floats) -> tuple[npt.NDArray[np.intp], list[str]]:
     """Return the frames that are later than all before them, and a note on the others; SceneError: these are most."""
     last_s = np.fmax.accumulate([-math.inf, *times_s])[:-1]
     kept, left = np.flatnonzero(times_s > last_s), np.flatnonzero(~(times_s > last_s))
@@ -286,8 +287,6 @@ def read_video(path: Path) -> dict[str, Any]:
     return {"levels": levels[kept] if notes else levels, "times_s": times_s[kept] - times_s[kept[0]], "notes": notes}
 
 
-_Float32s = npt.NDArray[np.float32]
-
 _TYPICAL_THRESHOLD = 0.2
 
 
@@ -339,13 +338,13 @@ def _needs(parameters: VideoParameters) -> tuple[Need, ...]:
 class Around:
     """Log light (height, width) of the frames around a time, the share of the later one, and their gap in s."""
 
-    before: _Float32s
-    after: _Float32s
+    before: Float32s
+    after: Float32s
     share: np.float32
     apart_s: float
 
     @classmethod
-    def still(cls, log_light: _Float32s) -> Self:
+    def still(cls, log_light: Float32s) -> Self:
         """Return one frame that does not change."""
         return cls(log_light, log_light, np.float32(0), 0.0)
 
@@ -383,7 +382,7 @@ class Video(JoinedFrames):
         last_ns, gaps = self._times_ns[-1], len(self._times_ns) - 1
         self._round_ns = last_ns + max(1, last_ns // gaps) if gaps else 1  # the last frame is shown as long as the mean
         self._is_linear = parameters.levels == "linear" or self._frames.levels.dtype.kind == "f"
-        self._kept: dict[int, _Float32s] = {}
+        self._kept: dict[int, Float32s] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -419,13 +418,13 @@ class Video(JoinedFrames):
         share = np.float32((t_ns - times[k]) / apart_ns)
         return Around(self._log_light(k), self._log_light(k + 1), share, apart_ns * 1e-9)
 
-    def _log_light(self, k: int) -> _Float32s:
+    def _log_light(self, k: int) -> Float32s:
         """Return frame k in log light; the last few stay decoded."""
         if k not in self._kept:
             while len(self._kept) >= 3:
                 del self._kept[next(iter(self._kept))]
             light = linear_light(self._frames.levels[k], self._frames.full_scale, is_linear=self._is_linear)
-            light = resampled(light, self._size)
+            light = resampled(light, self.size)
             self._kept[k] = np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white))
         return self._kept[k]
 
@@ -439,7 +438,7 @@ def _times_ns(frames: Frames, p: VideoParameters) -> list[int]:
     return [int(k * period) for k in range(len(frames.levels))]
 
 
-def resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
+def resampled(light: Float32s, size: tuple[int, int]) -> Float32s:
     """Return `light` (height, width) at another size: means over areas."""
     if light.shape == size[::-1]:
         return light
@@ -447,7 +446,7 @@ def resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
     return np.asarray(down @ light @ across.T, np.float32)
 
 
-def _shares(source: int, target: int) -> _Float32s:
+def _shares(source: int, target: int) -> Float32s:
     """Return the share of each of `target` equal stretches that each of `source` equal ones fills, (target, source)."""
     if source < 1:
         raise SceneError("a frame has no pixels")

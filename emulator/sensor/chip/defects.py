@@ -17,18 +17,15 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams, uniform
 from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.pixels.method import PixelMethod
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Floats, Int64s
 
 _DAY_NS = 86_400 * 10**9
 NEVER_NS = (1 << 63) - 1
-
-_Int64s = npt.NDArray[np.int64]
-_Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +40,13 @@ class Defects:
     hot_from_ns : stream time from which each is hot, (m,) int64; below 0 for those that always are.
     """
 
-    dead: _Int64s
-    hot: _Int64s
-    hot_hz: _Floats
-    hot_from_ns: _Int64s
+    dead: Int64s
+    hot: Int64s
+    hot_hz: Floats
+    hot_from_ns: Int64s
 
 
-def _turning_ns(p: SensorParameters, seed: int, pixel: _Int64s) -> _Int64s:
+def _turning_ns(p: SensorParameters, seed: int, pixel: Int64s) -> Int64s:
     """Return the time at which each pixel turns hot: -1 if it always is, NEVER_NS if it never is."""
     turns = np.full(pixel.size, NEVER_NS, np.int64)
     radiation = p.radiation
@@ -66,7 +63,7 @@ def _turning_ns(p: SensorParameters, seed: int, pixel: _Int64s) -> _Int64s:
     return turns
 
 
-def _places(p: SensorParameters, places: tuple[tuple[int, int], ...]) -> _Int64s:
+def _places(p: SensorParameters, places: tuple[tuple[int, int], ...]) -> Int64s:
     return np.array([y * p.width + x for x, y in places], np.int64)
 
 

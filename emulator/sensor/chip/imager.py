@@ -26,35 +26,33 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight
 from emulator.sensor.numerics.compiled import cached_entry, vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Float32s, Int64s
 
 _LEAST_GAIN = 0.1
 _LARGEST = np.finfo(np.float32).max
 _ARRAY_SHARE = 0.01  # of the dark current, given to the array when counting can reduce it
 _ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
 
-_Float32s = npt.NDArray[np.float32]
-
 
 class _Pattern(NamedTuple):
     """The fixed pattern of gains and dark currents, (pixels,), and the dark current that the array adds by itself."""
 
-    gain: _Float32s
-    dark: _Float32s
+    gain: Float32s
+    dark: Float32s
     least: np.float32
 
 
 class _Counting(NamedTuple):
     """The normal numbers of the grid times before and after, the share x between them, and their scale."""
 
-    n0: _Float32s
-    n1: _Float32s
+    n0: Float32s
+    n1: Float32s
     x: np.float32
     per_count: np.float32  # 1 / (electrons G)
     of_light: np.float32  # 0 or 1, share in s^2
@@ -62,7 +60,7 @@ class _Counting(NamedTuple):
 
 
 @vector_kernel
-def _shine(light: _Float32s, gain: _Float32s, dark: _Float32s, out: _Float32s) -> None:
+def _shine(light: Float32s, gain: Float32s, dark: Float32s, out: Float32s) -> None:
     """Write g E + dark into `out`; light below 0 counts as 0, light that is not finite stays so."""
     for k in range(out.size):
         e = light[k]
@@ -78,7 +76,7 @@ def _power(exponent: np.float32) -> np.float32:
 
 
 @vector_kernel
-def _count(current: _Float32s, dark: _Float32s, c: _Counting) -> None:
+def _count(current: Float32s, dark: Float32s, c: _Counting) -> None:
     """Multiply currents by e^m, in place."""
     left, right = _ONE - c.x, c.x
     spread = _HALF * (left * left + right * right)
@@ -91,7 +89,7 @@ def _count(current: _Float32s, dark: _Float32s, c: _Counting) -> None:
 
 
 @vector_kernel
-def _without(least: np.float32, out: _Float32s) -> None:
+def _without(least: np.float32, out: Float32s) -> None:
     """Subtract the dark current that the array adds, limited to 0; NaN stays."""
     for k in range(out.size):
         e = out[k] - least
@@ -99,7 +97,7 @@ def _without(least: np.float32, out: _Float32s) -> None:
 
 
 @vector_kernel
-def _interpolate(before: _Float32s, after: _Float32s, dark: np.float32, share: np.float32, out: _Float32s) -> None:
+def _interpolate(before: Float32s, after: Float32s, dark: np.float32, share: np.float32, out: Float32s) -> None:
     for k in range(out.size):
         e0, e1 = before[k], after[k]
         first, last = (e0 if e0 > _ZERO else _ZERO) + dark, (e1 if e1 > _ZERO else _ZERO) + dark
@@ -109,7 +107,7 @@ def _interpolate(before: _Float32s, after: _Float32s, dark: np.float32, share: n
 
 
 @cached_entry
-def part_of_the_way(before: _Float32s, after: _Float32s, dark: np.float32, share: np.float32, out: _Float32s) -> None:
+def part_of_the_way(before: Float32s, after: Float32s, dark: np.float32, share: np.float32, out: Float32s) -> None:
     """Write the light between two frames into `out`, all (pixels,): linear in the log of light + dark.
 
     Where either frame is not finite, the result is the later one.
@@ -118,13 +116,13 @@ def part_of_the_way(before: _Float32s, after: _Float32s, dark: np.float32, share
 
 
 @cached_entry
-def _see(light: _Float32s, p: _Pattern, out: _Float32s) -> None:
+def _see(light: Float32s, p: _Pattern, out: Float32s) -> None:
     _shine(light, p.gain, p.dark, out)
     _without(p.least, out)
 
 
 @cached_entry
-def _see_counted(light: _Float32s, p: _Pattern, c: _Counting, out: _Float32s) -> None:
+def _see_counted(light: Float32s, p: _Pattern, c: _Counting, out: Float32s) -> None:
     _shine(light, p.gain, p.dark, out)
     _count(out, p.dark, c)
     _without(p.least, out)
@@ -189,7 +187,7 @@ class Imager:
         return _Counting(*self._drawn, np.float32(x), np.float32(1 / electrons), *shares)
 
 
-def _see_pixels(at: PixelLight, p: _Pattern, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
+def _see_pixels(at: PixelLight, p: _Pattern, t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
     """Return E' of single pixels and its time derivative, as `Imager.see` does for a whole frame."""
     light, rate = at(t_ns, pixels)
     pattern, seen = _Pattern(p.gain[pixels], p.dark[pixels], p.least), np.empty(pixels.size, np.float32)

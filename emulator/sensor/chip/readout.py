@@ -42,12 +42,11 @@ from emulator.sensor.numerics.keyed import Purpose, high, low, normal_from, root
 from emulator.sensor.parameters import JitterParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import EVENT, Events, copy_events
+from firmware_protocol.events import EVENT, Events, Int64s, Mask, copy_events
 
 _FOREVER_NS = (1 << 63) - 1
 
 _Words = npt.NDArray[np.uint64]
-_Int64s = npt.NDArray[np.int64]
 
 # Phases of the arbiter.
 _IDLE, _PICKED, _SENDING = range(3)
@@ -59,20 +58,20 @@ class _Maps(NamedTuple):
     waiting: _Words  # (height, words), bit set: this pixel holds a request
     polarity: _Words  # (height, words), of those requests
     rows: _Words  # bit set: this row has requests
-    counts: _Int64s  # (height,), requests in each row
+    counts: Int64s  # (height,), requests in each row
     filled: _Words  # (height,), bit set: this group of the row's words has requests
     latched: _Words  # (words,), the words with requests of the row being sent, not yet sent, without gaps
     latched_polarity: _Words
-    latched_words: _Int64s  # their numbers in the row
-    busy_until_ns: _Int64s  # (pixels,), end of the refractory period after the acknowledge; empty where it is not used
+    latched_words: Int64s  # their numbers in the row
+    busy_until_ns: Int64s  # (pixels,), end of the refractory period after the acknowledge; empty where it is not used
 
 
 class Arrivals(NamedTuple):
     """Crossings, as in `Crossings`."""
 
-    t_ns: _Int64s
+    t_ns: Int64s
     pixel: npt.NDArray[np.uint32]
-    on: npt.NDArray[np.bool_]
+    on: Mask
 
 
 class _Timing(NamedTuple):
@@ -300,13 +299,8 @@ class ReadOut(ABC):
 
     @property
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
+        """Crossings of pixels whose request still waited, or that were busy after their acknowledge."""
         return int(self._queue.lost + self._queue.busy)
-
-    @property
-    def lost_busy(self) -> int:
-        """Of these, crossings of pixels in the refractory period after the acknowledge."""
-        return int(self._queue.busy)
 
     @property
     def pending(self) -> int:
@@ -352,7 +346,7 @@ class ReadOut(ABC):
         """Run until `until_ns`; return the number of events written to `_out`."""
 
 
-def new_busy(p: SensorParameters) -> _Int64s:
+def new_busy(p: SensorParameters) -> Int64s:
     """Return the ends of the pixels' refractory periods after the acknowledge, all over; empty if there are none."""
     return np.full(p.width * p.height if p.reset.at_acknowledge else 0, -_FOREVER_NS)
 
@@ -407,11 +401,11 @@ class _Delays(NamedTuple):
     deviation: float
     late_share: float
     late_ns: float
-    events: npt.NDArray[np.int64]
-    last_ns: npt.NDArray[np.int64]
+    events: Int64s
+    last_ns: Int64s
 
 
-_Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
+_Arrays = tuple[Int64s, npt.NDArray[np.uint32], Mask]
 
 
 @cached_entry

@@ -18,19 +18,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.sensor.chip.readout import Arrivals, ReadOut, new_busy
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, log_compilation
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import Events
+from firmware_protocol.events import Bytes, Events, Int64s
 
 _FOREVER_NS = (1 << 63) - 1
 _FREE, _OFF, _ON = range(3)
 
-_Requests = npt.NDArray[np.uint8]
-_Int64s = npt.NDArray[np.int64]
-_Maps = tuple[_Requests, _Int64s, _Int64s]
+_Requests = Bytes
+_Maps = tuple[_Requests, Int64s, Int64s]
 """Requests, (width, height), their number in each column, and the ends of refractory periods: see `new_busy`."""
 
 
@@ -146,14 +144,9 @@ class ScanReadOut(ReadOut):
         self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64), new_busy(parameters)
         self._queue = _Scan(0, 0, 0, 0, 0, 0)
 
-    @property
-    def scan_us(self) -> float:
-        """Time of a scan of all columns without events, us."""
-        return self._scan_us
-
     def set_scan_us(self, scan_us: float) -> None:
         """Set the time of a scan from the next column on, above 0."""
-        self._scan_us = scan_us
+        self.scan_us = scan_us
         self._timing = self._timing._replace(column_ps=max(1, round(scan_us * 1e6 / self._timing.width)))
 
     def _serve(self, arrivals: Arrivals, until_ns: int) -> int:

@@ -30,6 +30,7 @@ from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, root_of, stream, uniform, unit, word
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, merged, unpacked
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Float32s, Floats, Int64s, Mask
 
 SLOT_NS = 1_024_000
 """Length of a slot, in which events are drawn."""
@@ -41,7 +42,7 @@ LONGEST_NS = 1 << 33
 class Pending(NamedTuple):
     """Events that are drawn and not yet released: times, and pixel << 1 | on; with free space behind them."""
 
-    t_ns: npt.NDArray[np.int64]
+    t_ns: Int64s
     key: npt.NDArray[np.uint64]
 
 
@@ -98,18 +99,18 @@ class SlottedEvents(ABC):
         self._pending, self._waiting = new_pending(), 0
         self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
 
-    def add_to(self, crossings: Crossings, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+    def add_to(self, crossings: Crossings, light: Float32s, t_ns: int) -> Crossings:
         """Return a step's `crossings` with the events up to, and without, `t_ns` among them."""
         return merged(crossings, self.step(light, t_ns))
 
-    def step(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+    def step(self, light: Float32s, t_ns: int) -> Crossings:
         """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
         parts = []
         while self._t_ns < t_ns:
             parts.append(self._events_until(light, min(t_ns, self._t_ns + LONGEST_NS)))
         return joined(parts) if parts else NO_CROSSINGS
 
-    def _events_until(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+    def _events_until(self, light: Float32s, t_ns: int) -> Crossings:
         window = Window(self._slot, self._t_ns, t_ns, self._pixel_bits)
         pending, self._waiting, keys = self._advance(window, light, self._pending, self._waiting)
         self._pending = Pending(*pending)
@@ -118,11 +119,9 @@ class SlottedEvents(ABC):
         return unpacked(keys, window.t0_ns, self._pixel_bits)
 
     @abstractmethod
-    def _advance(self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int) -> _Advanced:
+    def _advance(self, window: Window, light: Float32s, pending: Pending, n: int) -> _Advanced:
         """Draw the slots that begin before the window's end; return the pending and the packed events."""
 
-
-_Floats = npt.NDArray[np.float64]
 
 _ONE = np.uint64(1)
 _FOLLOWERS = np.uint64(1 << 32)  # of a primary: first index of the numbers that they draw
@@ -147,13 +146,13 @@ class _Rates(NamedTuple):
     `first`, (2^n + 1,): the pixels at equal shares of the whole rate, so that few lie between two of them.
     """
 
-    below: _Floats
-    pair: _Floats
-    wait_ns: _Floats
-    first: npt.NDArray[np.int64]
+    below: Floats
+    pair: Floats
+    wait_ns: Floats
+    first: Int64s
 
 
-def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats, _Floats]:
+def primaries_hz(p: SensorParameters, seed: int) -> tuple[Floats, Floats, Floats]:
     """Return each pixel's rate of primaries, Hz, the probability that an OFF one has a follower, and its mean wait, s.
 
     Rates hold over a long time. A probability above 1, of ON primaries, counts as 1.
@@ -232,7 +231,7 @@ class BackgroundEvents(SlottedEvents):
     dead : pixels that raise no events, (n,) int64.
     """
 
-    def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, dead: Int64s) -> None:
         p, b = parameters, parameters.background
         hz, pair, wait_s = primaries_hz(p, seed)
         hz[dead] = 0
@@ -251,7 +250,7 @@ class BackgroundEvents(SlottedEvents):
         self._slot = (t_ns - self._before_ns) // SLOT_NS
         self._events_until(np.empty(0, np.float32), t_ns)
 
-    def _advance(self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int) -> _Advanced:
+    def _advance(self, window: Window, light: Float32s, pending: Pending, n: int) -> _Advanced:
         result: _Advanced = _advance(window, self._constants, self._rates, pending, n)
         return result
 
@@ -296,7 +295,7 @@ def _until_next(at: float, along: float) -> tuple[float, float]:
 
 
 @kernel
-def path(track: _Track, width: int, height: int, pixel: npt.NDArray[np.int64]) -> int:
+def path(track: _Track, width: int, height: int, pixel: Int64s) -> int:
     """Write the pixels under a track into `pixel`, (width + height + 2,) int64, in order; return their number.
 
     From pixel to pixel across the nearest border (Amanatides and Woo, 1987), until the track or the chip ends.
@@ -333,7 +332,7 @@ def _track(base: np.uint64, chip: _Chip) -> _Track:
 
 
 @kernel
-def _add_track(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _Chip, pending: Pending, n: int) -> int:
+def _add_track(base: np.uint64, t_ns: int, pixel: Int64s, chip: _Chip, pending: Pending, n: int) -> int:
     """Add the events of a track's pixels to `pending` from n on; return the new n."""
     for k in range(pixel.size):
         bits, key = word(base, _PIXELS + k), np.uint64(pixel[k]) << _ONE
@@ -347,9 +346,7 @@ def _add_track(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _
 
 
 @kernel_that_allocates
-def _draw_particles(
-    slot: int, chip: _Chip, pixel: npt.NDArray[np.int64], dead: npt.NDArray[np.bool_], pending: Pending, n: int
-) -> tuple[Pending, int]:
+def _draw_particles(slot: int, chip: _Chip, pixel: Int64s, dead: Mask, pending: Pending, n: int) -> tuple[Pending, int]:
     """Add the particles of a slot to `pending` from n on."""
     slot_base = stream(chip.root, slot)
     t, k = 0.0, 0
@@ -370,7 +367,7 @@ def _draw_particles(
 
 @cached_entry
 def _advance_particles(
-    window: Window, chip: _Chip, dead: npt.NDArray[np.bool_], pending: Pending, n: int
+    window: Window, chip: _Chip, dead: Mask, pending: Pending, n: int
 ) -> tuple[tuple[Any, ...], int, npt.NDArray[np.uint64]]:
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     pixel = np.empty(chip.width + chip.height + 2, np.int64)
@@ -391,7 +388,7 @@ class Particles(SlottedEvents):
     dead : pixels that raise no events, (n,) int64.
     """
 
-    def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, dead: Int64s) -> None:
         p, r = parameters, parameters.radiation
         super().__init__(p.width * p.height)
         self._dead = np.zeros(p.width * p.height, np.bool_)
@@ -400,6 +397,6 @@ class Particles(SlottedEvents):
         depth_px, recovery_ns = r.depth_um / r.pixel_pitch_um, r.recovery_us * 1000
         self._chip = _Chip(root, gap, p.width, p.height, depth_px, r.off_share, recovery_ns)
 
-    def _advance(self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int) -> _Advanced:
+    def _advance(self, window: Window, light: Float32s, pending: Pending, n: int) -> _Advanced:
         result: _Advanced = _advance_particles(window, self._chip, self._dead, pending, n)
         return result

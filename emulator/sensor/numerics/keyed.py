@@ -28,7 +28,7 @@ import numpy.typing as npt
 from emulator.sensor.numerics.compiled import cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import natural_log
 from firmware_protocol.device import clock as keyed_draws
-from firmware_protocol.device.clock import GOLDEN, as_words, mix, normal_of, uniform_of, words_of
+from firmware_protocol.device.clock import GOLDEN, as_words, mix, normal_of, words_of
 
 
 class Purpose(IntEnum):
@@ -87,7 +87,7 @@ def words(seed: int, purpose: Purpose, pixel: npt.ArrayLike, index: npt.ArrayLik
 
 def uniform(seed: int, purpose: Purpose, pixel: npt.ArrayLike, index: npt.ArrayLike = 0) -> npt.NDArray[np.float64]:
     """Return uniform numbers in (0, 1), one for each of `pixel` and `index` (broadcast)."""
-    return uniform_of(words(seed, purpose, pixel, index))
+    return ((words(seed, purpose, pixel, index) >> np.uint64(11)).astype(np.float64) + 0.5) / 2.0**53
 
 
 def normal(seed: int, purpose: Purpose, pixel: npt.ArrayLike, index: npt.ArrayLike = 0) -> npt.NDArray[np.float64]:

@@ -219,7 +219,9 @@ class eventcv:
     def __init__(self, settings: Any) -> None:
         if settings.path:
             sys.path.insert(0, settings.path)
-        self.version, self.date, self.settings = importlib.metadata.version("eventcv"), "", settings
+        self.version = importlib.metadata.version("eventcv")
+        self.date = ""
+        self.settings = settings
         self.frames: list[Any] = []
         self.simulate = importlib.import_module("eventcv").simulate
 
@@ -283,7 +285,9 @@ class _Evstim:
         self.date = checkout(str(Path(__file__).parent))[1]
         light = importlib.import_module("laboratory.accuracy.peers.sequences").light_of(settings.scene)
         self.at = importlib.import_module("laboratory.accuracy.harness").pixel_light(light) if self.refines else None
-        self.width, self.started, self.sensor = settings.width, False, None
+        self.width = settings.width
+        self.started = False
+        self.sensor = None
         if settings.whole:
             self.sensor = importlib.import_module("emulator.sensor.sensor").Sensor(parameters, 1)
         self.array = self.sensor or importlib.import_module("emulator.sensor.pixels.array").PixelArray(parameters, 1)

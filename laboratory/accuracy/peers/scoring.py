@@ -218,7 +218,9 @@ def score_events(
 
     Raises FolderError where the truth is missing.
     """
-    scores, times, checks = [], {}, _Checks()
+    scores = []
+    times = {}
+    checks = _Checks()
     for name, sequence in folder.sequences.items():
         timing = sequence.scene in TIMING
         try:

@@ -144,7 +144,10 @@ def run_sequence(simulator: Simulator, frames: Iterator[Frame]) -> dict[str, Any
         There are more than MOST_EVENTS.
     """
     found: list[tuple[Any, ...]] = []
-    wall, cpu, events, k = [], [], 0, -1
+    wall = []
+    cpu = []
+    events = 0
+    k = -1
     for k, frame in enumerate(frames):
         clocks = time.perf_counter_ns(), time.process_time_ns()
         given = simulator.step(frame)

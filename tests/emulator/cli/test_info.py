@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.recordings.part import Facts, Part
 from tests.transports.recording.samples import SIZE, write
 from tests.transports.recording.test_bags import LEFT, RIGHT, bag, events_at  # noqa: F401
 from tests.transports.recording.test_evt_files import EVK4
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
 
 pytestmark = pytest.mark.usefixtures("reads_here")
 

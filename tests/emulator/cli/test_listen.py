@@ -7,7 +7,7 @@ import pytest
 
 from emulator.cli.listen import Limits, Source, listen_to
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, failing
-from transports.usb.cameras import CameraReception
+from transports.reception import Reception
 
 NO_LIMITS = Limits()
 
@@ -18,7 +18,7 @@ def listen(capsys):
 
     def run(last, limits=NO_LIMITS, *, as_json=False):
         def receive(goes_on, _):
-            now = CameraReception()
+            now = Reception()
             while goes_on(now) and now != last:
                 now = dataclasses.replace(last, events=now.events + 1, seconds=now.seconds + 0.25)
                 now = last if now.events >= last.events else now
@@ -33,22 +33,22 @@ def listen(capsys):
 
 
 def test_the_summary_of_a_good_reception(listen):
-    code, out, err = listen(CameraReception(events=2, edges=1, seconds=0.5, digest=0xAB))
+    code, out, err = listen(Reception(events=2, edges=1, seconds=0.5, digest=0xAB))
     assert (code, err) == (GOOD, "")
     assert out == "2 events and 1 edges in 0.50 s, digest 000000ab, 0 words\n[a line]\n"
 
 
 def test_the_loss_of_the_other_side_is_a_problem(listen):
-    code, _, err = listen(CameraReception(events=1, gone=True))
+    code, _, err = listen(Reception(events=1, gone=True))
     assert (code, err) == (BAD_VERDICT, "evstim: it went away\n")
 
 
 def test_faults_make_a_bad_verdict(listen):
-    assert listen(CameraReception(events=1, faults=1))[0] == BAD_VERDICT
+    assert listen(Reception(events=1, faults=1))[0] == BAD_VERDICT
 
 
 def test_the_reception_is_the_json(listen):
-    last = CameraReception(events=1, gone=True)
+    last = Reception(events=1, gone=True)
     code, out, _ = listen(last, as_json=True)
     assert json.loads(out) == {**dataclasses.asdict(last), "problems": ["it went away"]}
     assert code == BAD_VERDICT
@@ -56,11 +56,11 @@ def test_the_reception_is_the_json(listen):
 
 @pytest.mark.parametrize("limits", [Limits(events=3), Limits(seconds=0.75)])
 def test_a_limit_ends_the_reception(listen, limits):
-    assert "3 events" in listen(CameraReception(events=100), limits)[1]
+    assert "3 events" in listen(Reception(events=100), limits)[1]
 
 
 def test_progress_is_printed_each_second(listen):
-    err = listen(CameraReception(events=9, seconds=2.25))[2]
+    err = listen(Reception(events=9, seconds=2.25))[2]
     assert [line.split()[0] for line in err.splitlines()] == ["1.0", "2.0"]
 
 

@@ -20,9 +20,9 @@ from PIL import Image
 from emulator.cli import picture
 from emulator.cli.signals import interrupt_on_stop_signals
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.part import Facts, Part
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
 
 pytestmark = pytest.mark.usefixtures("reads_here")
 

@@ -6,9 +6,9 @@ from PIL import Image
 
 from emulator.cli.app import _main
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.part import Facts, Frame, Part
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Frame, Part
 
 pytestmark = pytest.mark.usefixtures("reads_here")
 SIZE, ON, OFF, BLACK = (346, 260), (230, 159, 0), (86, 180, 233), (0, 0, 0)

@@ -7,16 +7,10 @@ import pytest
 from emulator.geometry.camera import Pinhole
 
 
-def test_the_field_of_view_comes_back():
+def test_the_field_of_view_gives_the_focal_length():
     camera = Pinhole.of_field((346, 260), 21.0)
-    assert camera.field_of_view_deg == pytest.approx(21.0)
     assert camera.focal_px == pytest.approx(173 / math.tan(math.radians(10.5)))
     assert camera.zoom == pytest.approx((camera.focal_px / 173, camera.focal_px / 130))
-
-
-def test_a_margin_keeps_the_scale():
-    wide = Pinhole(346, 260, 500.0).widened(8)
-    assert (wide.size, wide.focal_px) == ((362, 276), 500.0)
 
 
 def test_the_widest_ray_goes_to_a_corner():

@@ -9,9 +9,10 @@ import pytest
 from emulator.cli.run import run_rig, summary, summary_lines
 from emulator.gl import context
 from emulator.gl.context import WANTED, open_context, probe, renderer_name
-from emulator.rig.loading import LoopbackLink, RigError, load_rig, parse_rig
+from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.run.assembly import build_scene
 from emulator.run.kernels import parts_of
+from transports.usb.kind import LoopbackLink
 
 SIZE = (64, 48)
 

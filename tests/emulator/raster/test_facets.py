@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.raster import Facets, Renderer, Screen, View, prepare
-from emulator.raster.topology import PARTS
+from emulator.raster.layout import Screen, View
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import PARTS, Facets, prepare
 
 BALL = trimesh.creation.icosphere(subdivisions=2)
 FACES = np.asarray(BALL.faces, np.int32)

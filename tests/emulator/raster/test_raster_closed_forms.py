@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from emulator.raster import Renderer, Screen, View, join, prepare
+from emulator.raster.layout import Screen, View
 from emulator.raster.lines import LINES
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import join, prepare
 
 SCREEN = Screen(24, 18, 100.0, (12.0, 9.0))
 

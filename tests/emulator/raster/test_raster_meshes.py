@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.raster import Renderer, Screen, View, join, prepare
+from emulator.raster.layout import Screen, View
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import join, prepare
 
 SCREEN = Screen(64, 48, 300.0, (32.0, 24.0))
 SPIN = np.array([0.3, 0.9, -0.2])

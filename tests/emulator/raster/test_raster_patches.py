@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from emulator.raster import Facets, Renderer, Screen, View, join, prepare
+from emulator.raster.layout import Screen, View
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import Facets, join, prepare
 
 SCREEN = Screen(24, 18, 100.0, (12.0, 9.0))
 LIFT = 1e-6

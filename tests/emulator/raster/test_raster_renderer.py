@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.light import NOTHING
-from emulator.raster import Renderer, Screen, View, join, prepare
+from emulator.raster.layout import Screen, View
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import join, prepare
 
 SCREEN = Screen(40, 30, 60.0, (20.0, 15.0))
 

@@ -27,6 +27,7 @@ from emulator.run.pacing import Lateness
 from transports.faults.bus import DeadBus
 from transports.faults.line import BitFlips
 from transports.faults.script import FaultRecord
+from transports.link.loop import InjectFault
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
 
@@ -131,11 +132,11 @@ class Injector:
         self.injected = []
         self.ended = []
 
-    def end_fault(self, link, number, by):
-        self.ended.append((link, number))
-
-    def inject(self, fault, by):
-        self.injected.append(fault)
+    def order(self, link, order):
+        if isinstance(order, InjectFault):
+            self.injected.append(order.fault)
+        else:
+            self.ended.append((link, order.number))
 
 
 def status(**links):

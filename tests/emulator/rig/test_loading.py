@@ -7,10 +7,11 @@ import math
 import pytest
 
 from emulator.rig.kinds import CAMERA_MODELS, LINKS, SCENES
-from emulator.rig.loading import LoopbackLink, RigError, UsbipLink, find_rig, load_rig, parse_rig, shipped_rigs
+from emulator.rig.loading import RigError, find_rig, load_rig, parse_rig, shipped_rigs
 from emulator.rig.top_level import rig_schema
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.genx320.device import SLOPES
+from transports.usb.kind import LoopbackLink, UsbipLink
 
 GOOD = """\
 title = "t"

@@ -91,4 +91,4 @@ def test_a_path_names_one_thing(keys):
 def test_without_a_simulation_the_path_stays_where_the_rig_says():
     path = build_trajectory(BasiliskPath(camera=1, position_m=(1.0, 2.0, 3.0)))
     assert list(path.pose(10**12).position_m) == [1.0, 2.0, 3.0]
-    assert path.speed_bound_m_s == path.turn_bound_rad_s == float("inf")
+    assert path.bounds.speed_m_s == path.bounds.turn_rad_s == float("inf")

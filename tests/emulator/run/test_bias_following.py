@@ -13,7 +13,7 @@ from emulator.run.changes import BiasFollowing, Change, Changes
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
-from firmware_protocol.dvxplorer import Dvxplorer
+from firmware_protocol.dvxplorer.device import Dvxplorer
 from firmware_protocol.genx320.device import Genx320
 from firmware_protocol.imx636.evk4 import Evk4
 from firmware_protocol.packets.telecommands import SetBias

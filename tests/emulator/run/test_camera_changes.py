@@ -19,8 +19,8 @@ from emulator.run.session import Schedule, Session
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.davis346.biases import BIASES, CoarseFine
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.fx3.registers import Module
 from firmware_protocol.instrument.instrument import Instrument

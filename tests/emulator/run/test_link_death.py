@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from emulator.run.link_process import LinkProcess
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from tests.made_events import events_at

@@ -8,7 +8,7 @@ import pytest
 
 from emulator.run.link_process import LinkProcess
 from evstim.testing.link_contract import event_stream
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from transports.link.pacing import LINK_NICE, MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing

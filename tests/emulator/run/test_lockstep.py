@@ -15,7 +15,7 @@ from emulator.run.session import Schedule, Session
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.events import EdgeKind
 from tests.npz_records import load_edges
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming

@@ -127,7 +127,7 @@ def test_segments_may_share_an_epoch_and_nothing_is_joined_across_it():
     zero = path.span_ns[0]
     np.testing.assert_allclose(path.pose(zero + 290 * S).position_m, [290_000, 0, 0], atol=1e-6)
     np.testing.assert_allclose(path.pose(zero + 310 * S).position_m, [300_000, 10_000, 0], atol=1e-6)
-    assert path.speed_bound_m_s == pytest.approx(1250)
+    assert path.bounds.speed_m_s == pytest.approx(1250)
 
 
 @pytest.mark.parametrize(("start", "problem"), [(310, "starts 10 s after"), (290, "starts 10 s before")])

@@ -11,7 +11,7 @@ from emulator.geometry.camera import Cycle
 from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Elements, Orbit
-from emulator.trajectory.live import SimulatedPath, known_motion
+from emulator.trajectory.live import SimulatedPath, TimedPose, known_motion
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
 
@@ -85,8 +85,6 @@ def test_constant_acceleration_between_keyframes_is_exact():
 class _Helix(Trajectory):
     """A circle with climb, turning with it: poses alone, so that its motion comes from differences."""
 
-    speed_bound_m_s = turn_bound_rad_s = math.inf
-
     def pose(self, t_ns):
         a = 2.0 * t_ns * 1e-9
         return Pose(np.array([100 * math.cos(a), 100 * math.sin(a), a]), quaternion_of_vector([0, 0, a]))
@@ -104,7 +102,9 @@ def test_differences_are_as_good_as_they_say():
 def _samples(period_ns, count, a):
     turn = np.array([0.1, 0.2, -0.3])
     return [
-        (k * period_ns, Pose(a * (k * period_ns * 1e-9) ** 2 / 2, quaternion_of_vector(turn * k * period_ns * 1e-9)))
+        TimedPose(
+            k * period_ns, Pose(a * (k * period_ns * 1e-9) ** 2 / 2, quaternion_of_vector(turn * k * period_ns * 1e-9))
+        )
         for k in range(count)
     ]
 
@@ -121,6 +121,6 @@ def test_known_poses_of_constant_acceleration_and_rate_give_both():
 def test_a_simulated_path_is_at_rest_until_it_is_known_to_move():
     path = SimulatedPath(Fixed())
     assert not path.motion(0).velocity_m_s.any()
-    for t_ns, pose in _samples(10_000_000, 4, np.array([0, 0, 3.0])):
+    for t_ns, pose, _ in _samples(10_000_000, 4, np.array([0, 0, 3.0])):
         path.add(t_ns, pose)
     np.testing.assert_allclose(path.motion(25_000_000).acceleration_m_s2, [0, 0, 3.0], atol=1e-8)

@@ -81,8 +81,8 @@ def test_it_passes_through_its_keyframes_and_keeps_its_bounds(steps, x):
         assert turn_rad(path.pose(t), at(0, angle=angle)) < 1e-7
     t0 = round(x * (times[-1] - 1000))
     before, after = path.pose(t0), path.pose(t0 + 1000)
-    assert np.linalg.norm(after.position_m - before.position_m) * 1e6 <= path.speed_bound_m_s * 1.001 + 1e-6
-    assert turn_rad(before, after) * 1e6 <= path.turn_bound_rad_s * 1.001 + 1e-6
+    assert np.linalg.norm(after.position_m - before.position_m) * 1e6 <= path.bounds.speed_m_s * 1.001 + 1e-6
+    assert turn_rad(before, after) * 1e6 <= path.bounds.turn_rad_s * 1.001 + 1e-6
 
 
 def test_a_quaternion_s_sign_does_not_matter():
@@ -95,7 +95,7 @@ def test_a_quaternion_s_sign_does_not_matter():
 def test_one_keyframe_is_a_place():
     path = Keyframes([5], [at(4.0)])
     assert path.pose(-7).position_m[0] == 4.0
-    assert path.speed_bound_m_s == 0
+    assert path.bounds.speed_m_s == 0
 
 
 @pytest.mark.parametrize(

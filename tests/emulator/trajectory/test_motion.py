@@ -77,8 +77,8 @@ def test_a_tilt_of_minus_a_quarter_lays_the_axis_along_y():
 def test_a_spin_s_bound_is_its_rate():
     spinning = Spinning((1, 2, 3), (0, 1, 0), Cycle(0.1), Tilt(0.3, Cycle(-0.2)))
     _, turn = measured_bounds(spinning.pose, [k * 10_000_000 for k in range(200)])
-    assert turn / 1.25 <= spinning.turn_bound_rad_s * (1 + 1e-6)
-    assert spinning.turn_bound_rad_s == pytest.approx(2 * math.pi * 0.3)
+    assert turn / 1.25 <= spinning.bounds.turn_rad_s * (1 + 1e-6)
+    assert spinning.bounds.turn_rad_s == pytest.approx(2 * math.pi * 0.3)
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1))

@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE
-from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
+from firmware_protocol.telemetry.layout import BlockError
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 VECTORS = Path(__file__).parent.parent / "telemetry/vectors"
 GOOD = json.loads((VECTORS / "blocks.json").read_text())
@@ -55,7 +57,7 @@ def check(library, blocks, near_us=0, size=None):
     reply = library("b", request(blocks, near_us), size=size or size_in(blocks[0]))
     assert np.array_equal(reply.events, np.concatenate([block.events for block in good] or [reply.events[:0]]))
     assert np.array_equal(reply.edges, np.concatenate([block.edges for block in good] or [reply.edges[:0]]))
-    dropped = sum(block.dropped for block in good)
+    dropped = sum(block.header.dropped for block in good)
     counts = [len(good), len(blocks) - len(good), 0, len(reply.events), len(reply.edges), dropped]
     assert reply.counters == counts
     return len(good)

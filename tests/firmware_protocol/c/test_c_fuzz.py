@@ -12,7 +12,8 @@ import pytest
 from firmware_protocol.events import EVENT
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, decode_block
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 SIZE = (346, 260)
 BYTES = round(float(os.environ.get("EVSTIM_C_BYTES", "1e5")))

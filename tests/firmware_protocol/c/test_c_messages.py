@@ -13,7 +13,8 @@ from firmware_protocol.can_frames.transport import CfpReceiver, IsoTpReceiver, I
 from firmware_protocol.events import empty_events
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder, decode_block
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 SIZE = (346, 260)
 TELEMETRY, TELECOMMAND, CAPACITY = 0x4A2, 0x522, 1050

@@ -13,7 +13,9 @@ from firmware_protocol.events import empty_edges, empty_events, make_edges
 from firmware_protocol.framing import sealed
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder, BlockError, decode_block
+from firmware_protocol.telemetry.layout import BlockError
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 SIZE = (346, 260)
 MODES = {"ccsds-cobs": "C", "ccsds-slip": "S", "ccsds-kiss": "K", "csp-kiss": "X"}
@@ -50,13 +52,13 @@ def python_says(name, data):
             blocks.append(decode_block(r.message.payload, r.message.t_us))
         except BlockError:
             refused += 1
-    other_size = [block for block in blocks if block.size != SIZE]
-    blocks = [block for block in blocks if block.size == SIZE]
+    other_size = [block for block in blocks if block.header.size != SIZE]
+    blocks = [block for block in blocks if block.header.size == SIZE]
     counters = {
         "packets": len(science),
         "missing": sum(r.missing for r in science),
         "blocks": [len(blocks), refused, len(other_size)],
-        "dropped": sum(block.dropped for block in blocks),
+        "dropped": sum(block.header.dropped for block in blocks),
     }
     events = np.concatenate([empty_events(), *(block.events for block in blocks)])
     return events, np.concatenate([empty_edges(), *(block.edges for block in blocks)]), counters

@@ -8,7 +8,8 @@ from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.events import EDGE
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder, as_received
+from firmware_protocol.telemetry.reading import as_received
+from firmware_protocol.telemetry.writing import BlockEncoder
 from tests.firmware_protocol.c.board import Board, build_firmware
 from transports.link.deliveries import digest_of
 

@@ -89,9 +89,9 @@ def test_after_turns_in_vain_it_rests_on_the_default_bus():
         selector.poll(ms * MS)
         active.append(selector.active)
     assert [a for a, b in zip(active, [None, *active], strict=False) if a != b] == [1, 0, 1, 0, 1]
-    assert selector.resting
+    assert selector._deadline_ns is None
     selector.heartbeat(0, 1000 * MS)
-    assert selector.resting
+    assert selector._deadline_ns is None
     selector.heartbeat(1, 1000 * MS)
-    assert not selector.resting
+    assert selector._deadline_ns is not None
     assert selector.poll(1100 * MS)

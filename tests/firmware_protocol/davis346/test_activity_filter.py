@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.registers import Layout
 from firmware_protocol.events import EVENT
 from tests.made_events import scattered
 from transports.usb.davis_host import DavisHost

@@ -5,8 +5,8 @@ import math
 import pytest
 from davis_host import Host
 
-from firmware_protocol.davis346 import Davis346
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
+from firmware_protocol.davis346.device import Davis346
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 from firmware_protocol.fx3.registers import Module
 

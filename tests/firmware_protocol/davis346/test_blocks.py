@@ -8,7 +8,8 @@ from davis_host import RUN, Host, steady
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.registers import Layout
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.frames import FrameSettings, LineKind, line_record
@@ -62,7 +63,7 @@ def test_a_frame_among_events_is_read_back_exactly(layout, roi):
     assert (read.roi, read.exposure_cycles, read.global_shutter) == (roi, 123_456_789, True)
     times = lines["t"][[0, -1]].tolist() + [int(lines["t"][lines["kind"] == k][0]) for k in (2, 3)]
     assert [read.start_us, read.end_us, read.exposure_start_us, read.exposure_end_us] == times
-    assert host.decoder.faults.total == host.decoder.frames_incomplete == 0
+    assert host.decoder.faults.total == host.decoder._frames.incomplete == 0
     assert counted(camera) == Counts(offered=len(lines), delivered=len(lines))
 
 
@@ -113,7 +114,7 @@ def test_a_host_that_comes_in_the_middle_of_a_frame_gets_none_of_it():
     camera.offer_readings(FRAMES, second)
     camera.advance(10_000)
     assert len(host.decoded().frames) == 1
-    assert host.decoder.frames_incomplete == 0
+    assert host.decoder._frames.incomplete == 0
     assert counted(camera) == Counts(offered=21, not_running=9, delivered=12)
 
 
@@ -139,7 +140,7 @@ def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
     assert host.decoded().frames == ()
     camera.advance(20_000)
     assert host.decoded().frames == ()
-    assert host.decoder.frames_incomplete == 1  # its end came: start, exposure and end are never dropped
+    assert host.decoder._frames.incomplete == 1  # its end came: start, exposure and end are never dropped
     assert counted(camera).dropped_fifo == len(lines) - counted(camera).delivered > 100
 
 
@@ -168,7 +169,7 @@ def test_a_host_too_slow_for_all_frames_gets_fewer_and_those_whole(words, events
     places = [sent.index(one.reset.tolist()) for one in got]
     assert places == sorted(set(places))
     assert len(got) > 5
-    assert host.decoder.frames_incomplete == host.decoder.faults.total == 0
+    assert host.decoder._frames.incomplete == host.decoder.faults.total == 0
     each, told = len(offered[0][0]), counted(camera)
     assert (told.dropped_fifo, told.delivered) == ((60 - len(got)) * each, len(got) * each)
     assert told.accounted == told.offered

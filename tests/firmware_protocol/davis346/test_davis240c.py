@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from davis_host import RUN, SENSORS, Host, events_of, steady
 
-from firmware_protocol.davis346 import DAVIS240C, Davis240c, Davis240cSettings, Layout
 from firmware_protocol.davis346.biases import sensor_factors
 from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.device import Davis240c, Davis240cSettings
+from firmware_protocol.davis346.model import DAVIS240C
+from firmware_protocol.davis346.registers import Layout
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.frames import LineKind, line_record
 from firmware_protocol.usb.descriptors import DescriptorType, Speed

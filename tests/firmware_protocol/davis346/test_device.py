@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from davis_host import IN, OUT, RUN, Host, events_of, steady
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.usb.device import Stall
 

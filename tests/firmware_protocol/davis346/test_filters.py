@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.registers import Layout
 from firmware_protocol.events import EVENT
 from tests.made_events import steady
 from transports.usb.davis_host import DavisHost

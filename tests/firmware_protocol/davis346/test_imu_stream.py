@@ -6,7 +6,8 @@ from davis_host import RUN, Host, steady
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.registers import Layout
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imu_samples import ImuSettings
 from tests.made_events import samples_at

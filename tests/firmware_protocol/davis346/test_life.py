@@ -7,7 +7,7 @@ from davis_strategies import STEPS_US
 from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.frames import LineKind, line_record
 

@@ -7,9 +7,9 @@ from davis_registers import kept
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import BIASES, Davis346, Davis346Settings, Layout
-from firmware_protocol.davis346.biases import CoarseFine, ShiftedSource, Vdac
-from firmware_protocol.davis346.registers import Statistic, registers
+from firmware_protocol.davis346.biases import BIASES, CoarseFine, ShiftedSource, Vdac
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.registers import Layout, Statistic, registers
 from firmware_protocol.fx3.registers import Access, Module, RegisterFile, SystemInfo
 
 DECLARED = list(registers((346, 260), Layout.UPRIGHT, SystemInfo()))

@@ -7,8 +7,8 @@ from davis_strategies import cut, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import WordEncoder
 from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.fx3.words import MAX_STEPS, SINGLE_WRAPS, WordState, wrap_words
 
 CUTS = st.lists(st.integers(0, 200), max_size=5)

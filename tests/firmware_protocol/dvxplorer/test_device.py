@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
 from firmware_protocol.events import make_edges
 from firmware_protocol.imu_samples import ImuSettings, no_samples, physical
 from firmware_protocol.usb.descriptors import Speed

@@ -5,7 +5,7 @@ from dvxplorer_host import MEASURE, RUN, Host
 from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
 
 CHIP = [0x0B, 0x12, 0x1C, 0x1E, 0x3000, 0x3067, 0x3200, 0x3204, 0x3206, 0x3300, 0x3302, 0x3303, 0x3307, 0x3262]
 

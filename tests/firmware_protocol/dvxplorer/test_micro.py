@@ -10,9 +10,10 @@ from hypothesis import given, settings, stateful
 from hypothesis import strategies as st
 
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, FrameDecoder
+from firmware_protocol.dvxplorer.device import Dvxplorer
 from firmware_protocol.dvxplorer.frame_stream import FrameStream, sample_of
-from firmware_protocol.dvxplorer.frame_words import in_wire_order
+from firmware_protocol.dvxplorer.frame_words import FrameDecoder, in_wire_order
+from firmware_protocol.dvxplorer.micro import DvxplorerMicro, DvxplorerMicroSettings
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket, Stall
 from tests.made_events import events_at, samples_at

@@ -9,7 +9,8 @@ from dvxplorer_reader import Reader, read
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
+from firmware_protocol.dvxplorer.decoder import GroupDecoder
+from firmware_protocol.dvxplorer.words import GroupEncoder
 from firmware_protocol.events import empty_events
 
 SIZE = (640, 480)

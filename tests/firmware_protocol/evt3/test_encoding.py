@@ -121,14 +121,6 @@ def test_a_silence_is_told_by_high_parts_in_steps_below_half_a_wrap():
         encoder.encode(group(WRAP_US - 1, 0, True, [0]))
 
 
-@given(streams(st.integers(0, 100_000), max_groups=8), st.integers(1, 60), st.booleans())
-def test_no_call_gives_more_bytes_than_promised(events, piece, standalone):
-    encoder = Evt3Encoder(standalone=standalone)
-    for k in range(0, len(events), piece):
-        part = events[k : k + piece]
-        assert len(encoder.encode(part)) <= Evt3Encoder.max_bytes(len(part))
-
-
 def test_more_words_than_the_room_holds_go_on_without_a_seam():
     """Room is 32 768 words; vectors and singles lie at its end."""
     rng = np.random.default_rng(5)

@@ -9,8 +9,9 @@ from davis_strategies import STEPS_US, cut, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
 from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.events import EdgeKind, empty_events, make_edges
 from firmware_protocol.fx3.words import GENERATOR_FALLING, GENERATOR_RISING, MARK, WordState

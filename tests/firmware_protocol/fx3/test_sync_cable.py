@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from davis_host import RUN, Host, steady
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.fx3.registers import SystemInfo
 from transports.link.edges import EdgeRing
 from transports.link.feed import Feed, Timing

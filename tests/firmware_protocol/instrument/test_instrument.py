@@ -23,7 +23,7 @@ from firmware_protocol.packets.telecommands import (
     Start,
     Stop,
 )
-from firmware_protocol.telemetry import as_received
+from firmware_protocol.telemetry.reading import as_received
 
 GOOD = [(Stage.ACCEPTANCE, None), (Stage.COMPLETION, None)]
 
@@ -83,7 +83,7 @@ def test_stop_drops_what_waits_and_the_next_block_tells(make):
     ground.tell(Start())
     instrument.offer(stream(5, start_us=1000))
     ground.pull()
-    assert [block.dropped for block in ground.blocks] == [10]
+    assert [block.header.dropped for block in ground.blocks] == [10]
 
 
 def test_a_line_that_hangs_up_drops_what_waits(make):
@@ -181,8 +181,8 @@ def test_the_rate_is_kept_and_the_excess_counted(make):
     c = instrument.counters
     assert 19_800 <= c.delivered <= 20_400
     assert c.dropped_rate == c.offered - c.delivered - c.queued
-    assert sum(block.dropped for block in ground.blocks) <= c.dropped_rate
-    assert sum(block.dropped for block in ground.blocks) > 0.95 * c.dropped_rate
+    assert sum(block.header.dropped for block in ground.blocks) <= c.dropped_rate
+    assert sum(block.header.dropped for block in ground.blocks) > 0.95 * c.dropped_rate
     ground.tell(SetRateLimit(0))
     instrument.offer(stream(100, start_us=2_000_000))
     ground.pull()
@@ -203,7 +203,7 @@ def test_gaps_are_told_where_they_are(make, policy):
         order[t] = index
     expected = 0
     for block in ground.blocks:
-        expected += block.dropped
+        expected += block.header.dropped
         assert [order[t] for t in block.events["t"].tolist()] == list(range(expected, expected + len(block.events)))
         expected += len(block.events)
     assert instrument.counters.dropped_fifo > 0
@@ -244,7 +244,7 @@ def test_too_many_edges_are_dropped_and_told(make):
     ground.pull()
     assert instrument.counters.edges.delivered == 4096
     assert instrument.counters.edges.dropped_fifo == 904
-    assert sum(block.dropped for block in ground.blocks) == 904
+    assert sum(block.header.dropped for block in ground.blocks) == 904
 
 
 def test_a_link_may_pack_the_events_itself(make):

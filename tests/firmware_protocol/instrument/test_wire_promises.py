@@ -42,8 +42,8 @@ def test_more_dropped_events_than_a_header_holds_are_told_by_the_blocks_that_fol
     ground = ground_of(queue_events=4096, queue_ms=60_000)
     ground.instrument.offer(stream(150_000, every_us=1))
     ground.pull()
-    assert [block.dropped for block in ground.blocks][:3] == [65_535, 65_535, 150_000 - 4096 - 2 * 65_535]
-    assert sum(block.dropped for block in ground.blocks) == 150_000 - 4096
+    assert [block.header.dropped for block in ground.blocks][:3] == [65_535, 65_535, 150_000 - 4096 - 2 * 65_535]
+    assert sum(block.header.dropped for block in ground.blocks) == 150_000 - 4096
 
 
 def test_what_links_tell_as_dropped_leaves_out_what_was_not_to_be_sent():
@@ -71,5 +71,5 @@ def test_the_tick_may_change_while_events_wait():
     instrument.offer(stream(3, every_us=100, start_us=instrument.now_us + 100))
     ground.pull()
     (block,) = ground.blocks
-    assert block.tick_us == 1
+    assert block.header.tick_us == 1
     assert block.events["t"].tolist() == [100, 200, 300, 300, 300, 300, 700, 800, 900]

@@ -13,8 +13,9 @@ import numpy as np
 from block_strategies import events_of, stream
 
 from firmware_protocol.events import EDGE, empty_events
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, decode_block
 from firmware_protocol.telemetry.layout import crc8
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 FOLDER = Path(__file__).parent / "vectors"
 DAVIS = (346, 260)
@@ -27,10 +28,10 @@ def block(name, data, near_us=0):
         "name": name,
         "hex": data.hex(),
         "near_us": near_us,
-        "mode": decoded.mode.name,
-        "tick_us": decoded.tick_us,
-        "size": list(decoded.size),
-        "dropped": decoded.dropped,
+        "mode": decoded.header.mode.name,
+        "tick_us": decoded.header.tick_us,
+        "size": list(decoded.header.size),
+        "dropped": decoded.header.dropped,
     }
     if len(decoded.edges):
         return {**vector, "edges": [list(row) for row in decoded.edges.tolist()]}

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE, empty_events, make_edges
-from firmware_protocol.telemetry import BlockEncoder, BlockSettings, Mode, as_received, decode_block
-from firmware_protocol.telemetry.writing import write_block
+from firmware_protocol.telemetry.layout import Mode
+from firmware_protocol.telemetry.reading import as_received, decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings, write_block
 
 MODES = ["smallest", "flat", "rows", "bitmap"]
 
@@ -23,13 +24,18 @@ def check(size, events, chosen):
         expected = in_order(taken, chosen.tick_us)
         assert np.array_equal(block.events, expected)
         assert np.array_equal(as_received(taken, chosen.tick_us), expected)
-        assert (block.size, block.tick_us, block.dropped, len(block.edges)) == (size, chosen.tick_us, 0, 0)
-        assert chosen.mode == "smallest" or block.mode.name == chosen.mode.upper()
+        assert (block.header.size, block.header.tick_us, block.header.dropped, len(block.edges)) == (
+            size,
+            chosen.tick_us,
+            0,
+            0,
+        )
+        assert chosen.mode == "smallest" or block.header.mode.name == chosen.mode.upper()
         assert len(data) <= chosen.max_bytes
         assert len(taken) <= chosen.max_events
         header, rows = slow_decoder.decode(data, near_us)
         assert np.array_equal(events_of(*rows), expected)
-        assert header["mode"] == block.mode.name
+        assert header["mode"] == block.header.mode.name
     return [data for data, _ in blocks]
 
 
@@ -62,7 +68,7 @@ def test_a_full_picture_at_one_time_is_a_bitmap():
     events["on"] = np.random.default_rng(1).integers(0, 2, len(events))
     data, taken = encoder.encode(events)
     block = decode_block(data, 5_000_000_000)
-    assert (taken, block.mode) == (65_535, Mode.BITMAP)
+    assert (taken, block.header.mode) == (65_535, Mode.BITMAP)
     assert len(data) < 65_535 / 8 + 24
     assert np.array_equal(block.events, events)
 
@@ -140,13 +146,13 @@ def test_dropped_is_told_and_saturates():
     encoder = BlockEncoder((346, 260))
     for dropped, told in ((0, 0), (7, 7), (65_535, 65_535), (10**9, 65_535)):
         data, _ = encoder.encode(events_of((1, 1, 1, 1)), dropped)
-        assert decode_block(data).dropped == told
+        assert decode_block(data).header.dropped == told
 
 
 def test_no_events_make_a_block_that_only_tells_what_was_dropped():
     data, taken = BlockEncoder((346, 260)).encode(empty_events(), 9)
     block = decode_block(data)
-    assert (len(data), taken, len(block.events), block.dropped) == (14, 0, 0, 9)
+    assert (len(data), taken, len(block.events), block.header.dropped) == (14, 0, 0, 9)
     assert slow_decoder.decode(data)[1] == []
 
 
@@ -177,7 +183,7 @@ def test_edges_come_back(rows, start_us):
     data = BlockEncoder((346, 260), BlockSettings(tick_us=1000)).encode_edges(edges, 3)
     block = decode_block(data, start_us)
     assert np.array_equal(block.edges, edges)
-    assert (block.mode, block.tick_us, block.dropped, len(block.events)) == (Mode.EDGE, 1, 3, 0)
+    assert (block.header.mode, block.header.tick_us, block.header.dropped, len(block.events)) == (Mode.EDGE, 1, 3, 0)
     assert np.array_equal(np.array(slow_decoder.decode(data, start_us)[1], EDGE), edges)
 
 

@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from make_vectors import FOLDER, changed
 
-from firmware_protocol.telemetry import BlockEncoder, BlockError, Mode, Polarity, decode_block
-from firmware_protocol.telemetry.layout import Header, crc8
+from firmware_protocol.telemetry.layout import BlockError, Header, Mode, Polarity, crc8
+from firmware_protocol.telemetry.reading import decode_block
+from firmware_protocol.telemetry.writing import BlockEncoder
 
 GOOD = [bytes.fromhex(vector["hex"]) for vector in json.loads((FOLDER / "blocks.json").read_text())]
 
@@ -31,16 +32,16 @@ def decoded(data):
     if block is None:
         assert slow is None
         return None
-    if block.mode != Mode.EDGE:
+    if block.header.mode != Mode.EDGE:
         check(block)
-    records = (block.events if block.mode != Mode.EDGE else block.edges).tolist()
+    records = (block.events if block.header.mode != Mode.EDGE else block.edges).tolist()
     assert records == slow
     return records
 
 
 def check(block):
     """What holds for any block that is accepted."""
-    events, (width, height) = block.events, block.size
+    events, (width, height) = block.events, block.header.size
     assert len(events) == block.header.count
     assert (events["x"] < width).all()
     assert (events["y"] < height).all()

@@ -10,7 +10,8 @@ import pytest
 import slow_decoder
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.telemetry import BlockError, decode_block
+from firmware_protocol.telemetry.layout import BlockError
+from firmware_protocol.telemetry.reading import decode_block
 
 EXAMPLES = (Path(__file__).parents[3] / "docs/traces/messages.txt").read_text()
 BLOCKS = json.loads((make_vectors.FOLDER / "blocks.json").read_text())
@@ -25,7 +26,12 @@ def named(vectors):
 def test_vectors_decode(vector):
     data = bytes.fromhex(vector["hex"])
     block = decode_block(data, vector["near_us"])
-    told = {"mode": block.mode.name, "tick_us": block.tick_us, "size": list(block.size), "dropped": block.dropped}
+    told = {
+        "mode": block.header.mode.name,
+        "tick_us": block.header.tick_us,
+        "size": list(block.header.size),
+        "dropped": block.header.dropped,
+    }
     header, records = slow_decoder.decode(data, vector["near_us"])
     assert told == header == {key: vector[key] for key in told}
     if "edges" in vector:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346Settings
+from firmware_protocol.davis346.device import Davis346Settings
 from firmware_protocol.usb.control import StandardControl
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import SetupPacket, Stall

@@ -6,7 +6,7 @@ import hypothesis
 import pytest
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346Settings
+from firmware_protocol.davis346.device import Davis346Settings
 from firmware_protocol.usb.descriptors import Endpoint, Interface, Speed, TransferType
 from firmware_protocol.usb.device import SetupPacket
 from firmware_protocol.usb.functionfs import Event, EventKind, descriptor_block, string_block

@@ -14,10 +14,10 @@ from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import sensor_parameters
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.part import Facts, Frame, Part
 from laboratory.characterise.recordings import activity, compare, fit, still_pixels, toml, write_comparison
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Frame, Part
 
 SIZE = 200, 150
 SECONDS = 8.0

@@ -10,8 +10,9 @@ import can
 import pytest
 
 from firmware_protocol.can_frames.frame import Frame
-from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message, wall_less_monotonic_ns
+from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.kind import CanLink
+from transports.link.pacing import wall_less_monotonic_ns
 
 CHANNELS = itertools.count()
 
@@ -162,5 +163,5 @@ def test_a_process_that_is_stopped_between_two_clocks_does_not_take_their_differ
         return seen_ns
 
     clocks = SimpleNamespace(monotonic_ns=lambda: read(0), time_ns=lambda: read(10**18))
-    monkeypatch.setattr("transports.can_bus.bus.time", clocks)
+    monkeypatch.setattr("transports.link.pacing.time", clocks)
     assert abs(wall_less_monotonic_ns() - 10**18) <= 100

@@ -207,7 +207,7 @@ def test_an_overflow_is_told_by_an_emergency_and_its_end_too():
 def test_telecommands_by_isotp_are_obeyed_and_answered(carriage):
     p = parameters(carriage=carriage)
     computer = Profile("ccsds")
-    sender = IsoTpSender(p.peer_isotp)
+    sender = IsoTpSender(p.receiver.isotp)
 
     def work(link, peer):
         if not commands_sent:

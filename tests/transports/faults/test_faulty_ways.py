@@ -11,6 +11,9 @@ from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.line import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
+from transports.link.deliveries import Deliveries
+from transports.link.pacing import FakeClock
+from transports.link.rings import EventRing
 
 DATA = np.random.default_rng(3).bytes(5000)
 FRAME = Frame(0x1A2, bytes(8))
@@ -119,7 +122,7 @@ class FewLines(CanBus):
 
 
 def bus():
-    faults = BusFaults(FaultPlan("can"), BitRates(), None)
+    faults = BusFaults(FaultPlan("can"), BitRates(), Deliveries(EventRing(16), FakeClock()))
     return FaultyBus(FewLines(), 0, faults), faults
 
 

@@ -11,6 +11,9 @@ from transports.faults.kinds import Delay, Loss, Repetition
 from transports.faults.line import LostBytes
 from transports.faults.script import FaultPlan, Faults, pass_through
 from transports.gige.packet_faults import FaultyPackets
+from transports.link.deliveries import Deliveries
+from transports.link.pacing import FakeClock
+from transports.link.rings import EventRing
 
 RATES = BitRates()
 
@@ -61,7 +64,7 @@ def test_an_item_passes_the_stages_in_order_and_each_hit_is_recorded_before_its_
 
 def test_a_carrier_refuses_the_faults_of_another():
     with pytest.raises(ValueError, match="'lost_bytes' is no fault of a CAN bus"):
-        BusFaults(FaultPlan(), RATES, None).inject(LostBytes())
+        BusFaults(FaultPlan(), RATES, Deliveries(EventRing(16), FakeClock())).inject(LostBytes())
     with pytest.raises(ValueError, match="'lost_frames' is no fault of packets in datagrams"):
         FaultyDatagrams(FaultPlan(), lambda _: None).inject(LostFrames())
     with pytest.raises(ValueError, match="'lost_frames' is no fault of a GigE Vision stream"):

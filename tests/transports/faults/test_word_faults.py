@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from tests.made_events import events_at
 from transports.faults.faulty_device import FaultyDevice

@@ -1,6 +1,6 @@
 """Changes of a camera: settings between two writes are none, and those for a busy session are never lost."""
 
-from firmware_protocol.davis346 import Davis346
+from firmware_protocol.davis346.device import Davis346
 from firmware_protocol.device.event_device import HostAdjusted
 from transports.link.report import CameraSettings, ChangeWatch, Occurrence
 from transports.usb.davis_host import DavisHost

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.device.clock import ClockSettings, ClockStep
 from firmware_protocol.events import EdgeKind
 from tests.made_events import events_at

@@ -13,7 +13,7 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.network_streams.coders import StreamFacts
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.telemetry import BlockEncoder
+from firmware_protocol.telemetry.writing import BlockEncoder
 from tests.made_events import scattered
 from transports.can_bus.kind import CanLink
 from transports.gige.kind import GigeLink

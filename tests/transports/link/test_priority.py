@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from transports.link.endpoint import LinkFactory
 from transports.link.loop import Stop, run_link
 from transports.link.process import LinkSetup

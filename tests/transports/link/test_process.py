@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.usb.device import Transfer
 from tests.made_events import steady
 from transports.link.deliveries import Deliveries, digest_of

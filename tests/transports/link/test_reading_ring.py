@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings, LineKind, line_record

@@ -3,9 +3,9 @@
 import numpy as np
 
 from firmware_protocol.events import EVENT, empty_edges, empty_events
+from firmware_protocol.recordings.part import Frame, Part
 from tests.made_events import events_at
 from tests.npz_records import load_edges
-from transports.recording.part import Frame, Part
 from transports.recording.record import Recorder, load_record
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from virtual_loop import VirtualLoop
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.usb.usbip import ImportRequest
 from tests.made_events import events_at

@@ -3,9 +3,9 @@
 import numpy as np
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, make_edges
+from firmware_protocol.recordings.part import Facts, Part
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
 
 SIZE = (346, 260)
 UNIX_US = 1_700_000_000_123_000

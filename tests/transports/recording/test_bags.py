@@ -6,11 +6,12 @@ from rosbags.rosbag1 import Writer as Bag1
 from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from firmware_protocol.recordings.part import IMU, Facts, Part
 from tests.made_events import events_at
 from tests.transports.recording.samples import SIZE
 from transports.recording.files import OpenRecording, iter_events, read_events
 from transports.recording.format import FORMATS
-from transports.recording.part import IMU, Facts, Part, RecordingError
+from transports.recording.part import RecordingError
 from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, event_array
 
 pytestmark = pytest.mark.usefixtures("forked_readers")

@@ -6,11 +6,12 @@ import pytest
 from rosbags.rosbag1 import Writer as Bag1
 
 from emulator.cli.app import _main
+from firmware_protocol.recordings.part import IMU
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events, write
 from transports.recording import dsec, rosbag
 from transports.recording.files import iter_events, read_events
 from transports.recording.format import format_to_read
-from transports.recording.part import IMU, RecordingError
+from transports.recording.part import RecordingError
 
 EVENTS = sample_events(30_000)
 

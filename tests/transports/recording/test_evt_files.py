@@ -6,8 +6,9 @@ import pytest
 from firmware_protocol.evt.evt2 import Evt2Encoder, evt2_header
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
+from firmware_protocol.recordings.part import Facts
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
-from transports.recording.part import Facts, RecordingError
+from transports.recording.part import RecordingError
 from transports.recording.word_files import Evt21LegacyWriter, EvtReader
 
 EVENTS = sample_events()

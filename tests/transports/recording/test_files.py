@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EDGE, EVENT, make_edges
+from firmware_protocol.recordings.part import Facts, Part
 from tests.made_events import events_at
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
 from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import FORMATS, format_to_write, with_addition
-from transports.recording.part import Facts, Part, RecordingError
+from transports.recording.part import RecordingError
 
 pytestmark = pytest.mark.system
 

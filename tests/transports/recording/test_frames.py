@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import empty_events
+from firmware_protocol.recordings.part import Facts, Frame, Part
 from tests.made_events import events_at
 from tests.npz_records import load_frames
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Frame, Part
 from transports.recording.record import Recorder, frame_record
 
 SIZE = (346, 260)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.part import Facts, Part
 from tests.made_events import events_at
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
 from tests.transports.recording.test_files import DATED, read_all, read_until_damage
 from transports.recording.format import FORMATS
 from transports.recording.live import LiveRecorder, open_recorder
-from transports.recording.part import Facts, Part
 from transports.recording.record import Recorder
 
 pytestmark = [pytest.mark.system, pytest.mark.usefixtures("forked_readers")]

@@ -6,11 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part
 from transports.recording.part import (
-    IMU,
-    Facts,
-    Frame,
-    Part,
     PipeReader,
     Restart,
     encoded_end,

@@ -10,13 +10,13 @@ from emulator.run.assembly import link_setups
 from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import EVENT, EdgeKind, make_edges
 from firmware_protocol.evt.words import evt3_header
+from firmware_protocol.recordings.part import Facts, Part
 from tests.firmware_protocol.evt2_words import by_the_tables
 from tests.firmware_protocol.gige_host import Host as GigeHost
 from tests.npz_records import load_edges
 from tests.transports.recording.test_other_readers import dv_processing, messages_of
 from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
 from transports.recording.rosbag import EVENT_PACKET
 from transports.usb.cameras import driver_of
 from transports.usb.host import StreamSettings

@@ -5,7 +5,7 @@ from spacepackets.ecss.tm import PusTm
 
 from evstim.testing.link_contract import LinkContract
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.telemetry import decode_block
+from firmware_protocol.telemetry.reading import decode_block
 from tests.transports.network_streams.stream_readers import DatagramReader, udp_port
 from transports.udp_packets.kind import UdpPacketsLink
 

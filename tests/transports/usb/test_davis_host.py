@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, WordEncoder
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.davis346.registers import Layout
+from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.events import EVENT
 from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed

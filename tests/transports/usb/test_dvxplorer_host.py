@@ -7,7 +7,8 @@ import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
+from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer.micro import DvxplorerMicro, DvxplorerMicroSettings
 from firmware_protocol.dvxplorer.registers import SYSTEM
 from firmware_protocol.events import EDGE
 from tests.made_events import samples_at

@@ -7,7 +7,7 @@ import errno
 import pytest
 import usb.core
 
-from firmware_protocol.davis346 import Davis346
+from firmware_protocol.davis346.device import Davis346
 from transports.usb.host import (
     AccessDenied,
     DeviceAbsent,

@@ -6,8 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
+from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from tests.made_events import events_at
 from transports.faults.script import FaultPlan

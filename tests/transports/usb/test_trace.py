@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.usb.usbip import Submit, Unlink
 from tests.transports.usb.raw_host import attached, read_urb, submit
 from transports.faults.faulty_device import FaultyDevice

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.line import LostBytes

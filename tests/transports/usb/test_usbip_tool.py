@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from firmware_protocol.davis346 import Davis346
+from firmware_protocol.davis346.device import Davis346
 
 TOOL = shutil.which("usbip", path="/usr/sbin:/sbin:/usr/bin:/bin")
 pytestmark = [

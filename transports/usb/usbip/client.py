@@ -17,7 +17,7 @@ import time
 from collections import deque
 from typing import Self
 
-from firmware_protocol.usb.device import Identity, SetupPacket
+from firmware_protocol.usb.device import SetupPacket
 from firmware_protocol.usb.usbip import (
     DeviceRecord,
     HostParser,
@@ -32,6 +32,7 @@ from firmware_protocol.usb.usbip import (
     UrbStatus,
     UsbipError,
 )
+from transports import Closing
 from transports.usb.host import (
     DeviceAbsent,
     DeviceBusy,
@@ -108,7 +109,7 @@ class Wire:
 _FLAG_IN = 0x200
 
 
-class UsbipHost:
+class UsbipHost(Closing):
     """Device attached over USB/IP.
 
     Raises DeviceAbsent or DeviceBusy if the server has no such device or another host holds it; PeerGone, PeerBroken
@@ -134,16 +135,12 @@ class UsbipHost:
         except UsbHostError:
             self._wire.close()
             raise
+        self.identity = self.record.identity
 
     @classmethod
     def attach(cls, host: str = "127.0.0.1", port: int = 3240, busid: str = "1-1", timeout_s: float = 1.0) -> Self:
         """Connect to a server and import a device."""
         return cls(connect(host, port, timeout_s), busid, timeout_s)
-
-    @property
-    def identity(self) -> Identity:
-        """Identity in the device's record."""
-        return self.record.identity
 
     def configure(self) -> None:
         """Select the configuration; no interface has to be claimed, because no other program has the device."""
@@ -185,12 +182,6 @@ class UsbipHost:
             with contextlib.suppress(UsbHostError):
                 stream.close()
         self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     # Methods for streams.
 

@@ -222,7 +222,9 @@ class Connection(asyncio.BufferedProtocol):
         self._pending.clear()
         try:
             if device:
-                self._detach(device)
+                while self._unsent:
+                    device.lost(self._unsent.popleft())
+                device.detached()
         finally:
             self._bus.closed(self)
 
@@ -420,11 +422,6 @@ class Connection(asyncio.BufferedProtocol):
         """Report the transfers that the kernel has accepted."""
         while self._unsent and self._device:
             self._device.sent(self._unsent.popleft())
-
-    def _detach(self, device: UsbDevice) -> None:
-        while self._unsent:
-            device.lost(self._unsent.popleft())
-        device.detached()
 
     def _operation_overdue(self) -> None:
         log.warning("%s: closed, no device requested within %g s", self.peer, self._settings.operation_timeout_s)

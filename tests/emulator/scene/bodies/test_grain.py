@@ -11,7 +11,9 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import Region
 from emulator.photometry.reflectance import Lambert, Sun
 from emulator.photometry.reflection_kernels import law_of
-from emulator.raster import Renderer, Screen, View, prepare
+from emulator.raster.layout import Screen, View
+from emulator.raster.renderer import Renderer
+from emulator.raster.topology import prepare
 from emulator.scene.bodies.grain import (
     TEXELS,
     GrainLayer,

@@ -126,7 +126,7 @@ def test_cubic_tracks_are_hermite_curves_through_their_tangents(tmp_path):
         np.testing.assert_allclose(paths[1].pose(round(t * S)).position_m, 6 * TILT.apply(place(t)), rtol=1e-5)
         velocity = paths[1].motion(round(t * S)).velocity_m_s
         np.testing.assert_allclose(velocity, 6 * TILT.apply(slope(t)), rtol=1e-4)
-        assert np.linalg.norm(velocity) <= paths[1].speed_bound_m_s
+        assert np.linalg.norm(velocity) <= paths[1].bounds.speed_m_s
 
 
 def test_an_animation_that_closes_can_repeat(tmp_path):

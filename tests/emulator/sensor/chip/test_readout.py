@@ -128,7 +128,7 @@ def test_a_pixel_is_busy_from_its_acknowledge_on_as_in_the_plain_arbiter(rows, r
     events = np.concatenate([readout.push(crossings(rows), 3000), readout.finish()])
     assert events.tolist() == [(t // 1000, x, y, on) for t, x, y, on in expected]
     assert (readout.raised, readout.lost_at_readout, readout.read_out) == (len(rows), lost, len(rows) - lost)
-    assert readout.lost_busy <= lost
+    assert readout._queue.busy <= lost
 
 
 @given(rows=bursts, cuts=st.lists(st.integers(0, 4000), max_size=6).map(sorted))
@@ -142,7 +142,7 @@ def test_busy_pixels_do_not_depend_on_how_crossings_are_cut(rows, cuts):
         first = last
         assert cut.raised == cut.lost_at_readout + cut.read_out + cut.pending
     assert np.concatenate([*got, cut.finish()]).tobytes() == expected.tobytes()
-    assert (cut.lost_busy, cut.lost_at_readout) == (whole.lost_busy, whole.lost_at_readout)
+    assert (cut._queue.busy, cut.lost_at_readout) == (whole._queue.busy, whole.lost_at_readout)
 
 
 def test_a_pixel_behind_a_full_bus_is_busy_from_its_acknowledge_on():
@@ -152,7 +152,7 @@ def test_a_pixel_behind_a_full_bus_is_busy_from_its_acknowledge_on():
     readout = ArbiterReadOut(busy_sensor(1.0))
     events = np.concatenate([readout.push(crossings(sorted(first + later)), 10_000), readout.finish()])
     assert readout.lost_at_readout == 3
-    assert readout.lost_busy == 1
+    assert readout._queue.busy == 1
     assert [bool(on) for on in events[events["y"] == 1]["on"]] == [True, False]
 
 
@@ -163,7 +163,7 @@ def test_the_refractory_period_after_the_acknowledge_can_change():
     readout.push(crossings([(1090, 3, 3, True), (2000, 3, 3, True)]), 3000)  # the first period ends at 1100
     readout.push(crossings([(5000, 3, 3, True), (7200, 3, 3, True)]), 8000)  # the second one at 7100
     readout.finish()
-    assert (readout.lost_busy, readout.read_out) == (2, 3)
+    assert (readout._queue.busy, readout.read_out) == (2, 3)
 
 
 def test_a_lone_event_leaves_after_a_row_and_an_event_time():

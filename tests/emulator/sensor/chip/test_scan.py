@@ -124,7 +124,7 @@ def test_a_pixel_is_busy_from_the_read_of_its_column_on():
     found = crossings([1, 20_000, 35_999, 36_000], [0, 0, 0, 0], [True] * 4)
     readout = ScanReadOut(parameters(reset=ResetParameters(at_acknowledge=True), refractory_us=20.0))
     assert np.concatenate([readout.push(found, END_NS), readout.finish()])["t"].tolist() == [16, 48]
-    assert (readout.lost_busy, readout.lost_at_readout, readout.read_out) == (2, 2, 2)
+    assert (readout._queue.busy, readout.lost_at_readout, readout.read_out) == (2, 2, 2)
 
 
 def test_the_time_of_a_scan_can_change_between_two_steps():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evstim.testing.link_contract import event_stream
-from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.device import Davis346, Davis346Settings
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.descriptors import Speed

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.davis346 import Davis346Settings
+from firmware_protocol.davis346.device import Davis346Settings
 from firmware_protocol.imx636.evk4 import Evk4Settings
 from firmware_protocol.usb.descriptors import Speed
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of

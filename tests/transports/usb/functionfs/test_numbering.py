@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_protocol.davis346 import Davis346Settings
+from firmware_protocol.davis346.device import Davis346Settings
 from firmware_protocol.imx636.evk4 import Evk4Settings
 from firmware_protocol.usb.descriptors import Endpoint, Interface, Speed, TransferType
 from transports.usb.functionfs.files import with_spares
