@@ -40,7 +40,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from firmware_protocol.bounds import Share, check_bounds
+from firmware_protocol.bounds import Bounded, Share, check_bounds
 
 REFERENCE_CELSIUS = 20.0
 """Temperature at which the parameters of a sensor hold."""
@@ -66,7 +66,7 @@ LEAK_DOUBLES_EVERY_K, DARK_DOUBLES_EVERY_K = 9.0, 8.0
 
 
 @dataclass(frozen=True, slots=True)
-class TemperatureParameters:
+class TemperatureParameters(Bounded):
     """The chip's temperature, and its effect on leak and dark current.
 
     The junction's leak doubles every 9 K (8 to 10 in Nozaki and Delbruck 2017), a photodiode's dark current every 8 K
@@ -79,9 +79,6 @@ class TemperatureParameters:
     """
 
     celsius: Annotated[float, Meta(ge=-200, le=200)] = REFERENCE_CELSIUS
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def warmer_k(self) -> float:
@@ -100,7 +97,7 @@ class TemperatureParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class DefectParameters:
+class DefectParameters(Bounded):
     """Hot and dead pixels. A pixel that is both is dead.
 
     A hot pixel is one whose leak has its own rate; a dead one has thresholds that no light reaches (section 1, item 10,
@@ -122,9 +119,6 @@ class DefectParameters:
     hot_spread: Spread = 1.0
     dead_share: Share = 0.0
     dead_pixels: tuple[tuple[int, int], ...] = ()
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +152,7 @@ class NoiseParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class BackgroundParameters:
+class BackgroundParameters(Bounded):
     """Background activity as counted in a recording, for sensors whose leak and noise are not known separately.
 
     Events at a constant rate, in any light. A primary event may be followed by one of the other polarity, and that one
@@ -194,9 +188,6 @@ class BackgroundParameters:
     hot_hz: Rate = 0.0
     hot_spread: Spread = 0.0
     hot_pair_share: Share = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +225,7 @@ class JitterParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class ComparatorParameters:
+class ComparatorParameters(Bounded):
     """Delay of the comparators, which depends on the slope of the signal and on the polarity; see `pixels.event_time`.
 
     No camera's times are published. An estimate for the DAVIS346 at its default biases: an output node of 10 fF swings
@@ -254,12 +245,9 @@ class ComparatorParameters:
     off_us: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
     contrast_per_e: Annotated[float, Meta(ge=1e-3, le=10)] = 0.0714
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
 
 @dataclass(frozen=True, slots=True)
-class ResetParameters:
+class ResetParameters(Bounded):
     """Errors of the reset that follows an event, and its time.
 
     When the reset switch opens, its channel's charge and the thermal noise of the capacitor stay on the reference. The
@@ -279,12 +267,9 @@ class ResetParameters:
     noise: Share = 0.0
     at_acknowledge: bool = False
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
 
 @dataclass(frozen=True, slots=True)
-class ImagerParameters:
+class ImagerParameters(Bounded):
     """Effects of any imager on light before it becomes a signal.
 
     Attributes
@@ -309,12 +294,9 @@ class ImagerParameters:
     electrons_per_s_at_reference: Annotated[float, Meta(ge=1, le=1e15)] = 2e8
     shot_grid_us: Annotated[int, Meta(ge=100, le=10_000_000)] = 8192
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
 
 @dataclass(frozen=True, slots=True)
-class RadiationParameters:
+class RadiationParameters(Bounded):
     """Particles that cross the chip, and lasting effects of a dose.
 
     A particle raises ON events along a straight track, at once, and OFF events at a share of its pixels while the
@@ -346,12 +328,9 @@ class RadiationParameters:
     dose_krad_per_day: _Dose = 0.0
     hot_share_per_krad: Share = 1e-3
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
 
 @dataclass(frozen=True, slots=True)
-class KickParameters:
+class KickParameters(Bounded):
     """Disturbance of the event pixels of a line by its read: a value is added to their signal for a moment.
 
     Attributes
@@ -373,12 +352,9 @@ class KickParameters:
     reset_lead_us: _ReadUs = 12.0
     signal_lead_us: _ReadUs = 28.0
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
 
 @dataclass(frozen=True, slots=True)
-class FrameParameters:
+class FrameParameters(Bounded):
     """The active pixels. The host's registers hold the times and lengths of exposures.
 
     Attributes
@@ -406,9 +382,6 @@ class FrameParameters:
     gain_spread: Deviation = 0.01
     line_us: Annotated[float, Meta(ge=1, le=1000)] = 35.25
     kicks: KickParameters = field(default_factory=KickParameters)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 _Triple = tuple[float, float, float]
