@@ -246,8 +246,8 @@ IMX636_W_M2 = 0.1644
 """Irradiance on the chip at 680 nm that is light 1 of the presets of NIST's cameras, W/m2."""
 
 _BACKGROUND = effects.BackgroundParameters(
-    hz=0.00195, off_share=0.895, pair_share=0.036, on_pair_factor=4.0, again_share=0.4, pair_us=2_100_000.0,
-    on_wait_factor=4.0, hot_share=1.2e-4, hot_hz=4.0, hot_spread=1.6, hot_pair_share=0.9,
+    hz=0.0019, off_share=0.915, pair_share=0.036, on_pair_factor=4.0, again_share=0.4, pair_us=2_400_000.0,
+    on_wait_factor=4.0, hot_share=1.1e-4, hot_hz=4.0, hot_spread=1.6, hot_pair_share=0.9,
 )  # fmt: skip
 
 _IMX636_NIST = SensorParameters(
@@ -352,7 +352,9 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             corner_hz_at_reference=3000.0,
             readout=_GEN31_NIST.readout,
             jitter=effects.JitterParameters(latency_us=40.0, off_latency_us=180.0),
-            background=dataclasses.replace(_BACKGROUND, hz=0.00334, off_share=0.83, hot_share=1e-4),
+            background=dataclasses.replace(
+                _BACKGROUND, hz=0.00334, off_share=0.83, pair_us=2_100_000.0, hot_share=1e-4
+            ),
         ),
         "genx320": dataclasses.replace(
             _IMX636_NIST, width=320, height=320, readout=ReadoutParameters(event_ns=5.0, row_ns=50)
