@@ -246,7 +246,7 @@ IMX636_W_M2 = 0.1644
 """Irradiance on the chip at 680 nm that is light 1 of the presets of NIST's cameras, W/m2."""
 
 _BACKGROUND = effects.BackgroundParameters(
-    hz=0.0019, off_share=0.915, pair_share=0.036, on_pair_factor=4.0, again_share=0.4, pair_us=2_400_000.0,
+    hz=0.0019, off_share=0.925, pair_share=0.036, on_pair_factor=4.0, again_share=0.4, pair_us=2_400_000.0,
     on_wait_factor=4.0, hot_share=1.1e-4, hot_hz=4.0, hot_spread=1.6, hot_pair_share=0.9,
 )  # fmt: skip
 
