@@ -8,17 +8,17 @@ overridden by a rig; *one recording* values measured on one public recording of 
 
     parameter                  davis346                     dvxplorer_micro              imx636_nist
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]
-    thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.2165 / 0.2255 [3] [24]
+    thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.2165 / 0.229 [3] [24]
     mismatch                   3.5 % [5]                    3.5 % estimate as [5]        8.5 % [24]
     temperature                20 degrees                   20 degrees                   45 degrees estimate [24]
     dark current, relative     0.001 estimate               0.001 estimate               0.00156, 0.0136 at 45 deg [24]
     photoreceptor              one pole                     one pole                     large signals [17]
-    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        2.2 kHz at 0.1644 W/m2 [17]
+    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        2.21 kHz at 0.1644 W/m2 [17]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz as davis346 / 30 kHz [17]
     source follower            286 Hz [8]                   none: no value found         4.15 kHz [17]
     leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      none: at most 0.003 Hz [18]
     parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            none: no value found
-    noise, rms                 0.01 [11]                    0.055 estimate [11]          0.0454 [24]
+    noise, rms                 0.01 [11]                    0.055 estimate [11]          0.0457 [24]
     its pole, spread           286 Hz [8], none             286 Hz as davis346, none     4.15 kHz [17], 7.5 % [24]
     its time before the start  100 s estimate               100 s estimate               100 s estimate
     background                 none: leak and noise         none                         as imx636_quiet, estimate
@@ -254,11 +254,11 @@ _IMX636_NIST = SensorParameters(
     width=1280,
     height=720,
     threshold_on=0.2165,
-    threshold_off=0.2255,
+    threshold_off=0.229,
     mismatch=0.085,
     dark_current_relative=0.00156,
     photoreceptor="large_signal",
-    corner_hz_at_reference=2200.0,
+    corner_hz_at_reference=2212.0,
     corner_max_hz=30_000.0,
     source_follower_hz=4150.0,
     leak_hz=0.0,
@@ -266,7 +266,7 @@ _IMX636_NIST = SensorParameters(
     readout=ReadoutParameters(event_ns=0.33, row_ns=127),
     temperature=effects.TemperatureParameters(celsius=45.0),
     jitter=effects.JitterParameters(latency_us=0.8, off_latency_us=2.5, late_share=0.0005, late_us=3000.0),
-    noise=effects.NoiseParameters(rms=0.0454, spread=0.075, history_s=100.0),
+    noise=effects.NoiseParameters(rms=0.0457, spread=0.075, history_s=100.0),
     background=_BACKGROUND,
 )
 
