@@ -259,9 +259,10 @@ def _toml(value: object) -> str:
 
 def _presets() -> str:
     """Return a table of what the presets differ in."""
-    rows = {name: _plain(dataclasses.asdict(preset)) for name, preset in PRESETS.items()}
+    names = {id(preset): name for name, preset in PRESETS.items()}  # of two names of one preset that of its unit
+    rows = {names[id(preset)]: _plain(dataclasses.asdict(preset)) for preset in PRESETS.values()}
     keys = [key for key in next(iter(rows.values())) if len({str(row[key]) for row in rows.values()}) > 1]
-    lines = ["## Presets", "", f"|key|{'|'.join(PRESETS)}|", f"|---|{'---|' * len(PRESETS)}"]
+    lines = ["## Presets", "", f"|key|{'|'.join(rows)}|", f"|---|{'---|' * len(rows)}"]
     lines += [f"|`{key}`|{'|'.join(_cell(row[key]) for row in rows.values())}|" for key in keys]
     return "\n".join(lines)
 

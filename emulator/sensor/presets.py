@@ -6,27 +6,27 @@ are in natural-log units of photocurrent. Leak and dark current are those at 20 
 Sources of the values: *estimate* marks values without a source, not calibrated, typical of the family and meant to be
 overridden by a rig; *one recording* values measured on one public recording of one camera, in unknown light.
 
-    parameter                  davis346                     dvxplorer_micro              imx636
+    parameter                  davis346                     dvxplorer_micro              imx636_nist
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]
-    thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.223 / 0.223 [3], ln 1.25
-    mismatch                   3.5 % [5]                    3.5 % estimate as [5]        4.3 % [18]
+    thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.2165 / 0.229 [3] [24]
+    mismatch                   3.5 % [5]                    3.5 % estimate as [5]        8.5 % [24]
     temperature                20 degrees                   20 degrees                   45 degrees estimate [24]
-    dark current, relative     0.001 estimate               0.001 estimate               0.0016, 0.014 at 45 deg [24]
+    dark current, relative     0.001 estimate               0.001 estimate               0.00156, 0.0136 at 45 deg [24]
     photoreceptor              one pole                     one pole                     large signals [17]
-    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        2.18 kHz at 0.1644 W/m2 [17]
+    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        2.21 kHz at 0.1644 W/m2 [17]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz as davis346 / 30 kHz [17]
-    source follower            286 Hz [8]                   none: no value found         4.05 kHz [17]
-    leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0.0009 Hz estimate, 30 % [10]
+    source follower            286 Hz [8]                   none: no value found         4.15 kHz [17]
+    leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      none: at most 0.003 Hz [18]
     parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            none: no value found
-    noise, rms                 0.01 [11]                    0.055 estimate [11]          0.0495 [24]
-    its pole, spread           286 Hz [8], none             286 Hz as davis346, none     4.05 kHz [17], 1 % estimate
+    noise, rms                 0.01 [11]                    0.055 estimate [11]          0.0457 [24]
+    its pole, spread           286 Hz [8], none             286 Hz as davis346, none     4.15 kHz [17], 7.5 % [24]
     its time before the start  100 s estimate               100 s estimate               100 s estimate
-    background                 none: leak and noise         none                         0.0033 Hz, tail [12]
+    background                 none: leak and noise         none                         as imx636_quiet, estimate
     refractory                 3.4 us [4]                   100 us estimate [13]         105 us estimate [18]
     read-out                   arbiter                      scan, 197.28 us [14]         arbiter
     time of an event           80 ns (12 Mev/s) [15]        2.2 ns (450 Mev/s) [16]      0.33 ns [19]
     time of a row              80 ns estimate               none                         127 ns [19]
-    delay of an event          none                         none                         0.7 us ON, 2.5 us OFF [17]
+    delay of an event          none                         none                         0.8 us ON, 2.5 us OFF [17]
     late events                none                         none                         0.05 % by 3 ms [20]
 
     [1] libcaer, DAVIS346: 346 x 260.
@@ -52,10 +52,11 @@ overridden by a rig; *one recording* values measured on one public recording of 
         0.015 and 0.02, 9 with 0.025, 7 with 0.03 and 6 with 0.055. Simulated kicks act on a signal without noise, so
         the bound by kicks may be too low. 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig.
         2.13): hence the estimate for the DVXplorer, of which no recording shows its noise.
-    [12] One recording (EVK4, 10.8 s, shipped with the sources of the Python package faery), pixels of low activity:
-        0.0033 Hz in pixels of at most 4 events, 17 % of first events ON; OFF followed by ON after 1.26 s, ON by OFF
-        after 2.6 s (medians); a tail of 1e-4 of the pixels with 5 to 1447 events, half of them ON. Shares and waits of
-        followers were fitted to the sequences; `evstim validate evk4_quiet` compares them.
+    [12] One recording (EVK4, 10.8 s, shipped with the sources of the Python package faery). In tiles of pixels that see
+        no motion, 1.9 % of the pixels fire, 15 % of their events are ON; pixels of low activity near motion have twice
+        that rate. OFF followed by ON after 1.26 s, ON by OFF after 2.6 s (medians); a tail of 1e-4 of the pixels with 5
+        to 1447 events, half of them ON. Shares and waits of followers were fitted to the sequences, rate and share to
+        the tiles; `evstim validate evk4_quiet` compares them.
     [13] Between the chips' few microseconds and the 0.5 ms of v2e; a bias sets it.
     [14] One recording (320 x 240, of a DVXplorer's kind): 97.6 % of a pixel's intervals are whole multiples of that.
         iniVation: about 5000 scans a second, fewer under load, stamps continuous during a scan.
@@ -67,32 +68,35 @@ overridden by a rig; *one recording* values measured on one public recording of 
         sensor, at seven pairs of biases. ON and OFF latencies follow light, and only the large-signal law has both.
         Only threshold over corner is determined: the threshold is [3]. No bound of the corner is seen; 30 kHz lies
         above all that was measured. In bright light latencies depend more on the threshold, and less on the light, than
-        one pole allows: a second pole of 39 us explains that, and leaves 0.7 us of constant delay to ON events. OFF
-        events have a delay that rises with diff_off as an exponential, to 1.4 ms at 142, in any light: the
-        comparator's, as its current falls. 44 to 46 of the 50 medians, by the seed, up to biases (+35, +47) are within
-        10 %. Its light 1 is `IMX636_W_M2`.
-    [18] The mismatch is that of another camera [25]; a wider one would give single pixels much more noise than was seen
-        in bright light. The refractory period is not determined; [25] has 79 us. The latencies of [17] spread from 0.4
-        to 1.8 of the median in a region: noise before the true event makes fast ones, here more than there. A spread of
-        the pixels' gains costs a pass over each frame.
+        one pole allows: a second pole explains that. OFF events have a delay that rises exponentially with diff_off, to
+        1.4 ms at 142, in any light: the comparator's, as its current falls. Its light 1 is `IMX636_W_M2`.
+    [18] The refractory period is not determined; [25] has 79 us. At high thresholds 0.0 of 111 pixels have an ON event
+        in half a second of dark, in each of ten rows: a leak of 0.006 Hz would give 0.13.
     [19] The same: mean latency over regions of 32 to 420 pixels' side, within 4.2 us for three seeds. Stamps are set
         before the output bus, of 1.06 Gev/s [3], limits.
     [20] An estimate: the same measurement has a few pixels that come milliseconds late.
-    [24] Fitted to the camera of [17] (column "opposite", `evstim validate`): pixels that fire against the edge within
-        half a second, at 0.006 to 0.4 W/m2 and in the dark between; 61 or 62 of the 70 counts are alike. The bandwidth
-        of noise is that of the photoreceptor, so its rate in the dark gives the dark current. The temperature of that
-        camera is unknown: 45 degrees are an estimate, and the dark current at 20 follows from it. Noise and leak have
-        0.6 Hz in the dark, 1.8 Hz at light 0.1 and 0.16 Hz at 1, by simulation. Rigs of the night sky are colder.
+    [24] Fitted together with [17] to the same camera (`evstim validate opposite latency`): 70 medians, and the pixels
+        that fire against the edge within half a second, at 0.006 to 0.4 W/m2 and in the dark between. Only threshold
+        over rms is determined: the mean threshold is [3]. The bandwidth of noise is that of the photoreceptor, so its
+        rate in the dark gives the dark current there; the temperature is unknown: 45 degrees are an estimate, and the
+        dark current at 20 follows from it. Pixels of one noise and one threshold lose events too fast as light and
+        thresholds rise: hence mismatch and spread.
     [25] Noise2Params (Root, Mujo and Xu, arXiv 2605.16317): a model that was fitted to another EVK4.
 
-Noisier and quieter units, which differ in these alone:
+Each other preset is another unit that was measured in public; `imx636` and `gen31` are the units `_nist`, defaults of
+their camera models (docs/cameras.md has the reason). Values not named here are those of the unit that it copies:
 
-    davis346_noisy  leak of 0.2 Hz; noise of 0.1, at most 10 Hz in dim light: as stated for the DAVIS346 of DND21 [9]
-    imx636_quiet    no leak; noise of 0.032, an estimate: at most 0.003 Hz in any light, so that the background is that
-                    of recording [12] whatever its light; 10 000 s before the start, in which so rare noise settles
-    imx636_noisy    leak of 0.0014 Hz, 0.0096 Hz at 45 degrees, and a background of 0.0318 Hz, all OFF: fitted to the
-                    floor of [25] in bright light, 0.041 Hz with 23 % ON. Rates at all of its 13 lights are within a
-                    factor of 2, one lux taken for 1.4 lx of sunlight, which was fitted too
+    davis346_noisy       leak of 0.2 Hz; noise of 0.1, at most 10 Hz in dim light: as stated for that of DND21 [9]
+    imx636_noise2params  [25], with its mismatch: noise, scale of light, leak of 0.0096 Hz at 45 degrees, a background
+                         of 0.0318 Hz, all OFF, fitted to its rates at 13 lights (within a factor of 2, one lux taken
+                         for 1.4 lx of sunlight) and to its floor of 0.041 Hz with 23 % ON
+    imx636_quiet         [12]: no leak; noise of 0.032, an estimate: at most 0.003 Hz in any light, so that the
+                         background is the recorded one in any light; 10 000 s, in which so rare noise settles
+    gen31_nist           SilkyEvCam VGA of [17], at its biases, 138 and 132 mV from diff: thresholds, poles and delays
+                         fitted to 18 medians (`evstim validate gen31`), deviation and late events to its fastest and
+                         slowest pixels. Noise and leak have a bound alone: below 1 of 111 pixels fires against an edge
+    gen31_moke           a recording through a Kerr microscope, its still tiles; not stored here. Estimates, with the
+                         noise of imx636_noise2params and delays within [21], which its rates did not contradict
 
 The chip of another camera of iniVation, `davis240c`: 240 x 180 pixels of 18.5 um [26]. Its drivers write the currents
 of a DAVIS346 but for OffBn, which is 0; by [4], with half a step for 0 (an estimate), its thresholds are 0.283 and
@@ -102,19 +106,7 @@ of a DAVIS346 but for OffBn, which is 0; by [4], with half a step for 0 (an esti
         Gallego et al. [21] have 12 us at 1 klux, a fill factor of 22 % and 12 Mev/s. These are the best settings of the
         biases, and the values here those of the drivers' default biases.
 
-Other chips of Prophesee, of which less is public:
-
-    parameter                  gen31                        genx320
-    size, pitch                640 x 480, 15 um [21]        320 x 320, 6.3 um [22]
-    thresholds, ln             0.223 / 0.223 estimate,      0.223 / 0.223 estimate, as imx636
-                               as imx636; least ln 1.12 [21]
-    corner at reference        3 kHz estimate as [6]        2.18 kHz estimate, as imx636
-    time of an event           15.2 ns (66 Mev/s) [21]      5 ns (200 Mev/s) estimate [23]
-    time of a row              50 ns estimate               50 ns estimate
-    delay of an event          40 us ON, 180 us OFF         as imx636
-                               estimate, within [21]
-    late events                none                         as imx636
-    all else                   estimate, as imx636: noise, dark current, background and temperature among them
+Sizes, read-outs and pitches of a Gen 3.1 are [21], of a GenX320, otherwise the pixels of imx636_nist, [22] and [23]:
 
     [21] Gallego et al., Event-based vision: a survey, IEEE TPAMI 2022, table 1 (Prophesee Gen3 CD), from memory: 15 um,
         fill factor 25 %, latency 40 to 200 us, least contrast 12 %, 66 Mev/s. The size is also in every client.
@@ -137,7 +129,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from emulator.sensor import parameters as effects
-from firmware_protocol.bounds import check_bounds
+from firmware_protocol.bounds import Bounded, check_bounds
 
 _MOST_PIXELS = 1 << 24  # 4096 x 4096: 3 GB of state; no event camera has as many
 
@@ -147,7 +139,7 @@ _Corner = Annotated[float, Meta(gt=0)]  # inf: no low-pass
 
 
 @dataclass(frozen=True, slots=True)
-class ReadoutParameters:
+class ReadoutParameters(Bounded):
     """The read-out: an arbiter that serves requests of rows, or a scan of the columns.
 
     Attributes
@@ -160,9 +152,6 @@ class ReadoutParameters:
     event_ns: Annotated[float, Meta(ge=0.001, le=1e9)]
     row_ns: Annotated[int, Meta(ge=0, le=10**9)]
     scan_us: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,31 +243,60 @@ class SensorParameters:
 
 
 IMX636_W_M2 = 0.1644
-"""Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
+"""Irradiance on the chip at 680 nm that is light 1 of the presets of NIST's cameras, W/m2."""
 
-_QUIET_BACKGROUND = effects.BackgroundParameters(
-    hz=0.00334, off_share=0.83, pair_share=0.036, on_pair_factor=4.0, again_share=0.4, pair_us=2_100_000.0,
-    on_wait_factor=4.0, hot_share=1e-4, hot_hz=4.0, hot_spread=1.6, hot_pair_share=0.9,
+_BACKGROUND = effects.BackgroundParameters(
+    hz=0.0019, off_share=0.925, pair_share=0.036, on_pair_factor=4.0, again_share=0.4, pair_us=2_400_000.0,
+    on_wait_factor=4.0, hot_share=1.1e-4, hot_hz=4.0, hot_spread=1.6, hot_pair_share=0.9,
 )  # fmt: skip
 
-_IMX636 = SensorParameters(
+_IMX636_NIST = SensorParameters(
     width=1280,
     height=720,
+    threshold_on=0.2165,
+    threshold_off=0.229,
+    mismatch=0.085,
+    dark_current_relative=0.00156,
+    photoreceptor="large_signal",
+    corner_hz_at_reference=2212.0,
+    corner_max_hz=30_000.0,
+    source_follower_hz=4150.0,
+    leak_hz=0.0,
+    refractory_us=105.0,
+    readout=ReadoutParameters(event_ns=0.33, row_ns=127),
+    temperature=effects.TemperatureParameters(celsius=45.0),
+    jitter=effects.JitterParameters(latency_us=0.8, off_latency_us=2.5, late_share=0.0005, late_us=3000.0),
+    noise=effects.NoiseParameters(rms=0.0457, spread=0.075, history_s=100.0),
+    background=_BACKGROUND,
+)
+
+_IMX636_NOISE2PARAMS = dataclasses.replace(
+    _IMX636_NIST,
     threshold_on=0.223,
     threshold_off=0.223,
     mismatch=0.043,
     dark_current_relative=0.0016,
-    photoreceptor="large_signal",
     corner_hz_at_reference=2180.0,
-    corner_max_hz=30_000.0,
     source_follower_hz=4050.0,
-    leak_hz=0.0009,
-    refractory_us=105.0,
-    readout=ReadoutParameters(event_ns=0.33, row_ns=127),
-    temperature=effects.TemperatureParameters(celsius=45.0),
-    jitter=effects.JitterParameters(latency_us=0.7, off_latency_us=2.5, late_share=0.0005, late_us=3000.0),
+    leak_hz=0.0014,
     noise=effects.NoiseParameters(rms=0.0495, spread=0.01, history_s=100.0),
-    background=_QUIET_BACKGROUND,
+    background=dataclasses.replace(_BACKGROUND, hz=0.0318, off_share=1.0, pair_share=0.0),
+)
+
+_GEN31_NIST = dataclasses.replace(
+    _IMX636_NIST,
+    width=640,
+    height=480,
+    threshold_on=0.293,
+    threshold_off=0.327,
+    dark_current_relative=0.0016,
+    corner_hz_at_reference=3550.0,
+    source_follower_hz=4000.0,
+    readout=ReadoutParameters(event_ns=15.2, row_ns=50),
+    jitter=effects.JitterParameters(
+        latency_us=341.0, deviation_us=45.0, off_latency_us=119.0, late_share=0.01, late_us=300.0
+    ),
+    noise=effects.NoiseParameters(rms=0.03, spread=0.01, history_s=10_000.0),
 )
 
 _DAVIS346 = SensorParameters(
@@ -315,25 +333,31 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             readout=ReadoutParameters(event_ns=2.2, row_ns=0, scan_us=197.28),
             noise=effects.NoiseParameters(rms=0.055, corner_hz=286.0, history_s=100.0),
         ),
-        "imx636": _IMX636,
+        "imx636": _IMX636_NIST,
+        "imx636_nist": _IMX636_NIST,
+        "imx636_noise2params": _IMX636_NOISE2PARAMS,
         "imx636_quiet": dataclasses.replace(
-            _IMX636, leak_hz=0.0, noise=dataclasses.replace(_IMX636.noise, rms=0.032, history_s=10_000.0)
+            _IMX636_NOISE2PARAMS,
+            leak_hz=0.0,
+            noise=effects.NoiseParameters(rms=0.032, spread=0.01, history_s=10_000.0),
+            background=_BACKGROUND,
         ),
-        "imx636_noisy": dataclasses.replace(
-            _IMX636,
-            leak_hz=0.0014,
-            background=dataclasses.replace(_QUIET_BACKGROUND, hz=0.0318, off_share=1.0, pair_share=0.0),
-        ),
-        "gen31": dataclasses.replace(
-            _IMX636,
+        "gen31": _GEN31_NIST,
+        "gen31_nist": _GEN31_NIST,
+        "gen31_moke": dataclasses.replace(
+            _IMX636_NOISE2PARAMS,
             width=640,
             height=480,
+            leak_hz=0.0009,
             corner_hz_at_reference=3000.0,
-            readout=ReadoutParameters(event_ns=15.2, row_ns=50),
+            readout=_GEN31_NIST.readout,
             jitter=effects.JitterParameters(latency_us=40.0, off_latency_us=180.0),
+            background=dataclasses.replace(
+                _BACKGROUND, hz=0.00334, off_share=0.83, pair_us=2_100_000.0, hot_share=1e-4
+            ),
         ),
         "genx320": dataclasses.replace(
-            _IMX636, width=320, height=320, readout=ReadoutParameters(event_ns=5.0, row_ns=50)
+            _IMX636_NIST, width=320, height=320, readout=ReadoutParameters(event_ns=5.0, row_ns=50)
         ),
         "ideal": SensorParameters(
             width=346,
@@ -351,3 +375,6 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
     }
 )
 """Sensors by name; the module's first lines name the source of each value."""
+
+RENAMED = {"imx636_noisy": ("imx636_noise2params",)}
+"""Names that presets once had, with those of today."""

@@ -19,8 +19,8 @@ the noise filter, once on, drops events until the rate of a whole period is high
 
 Biases are voltages (diff, diff_on, diff_off: 7.06 mV a step) and currents. The effect on the simulated pixels:
 
-    diff_on,        by their distance n from diff. The slope at open, 1 / 12 and 1 / 11, is that of a threshold which is
-    diff_off        proportional to n, as of a comparator whose currents depend exponentially on its voltages
+    diff_on,        by their distance from diff. A threshold is taken as proportional to it: one over the 138 and 132 mV
+    diff_off        of NIST's camera, on which the preset's thresholds were fitted; its delay of OFF events is measured
     fo, refr        one over the value at open, as for the IMX636: assumed is a current proportional to the register
     hpf             the IMX636's slope, 1 Hz a step above the value at open: a guess
 
@@ -42,7 +42,7 @@ from firmware_protocol.prophesee.registers import NoRegister
 from firmware_protocol.prophesee.treuzell import BoardDevice
 from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, TreuzellCamera, TreuzellSettings
 
-SLOPES = BiasSlopes(diff_on=1 / 12, diff_off=1 / 11, diff_off_above=1 / 11, off_delay=0.0, fo=1 / 61, refr=1 / 79)
+SLOPES = BiasSlopes(diff_on=0.051, diff_off=0.053, diff_off_above=0.053, off_delay=0.053, fo=1 / 61, refr=1 / 79)
 """Effect of one step of each bias."""
 
 _SILKY = (0x31F7, 0x0002)

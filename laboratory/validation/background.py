@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ from emulator.scene.stars.skies import sunlight_lux
 from emulator.sensor.presets import IMX636_W_M2, PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from laboratory.validation.findings import Datum, Findings, Source
+from laboratory.validation.nist import Row, table
 
 _IEBCS = Source(
     "Joubert et al., Event camera simulator improvements via characterized parameters (IEBCS), noise at 161 lux",
@@ -43,7 +43,6 @@ _NOISE2PARAMS = Source(
     "rates computed from the published parameters of their model (configs/params_published.yaml)",
 )
 
-_DATA = Path(__file__).with_name("data")
 _LUX_AT_REFERENCE = 1000.0  # the DVS's corner of 3 kHz at light 1 is that at 1 klux of scene light
 _LUX = 0.1, 1.0, 10.0, 50.0, 1000.0
 _WIDTH, _HEIGHT, _SECONDS = 120, 80, 20
@@ -113,21 +112,17 @@ def dnd21(seed: int) -> Findings:
 
 
 def noise2params(seed: int) -> Findings:
-    """Return the background of the preset imx636 over thirteen lights beside the curve of another EVK4."""
-    with (_DATA / "noise2params.csv").open(newline="") as file:
-        rows = [
-            {name: float(value) for name, value in line.items()}
-            for line in csv.DictReader(line for line in file if not line.startswith("#"))
-        ]
+    """Return the background of the preset imx636_noise2params over thirteen lights beside the curve of another EVK4."""
+    rows = table("noise2params")
     lux_at_reference = float(sunlight_lux(IMX636_W_M2))
     ours = [
-        counts(PRESETS["imx636_noisy"], _SUN_LUX * row["lux"] / lux_at_reference, seed).mean(axis=1) / _SECONDS
+        counts(PRESETS["imx636_noise2params"], _SUN_LUX * row["lux"] / lux_at_reference, seed).mean(axis=1) / _SECONDS
         for row in rows
     ]
     return Findings(
         name="noise2params",
         title="Noise over light of another EVK4",
-        sensor="imx636_noisy",
+        sensor="imx636_noise2params",
         protocol="Still, even light for 20 s, 9600 pixels, at thirteen lights from 0.1 to 1000 lux; ON and OFF events "
         f"of all kinds. Light 1 is {lux_at_reference:.1f} lx of sunlight on the chip. Where real light was measured "
         f"and its spectrum are not stated: one lux is taken for {_SUN_LUX:g} lx of sunlight, a number that was fitted.",
@@ -149,7 +144,7 @@ def noise2params(seed: int) -> Findings:
     )
 
 
-def _rate_and_share(row: dict[str, float], off_hz: float, on_hz: float) -> tuple[Datum, Datum]:
+def _rate_and_share(row: Row, off_hz: float, on_hz: float) -> tuple[Datum, Datum]:
     real_hz, ours_hz, lux = row["on_hz"] + row["off_hz"], on_hz + off_hz, f"{row['lux']:g} lux"
     share = on_hz / ours_hz if ours_hz else float("nan")
     return (
@@ -158,7 +153,7 @@ def _rate_and_share(row: dict[str, float], off_hz: float, on_hz: float) -> tuple
     )
 
 
-def _draw(rows: list[dict[str, float]], ours: list[npt.NDArray[np.float64]], stem: Path) -> list[Path]:
+def _draw(rows: tuple[Row, ...], ours: list[npt.NDArray[np.float64]], stem: Path) -> list[Path]:
     figure, [[one]] = panels(1, 1, 6.0, 4.2)
     lux = [row["lux"] for row in rows]
     for k, (name, colour) in enumerate((("off", BLUE), ("on", RED))):

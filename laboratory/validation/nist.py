@@ -25,13 +25,14 @@ from emulator.light import LightFrame
 from emulator.sensor.presets import IMX636_W_M2, PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events, Floats, Int64s
-from firmware_protocol.prophesee.biases import BiasModel
+from firmware_protocol.gen31.device import SLOPES as GEN31_SLOPES
+from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from laboratory.validation.findings import Source
 
 _DATA = Path(__file__).with_name("data")
 
 NIST = Source(
-    "NIST, pixel latency of event cameras, camera 1",
+    "NIST, pixel latency of event cameras",
     "doi 10.1109/tim.2025.3623767, github.com/usnistgov/pixel_latency_eventcameras",
     'Developed by the National Institute of Standards and Technology (NIST), which is acknowledged; provided "AS IS".',
     "digitised from the colour maps and charts of the repository; not NIST's own tables",
@@ -44,27 +45,23 @@ _STEPS = 12  # of a half period: fewer would lose events of a pixel beyond 64 a 
 _JUMP_NS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One row of NIST's tables, by the names of its columns."""
+Row = dict[str, float]
+"""One row of a table, by the names of its columns."""
 
-    values: dict[str, float]
-
-    def __getitem__(self, name: str) -> float:
-        return self.values[name]
+_SLOPES = {"imx636_nist": BiasSlopes(), "gen31_nist": GEN31_SLOPES}
 
 
 @cache
 def table(name: str) -> tuple[Row, ...]:
-    """Return the rows of a table: "latency" or "region"; an empty cell is NaN."""
-    with (_DATA / f"nist_{name}.csv").open(newline="") as file:
+    """Return the rows of a table by its name, such as "nist_latency"; an empty cell is NaN."""
+    with (_DATA / f"{name}.csv").open(newline="") as file:
         lines = csv.DictReader(line for line in file if not line.startswith("#"))
-        return tuple(Row({key: float(value or "nan") for key, value in line.items()}) for line in lines)
+        return tuple({key: float(value or "nan") for key, value in line.items()} for line in lines)
 
 
-def at_biases(p: SensorParameters, diff_on: int, diff_off: int) -> SensorParameters:
-    """Return an IMX636 with biases that many steps from the factory's."""
-    factors = BiasModel(has_delay=True).factors({"diff_on": diff_on, "diff_off": diff_off})
+def at_biases(p: SensorParameters, slopes: BiasSlopes, diff_on: int, diff_off: int) -> SensorParameters:
+    """Return a sensor with biases that many steps from the factory's."""
+    factors = BiasModel(slopes, has_delay=True).factors({"diff_on": diff_on, "diff_off": diff_off})
     delay = factors.pop("off_latency_us", 1.0)
     jitter = dataclasses.replace(p.jitter, off_latency_us=p.jitter.off_latency_us * delay)
     return dataclasses.replace(
@@ -105,9 +102,9 @@ def pulsed(p: SensorParameters, irradiance_w_m2: float, seed: int, cycles: int =
     return Edges(np.concatenate(parts), edges[1::2], edges[2::2])
 
 
-def regions() -> SensorParameters:
-    """Return the IMX636 preset with the array of the nine regions."""
-    return dataclasses.replace(PRESETS["imx636"], width=REGIONS * SIDE, height=SIDE)
+def regions(unit: str) -> SensorParameters:
+    """Return the preset of one of NIST's cameras with the array of the nine regions."""
+    return dataclasses.replace(PRESETS[unit], width=REGIONS * SIDE, height=SIDE)
 
 
 def first_latencies(events: Events, edge_us: int, on: bool) -> Floats:
@@ -160,7 +157,8 @@ def _of_region(own: Floats, opposite: Floats) -> tuple[float, ...]:
     return (*(float(value) for value in figures), float(own.size), float(opposite.size))
 
 
-def latencies(irradiance_w_m2: float, biases: tuple[int, int], seed: int) -> tuple[Statistics, Statistics]:
-    """Return the statistics of ON and of OFF events at an irradiance and a pair of biases, diff_on and diff_off."""
-    edges = pulsed(at_biases(regions(), *biases), irradiance_w_m2, seed)
+@cache
+def latencies(unit: str, irradiance_w_m2: float, biases: tuple[int, int], seed: int) -> tuple[Statistics, Statistics]:
+    """Return the statistics of ON and of OFF events of a preset, at biases diff_on and diff_off."""
+    edges = pulsed(at_biases(regions(unit), _SLOPES[unit], *biases), irradiance_w_m2, seed)
     return statistics(edges, True), statistics(edges, False)

@@ -102,7 +102,7 @@ def stars(seed: int) -> Findings:
     return Findings(
         "stars",
         "Star limits",
-        "imx636",
+        "imx636_nist",
         _PROTOCOL,
         _SOURCES,
         (*_percentiles(measured), *_completeness(measured), _third(third)),

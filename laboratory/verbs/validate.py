@@ -8,24 +8,19 @@ from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console
 from emulator.light import MachineLacks
 from laboratory.validation.background import background, dnd21, noise2params
 from laboratory.validation.findings import Experiment, over_seeds
-from laboratory.validation.latency import latency, opposite, region, spread
+from laboratory.validation.latency import gen31, latency, opposite, region, spread
 from laboratory.validation.page import within, write
-from laboratory.validation.recordings import davis346, evk4
+from laboratory.validation.recordings import davis346_street, evk4_quiet
 from laboratory.validation.stars import stars
 from laboratory.verbs import check_drawing, collected, make_folder
 
-EXPERIMENTS: dict[str, Experiment] = {  # in the order of the page
-    "latency": latency,
-    "region": region,
-    "spread": spread,
-    "opposite": opposite,
-    "noise2params": noise2params,
-    "davis346_street": davis346,
-    "evk4_quiet": evk4,
-    "background": background,
-    "dnd21": dnd21,
-    "stars": stars,
-}
+EXPERIMENTS: dict[str, Experiment] = {
+    measure.__name__: measure
+    for measure in (
+        latency, region, spread, opposite, gen31, noise2params, davis346_street, evk4_quiet, background, dnd21, stars,
+    )
+}  # fmt: skip
+"""In the order of the page."""
 
 
 def validate(*names: str, out: Path, seeds: int = 8, json: Json = False) -> int:

@@ -13,6 +13,7 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.parameters import BackgroundParameters, JitterParameters, NoiseParameters
 from emulator.sensor.presets import IMX636_W_M2, PRESETS, ReadoutParameters
 from firmware_protocol.events import EVENT
+from firmware_protocol.prophesee.biases import BiasSlopes
 from laboratory.validation.nist import (
     Edges,
     Statistics,
@@ -27,22 +28,23 @@ from laboratory.verbs.validate import EXPERIMENTS
 
 
 def test_the_tables_hold_every_condition_and_their_origin():
-    rows = table("latency")
+    rows = table("nist_latency")
     conditions = {(row["lens"], row["polarity"], row["irradiance_w_m2"], row["diff_on"]) for row in rows}
     assert len(conditions) == len(rows) == 140
-    assert {(row["lens"], row["side"]) for row in table("region")} == {
+    assert {(row["lens"], row["side"]) for row in table("nist_region")} == {
         (k, s) for k in (0, 1) for s in (32, 64, 128, 256, 420)
     }
     assert all(row["median_lo"] <= row["median_us"] <= row["median_hi"] for row in rows)
 
 
 def test_biases_change_the_thresholds_and_the_delay_of_off_events_alone():
-    p = at_biases(PRESETS["imx636"], -42, 47)
-    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.0143))
-    assert p.threshold_off == pytest.approx(0.223 * math.exp(47 * 0.0136))
-    assert p.jitter.off_latency_us == pytest.approx(PRESETS["imx636"].jitter.off_latency_us * math.exp(47 * 0.0445))
-    nominal = dataclasses.replace(p, threshold_on=0.223, threshold_off=0.223, jitter=PRESETS["imx636"].jitter)
-    assert nominal == PRESETS["imx636"]
+    nist = PRESETS["imx636_nist"]
+    p = at_biases(nist, BiasSlopes(), -42, 47)
+    assert p.threshold_on == pytest.approx(nist.threshold_on * math.exp(-42 * 0.0143))
+    assert p.threshold_off == pytest.approx(nist.threshold_off * math.exp(47 * 0.0136))
+    assert p.jitter.off_latency_us == pytest.approx(nist.jitter.off_latency_us * math.exp(47 * 0.0445))
+    thresholds = {name: getattr(nist, name) for name in ("threshold_on", "threshold_off")}
+    assert dataclasses.replace(p, **thresholds, jitter=nist.jitter) == nist
 
 
 def events(*rows):
@@ -63,22 +65,22 @@ def test_first_events_after_an_edge_count_by_pixel_and_by_key():
 
 def test_latencies_of_a_plain_pixel_are_those_of_its_law():
     p = dataclasses.replace(
-        at_temperature(regions()), mismatch=0.0, leak_hz=0.0, source_follower_hz=0.0, jitter=JitterParameters(),
-        background=BackgroundParameters(),
+        at_temperature(regions("imx636_nist")), mismatch=0.0, leak_hz=0.0, source_follower_hz=0.0,
+        jitter=JitterParameters(), background=BackgroundParameters(),
         noise=NoiseParameters(), readout=ReadoutParameters(event_ns=0.001, row_ns=0), random_start=False,
     )  # fmt: skip
     edges = pulsed(p, 0.0457, 1, cycles=1)
     late_us = first_latencies(edges.after(int(edges.on_us[0])), int(edges.on_us[0]), True)
     assert late_us.size == 99 * 11
     dark, bright = p.dark_current_relative, 0.0457 / IMX636_W_M2 + p.dark_current_relative
-    # w = e^-V follows w' + K i w = K: from 1 / dark to e^-0.223 / dark
-    shares = (1 / dark - 1 / bright) / (math.exp(-0.223) / dark - 1 / bright)
+    # w = e^-V follows w' + K i w = K: from 1 / dark to e^-threshold / dark
+    shares = (1 / dark - 1 / bright) / (math.exp(-p.threshold_on) / dark - 1 / bright)
     assert late_us == pytest.approx(1e6 * math.log(shares) / (2 * math.pi * p.corner_hz_at_reference * bright), abs=1.5)
 
 
 def test_validate_writes_its_pages_over_seeds_and_prints_the_counts(tmp_path, capsys, monkeypatch):
     assert list(EXPERIMENTS)[:2] == ["latency", "region"]
-    monkeypatch.setattr("laboratory.validation.latency.latencies", lambda irradiance, biases, seed: (_same(seed),) * 2)
+    monkeypatch.setattr("laboratory.validation.latency.latencies", lambda *condition: (_same(condition[-1]),) * 2)
     assert _main(["validate", "latency", "spread", "--seeds", "2", "--out", str(tmp_path), "--json"]) == 0
     last = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert last["within"]["Spread of latencies in a region, predicted"] == "14 of 20"
@@ -90,6 +92,19 @@ def test_validate_writes_its_pages_over_seeds_and_prints_the_counts(tmp_path, ca
     assert (tmp_path / "validation" / "latency.png").exists()
     assert _main(["validate", "nothing", "--out", str(tmp_path)]) == 2
     assert _main(["validate", "spread", "--seeds", "0", "--out", str(tmp_path)]) == 2
+
+
+@pytest.mark.system
+@pytest.mark.parametrize(
+    ("name", "unit", "counted", "least"),
+    [("opposite", "of 111", (3, 100), 22), ("latency", "us", (0, 1e6), 60), ("gen31", "us", (0, 1e6), 15),
+     ("gen31", "of 111", (0, 100), 17)],
+)  # fmt: skip
+def test_each_unit_is_near_its_camera(name, unit, counted, least):
+    """Of 24, 70, 18 and 18 rows; a part of the counts of pixels shows nothing: none, or all that are counted."""
+    rows = [one for one in EXPERIMENTS[name](1).rows(True) if one.unit == unit and counted[0] <= one.real < counted[1]]
+    assert len(rows) in (24, 70, 18)
+    assert sum(one.alike for one in rows) >= least
 
 
 def _same(seed):

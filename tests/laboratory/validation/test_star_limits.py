@@ -44,7 +44,7 @@ def test_the_real_camera_s_share_gives_its_distribution_back():
 def test_the_gen3_rig_states_the_noise_of_its_pixels():
     rig = load_rig("stars-limit-gen3")
     text = shipped_rigs()["stars-limit-gen3"].read_text()
-    preset = PRESETS["gen31"]
+    preset = PRESETS["gen31_moke"]
     for parameters, light, words in (rig.camera.sensor, 0, "0.006 Hz"), (preset, 0, "0.58 Hz"), (preset, 1, "0.06 Hz"):
         sensor = at_temperature(parameters)
         noise_hz = sum(still_hz(sensor, float(corner_hz(sensor, light))))
