@@ -27,7 +27,7 @@ from emulator.campaign.loading import CampaignError, SequenceTruth, load_source,
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.campaign.report import write_report
 from emulator.campaign.workers import LocalWorkers, WarmWorker, Workers, cores, part_of, remaining, run_campaign
-from emulator.cli.checks import check_record, failures, prepared
+from emulator.cli.checks import failures, prepared
 from emulator.cli.output import (
     BAD_VERDICT,
     GOOD,
@@ -43,6 +43,7 @@ from emulator.cli.output import (
     print_result,
     status,
 )
+from emulator.cli.recordings import check_record
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 from emulator.run.truth.source import TruthSelection
@@ -193,7 +194,8 @@ def again(
         campaign = Campaign(load_source(file))
         table.check_tables()
         rig = campaign.rig(index)
-        check_record(rig, record)
+        if record is not None:
+            check_record(rig, record)
         before = _row_before(campaign, folder or file.with_suffix(""), index)
         if before is None:
             prepared(parts_of(rig))

@@ -7,8 +7,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from emulator.cli.checks import AS_IT_IS, Table, check_recording, parsed_size, reading, recording_of, writing
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, SensorSize, Topic, print_result, status
+from emulator.cli.recordings import AS_IT_IS, Table, check_recording, parsed_size, reading, recording_of, writing
 from firmware_protocol.recordings.part import Facts, counts_of, named
 from transports.recording.event_files import recover_aedat4
 from transports.recording.files import OpenRecording, RecordingFile

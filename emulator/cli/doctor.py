@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.text import Text
 
-from emulator.cli.checks import check_recording, failures, prepared
+from emulator.cli.checks import failures, prepared
 from emulator.cli.output import (
     BAD_VERDICT,
     GOOD,
@@ -22,6 +22,7 @@ from emulator.cli.output import (
     print_result,
     status,
 )
+from emulator.cli.recordings import check_recording
 from emulator.cli.rigs import Needed, examined_needs
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs

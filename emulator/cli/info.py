@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from emulator.cli.checks import AS_IT_IS, Table, recording_of
 from emulator.cli.output import BAD_VERDICT, GOOD, Json, SensorSize, Topic, print_result
+from emulator.cli.recordings import AS_IT_IS, Table, recording_of
 from emulator.run.truth.file import truth_in
 from firmware_protocol.events import Int64s
 from firmware_protocol.recordings.part import Facts, Part

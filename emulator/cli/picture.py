@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.cli.checks import AS_IT_IS, Table, failures, prepared, recording_of
+from emulator.cli.checks import failures, prepared
 from emulator.cli.output import ESCAPES, GOOD, LACKING, WRONG_USE, Failure, Flag, Json, failing, print_result
+from emulator.cli.recordings import AS_IT_IS, Table, recording_of
 from emulator.cli.signals import handle_suspension, ignore_stop_signals
 from emulator.light import Light
 from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of

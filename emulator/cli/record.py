@@ -9,8 +9,9 @@ from typing import Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import check_recording, failures, prepared
+from emulator.cli.checks import failures, prepared
 from emulator.cli.output import BAD_VERDICT, GOOD, Json, RigName, print_result
+from emulator.cli.recordings import check_recording
 from emulator.cli.run import rig_with_options, run_rig, summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig

@@ -56,7 +56,6 @@ from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.rings import EventRing, ReadingRing
-from transports.recording.format import with_addition
 from transports.registry import imported
 
 if TYPE_CHECKING:
@@ -368,6 +367,8 @@ def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
     """Return the record file of each link: `record`, with the link's name in it when there are several."""
     if record is None or len(rig.links) == 1:
         return [record] * len(rig.links)
+    from transports.recording.format import with_addition  # few runs record
+
     return [with_addition(record, link.name) for link in rig.links]
 
 

@@ -262,8 +262,11 @@ class _Running:
 
 
 def uncompiled(parts: Sequence[Part]) -> list[Part]:
-    """Return the parts that have not been compiled on this machine yet; none where code is not stored."""
-    if getattr(config, "DISABLE_JIT", 0) or _folder() is None:
+    """Return the parts that have not been compiled on this machine yet; none where code is not stored.
+
+    None in a daemonic process, as of a pool, which may not start others: it compiles what it uses itself.
+    """
+    if getattr(config, "DISABLE_JIT", 0) or _folder() is None or multiprocessing.current_process().daemon:
         return []
     return [part for part in parts if not _note(part).exists()]
 

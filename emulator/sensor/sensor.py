@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -33,9 +33,11 @@ from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.row_kicks import LineReads, RowKicks
 from firmware_protocol.events import Events, Float32s, Mask
 from transports.registry import imported
+
+if TYPE_CHECKING:
+    from emulator.sensor.row_kicks import LineReads, RowKicks
 
 
 class Source(Protocol):
@@ -245,6 +247,8 @@ class Sensor:
         """
         if not self.pixels.capabilities.takes_row_reads:
             return None
+        from emulator.sensor.row_kicks import RowKicks
+
         self._kicks = RowKicks(kicks, self.parameters, self._seed, self.pixels.levels())
         return self._disturb
 

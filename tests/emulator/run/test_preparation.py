@@ -1,12 +1,14 @@
 """Compilation ahead of a run: in processes of their own, once; tests/test_wheel.py compiles all that a run needs."""
 
 import dataclasses
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
 from functools import partial
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -22,10 +24,15 @@ from emulator.sensor.parameters import RadiationParameters
 
 @pytest.fixture
 def notes(tmp_path, monkeypatch):
-    """Notes in an empty folder, here and in the processes that compile."""
+    """Notes in an empty folder, here and in the processes that compile.
+
+    These are forks of a server that keeps the environment of its start, so other tests get another one.
+    """
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(preparation, "_folder", lambda: tmp_path)
-    return tmp_path
+    forkserver._forkserver._stop()
+    yield tmp_path
+    forkserver._forkserver._stop()
 
 
 @pytest.mark.system
@@ -91,6 +98,11 @@ def test_nothing_is_prepared_where_it_cannot_be_stored(monkeypatch):
     assert uncompiled([DECODER]) == []
 
 
+def test_a_process_of_a_pool_starts_no_others_and_compiles_what_it_uses(notes, monkeypatch):
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)
+    assert uncompiled([DECODER]) == []
+
+
 def test_nothing_is_prepared_where_numba_is_told_not_to_compile(notes, monkeypatch):
     assert uncompiled([DECODER]) == [DECODER]
     monkeypatch.setattr(preparation.config, "DISABLE_JIT", 1)
@@ -111,6 +123,7 @@ _ELSEWHERE = """
 import sys
 sys.path[0] = sys.argv[1]
 from functools import partial
+from multiprocessing import forkserver
 from emulator.run.kernels import Part, prepare
 
 text = "import emulator, pathlib; pathlib.Path('found').write_text(emulator.__file__)"

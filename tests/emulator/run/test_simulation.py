@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import multiprocessing
 import os
 import pickle
 import signal
@@ -11,6 +10,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from multiprocessing.context import SpawnContext
 
 import numpy as np
 import pytest
@@ -152,7 +152,7 @@ def test_a_state_can_be_pickled_for_rollouts_in_other_processes(flight):
         content = pickle.dumps(sim.save())
         followed = np.concatenate([step.events for step in flown(sim, range(1, 5))])
     assert len(followed) > 200
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
+    with SpawnContext().Pool(2) as pool:  # not `get_context`: what `forked_links` gives has another environment
         for events in pool.map(rolled_out, [content] * 2):
             np.testing.assert_array_equal(events, followed)
 
