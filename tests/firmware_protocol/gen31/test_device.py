@@ -150,9 +150,9 @@ def test_the_opening_leaves_the_biases_as_they_are():
 @pytest.mark.parametrize(
     ("word", "factors"),
     [
-        ((0x0350, 0x7900_003A), {"threshold_on": np.exp(5 / 12)}),  # five steps farther from diff
-        ((0x034C, 0x7900_0019), {"threshold_off": np.exp(5 / 11)}),
-        ((0x0354, 0x7900_002B), {"threshold_on": np.exp(-2 / 12), "threshold_off": np.exp(2 / 11)}),
+        ((0x0350, 0x7900_003A), {"threshold_on": np.exp(5 * 0.051)}),  # five steps farther from diff
+        ((0x034C, 0x7900_0019), {"threshold_off": np.exp(5 * 0.053)}),
+        ((0x0354, 0x7900_002B), {"threshold_on": np.exp(-2 * 0.051), "threshold_off": np.exp(2 * 0.053)}),
         ((0x0358, 0x7100_2100), {"corner_max_hz": 1 - 28 / 61}),
         ((0x0360, 0x5100_9E00), {"refractory_us": 0.5}),
         ((0x0364, 0x5100_0800), {"highpass_hz": 2.0}),
