@@ -31,6 +31,7 @@ from firmware_protocol.usb.device import SetupPacket
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, Faulty
 from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.loop import Happen, InjectFault
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import EventRing
@@ -284,8 +285,8 @@ def test_faults_and_edges_by_hand_are_recorded_with_the_time_of_the_camera():
     def once(status):
         if not done and running.t_ns:
             done.append(running.t_ns)
-            running.inject(ScriptedFault(link="usbip"), "evstim")
-            running.happen("usbip", EdgeKind.RISING, "evstim")
+            running.order("usbip", InjectFault(ScriptedFault(link="usbip"), "evstim"))
+            running.order("usbip", Happen(EdgeKind.RISING, "evstim"))
 
     done = []
     _, result, _ = events_of(running, dataclasses.replace(FREE, drain_s=5.0), on_status=once)
