@@ -2,7 +2,8 @@
 """Ratchet of speed: processor time of a step, by part, which may only get better. `speed.toml` has the numbers.
 
     speed.py                   four rigs as shipped, over a calibration in the same process: [quotients], for CI
-    speed.py --base [NAME...]  rigs, all that differ at both sizes, in turns with the commit `base`: [ratios]; minutes
+    speed.py --base [NAME...]  rigs, by default those in [ratios], in turns with the commit `base`; minutes
+    speed.py --base --all      all rigs that differ, at both sizes; half an hour
     speed.py --measure NAME... print the measurement of these rigs, "eros" or "eros@1280x720", as JSON
 
 A quotient is the median processor time of a step over that of fixed loops, both vector and scalar; one fails beyond 1.5
@@ -192,7 +193,10 @@ def main(arguments: list[str]) -> int:
 
         tree = base_tree(table["base"])
         given = [name for name in arguments if not name.startswith("-")]
-        names = given or [f"{rig}@{size.name}" for rig in distinct(shipped_rigs()) for size in SIZES]
+        measured_before = dict.fromkeys(key.partition(" ")[0] for key in table["ratios"])
+        names = given or [*measured_before]
+        if "--all" in arguments:
+            names = [f"{rig}@{size.name}" for rig in distinct(shipped_rigs()) for size in SIZES]
         section, slack, measure = "ratios", RATIO_SLACK, lambda wanted: ratios(tree, wanted)
     else:
         names, section, slack, measure = [*RIGS], "quotients", QUOTIENT_SLACK, quotients
