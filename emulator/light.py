@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.camera import Rays, SceneGeometry
+from emulator.geometry.camera import Rays, SceneGeometry, Seen
 from transports import Closing
 
 Light = npt.NDArray[np.float32]
@@ -122,6 +122,12 @@ class Scene(Closing):
     renderer: str | None = None
     """Name of the renderer: GL's own where GL draws; None where a scene gives none."""
 
+    is_known_ahead: bool = False
+    """True: any instant can be drawn at any time, and `geometry` has the flow: no pose comes from outside."""
+
+    refines: bool = False
+    """True: the light of single pixels is so cheap that undersampled steps are refined with it."""
+
     has_rate: bool = False
     """True: `light_and_rate` gives the exact time derivative of the light.
 
@@ -177,6 +183,14 @@ class Scene(Closing):
         """
         return None
 
+    def flow(self, out: Seen) -> bool:
+        """Write flow, and labels above 0 for surfaces, of the frame that was drawn last, if that saves a look.
+
+        Return whether it did so; else `geometry` has them.
+        """
+        del out
+        return False
+
     @abstractmethod
     def close(self) -> None:
         """Release the resources of the scene; a second call does nothing."""
@@ -189,7 +203,7 @@ class OtherLight(Scene):
         self.scene = scene
         self.size, self.distance_m = scene.size, scene.distance_m
         self.painter, self.renderer = scene.painter, scene.renderer
-        self.has_rate = scene.has_rate
+        self.has_rate, self.is_known_ahead = scene.has_rate, scene.is_known_ahead
 
     @property
     def motion_bound_px_s(self) -> float:
@@ -213,6 +227,10 @@ class OtherLight(Scene):
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene."""
         return self.scene.geometry(rays)
+
+    def flow(self, out: Seen) -> bool:
+        """Write the flow of the scene's last frame, if that saves a look."""
+        return self.scene.flow(out)
 
     def close(self) -> None:
         """Close the scene."""

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from emulator.geometry.camera import Pinhole, Rays, SceneGeometry
+from emulator.geometry.camera import Pinhole, Rays, SceneGeometry, Seen
 from emulator.light import LastArrays, Light, OtherLight, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.threads import ThreadPool, available_threads
@@ -230,6 +230,10 @@ class Through(OtherLight):
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene, along the rays that the lens bends."""
         return self.scene.geometry(rays or self._rays)
+
+    def flow(self, out: Seen) -> bool:
+        """Write the flow of the scene's last frame, unless the lens bends it."""
+        return self._bent is None and self.scene.flow(out)
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light on the pixels at `t_ns` into `out`."""

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from emulator.geometry.camera import Pinhole, Rays, Seen
-from emulator.raster.layout import Screen, View, W, WHighest, WLowest, entry
+from emulator.raster.layout import Data, Screen, View, W, WHighest, WLowest, entry
 from emulator.raster.renderer import Renderer
 from emulator.raster.topology import join, prepare
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
@@ -152,6 +152,38 @@ def write_depth_and_flow(inverse_depth: Floats, motions: Floats, camera: Pinhole
     _write(inverse_depth, motions, figures, rays.columns, rays.rows, out.labels, out.depth, out.flow)
     if rays.bend is not None:
         _bend(rays.bend, out.flow)
+
+
+@entry
+def write_flow(nearest: Int32s, data: Data, flow: Float32s, labels: UInt16s) -> None:
+    """Write the flow at pixels' middles, linear between the corners of facets, and 1 as label; 0 for the sky.
+
+    Patches have the flow of the facets below them: their own corners move with the edges of shadows.
+
+    Parameters
+    ----------
+    nearest : (height, width), rows of `data`; -1 for none.
+    """
+    vertices, faces, over = data.vertices, data.faces, data.over
+    for r in range(nearest.shape[0]):
+        for c in range(nearest.shape[1]):
+            f = nearest[r, c]
+            flow[r, c, 0] = flow[r, c, 1] = labels[r, c] = 0
+            if f < 0:
+                continue
+            f = over[f] if over[f] >= 0 else f
+            i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+            # Shares of the second and third corner, by areas: within the facet, which may be a line.
+            x, y = c + 0.5 - vertices[i, 0], r + 0.5 - vertices[i, 1]
+            b_x, b_y = vertices[j, 0] - vertices[i, 0], vertices[j, 1] - vertices[i, 1]
+            c_x, c_y = vertices[k, 0] - vertices[i, 0], vertices[k, 1] - vertices[i, 1]
+            area = b_x * c_y - b_y * c_x
+            second = min(max((x * c_y - y * c_x) / area, 0.0), 1.0)
+            third = min(max((y * b_x - x * b_y) / area, 0.0), 1.0 - second)
+            for axis in range(2):
+                v = vertices[i, 2 + axis]
+                flow[r, c, axis] = v + second * (vertices[j, 2 + axis] - v) + third * (vertices[k, 2 + axis] - v)
+            labels[r, c] = 1
 
 
 @entry

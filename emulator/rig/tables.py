@@ -91,6 +91,9 @@ class Run:
     ----------
     seconds : stream time to run for; 0 means until Ctrl-C.
     step_us : time between two light frames.
+    drawing_us : time between two exact drawings of bodies or terrain on known paths; light frames between them follow
+        the motion of the surfaces. 0: two steps, or four where the image moves by more than a pixel in a step. Up to
+        `step_us`: each light frame is drawn, as where poses come from outside.
     seed : seed of everything random.
     pace : "realtime": every event leaves at its own time; "free": as fast as the machine can, without loss; "lockstep":
         by `lockstep_us` for each SYNC of the trigger's bus.
@@ -117,6 +120,7 @@ class Run:
 
     seconds: Annotated[float, Meta(ge=0, le=3.2e7)] = 0.0
     step_us: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
+    drawing_us: Annotated[int, Meta(ge=0, le=60_000_000)] = 0
     seed: Seed = 1
     pace: Literal["realtime", "free", "lockstep"] = "realtime"
     lockstep_us: Annotated[int, Meta(ge=0, le=3_600_000_000)] = 0

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emulator.light import Scene, SceneFrames
+from emulator.light import OtherLight, Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.rig.kinds import CAMERA_MODELS, IMU_DRIVERS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
 from emulator.rig.loading import Rig, RigError, carries_second, second_rig
@@ -82,7 +82,30 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     from emulator.optics.glare import veiled
     from emulator.optics.through import Through
 
-    return veiled(build(size, lens, chip) if kind.lens == "own" else Through(lens, chip, size, build, threads), lens)
+    drawn = veiled(build(size, lens, chip) if kind.lens == "own" else Through(lens, chip, size, build, threads), lens)
+    return _drawn_seldom(drawn, rig.run)
+
+
+_LEAST_PX = 16  # a side: smaller frames are drawn in no time
+
+
+def _drawn_seldom(scene: Scene, run: Run) -> Scene:
+    """Return a scene whose light frames between exact drawings follow the motion of its surfaces, where that is right.
+
+    Each frame is drawn where poses come from outside, for the rule of another simulator, with a tolerance of times
+    unless the rig gives a period, and where the period is no longer than a step.
+    """
+    period_us = run.drawing_us or (0 if not run.tolerance_us else run.step_us)
+    if (
+        not scene.is_known_ahead
+        or run.method != "hermite"
+        or 0 < period_us <= run.step_us
+        or min(scene.size) < _LEAST_PX
+    ):
+        return scene
+    from emulator.scene.between import LightBetween
+
+    return LightBetween(scene, run.step_us * 1000, period_us * 1000, run.threads)
 
 
 class TriggerPaths:
@@ -261,14 +284,12 @@ def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -
 
 def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
     """Return path, gravity and time of the inertial unit; on a bench where the scene's camera has no path."""
-    from emulator.optics.glare import Veiled
-    from emulator.optics.through import Through
     from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, Gravity
     from emulator.trajectory.building import HasCameraPath
     from emulator.trajectory.pose import Fixed, Timescale
 
     inner = scene
-    while isinstance(inner, Through | Veiled):
+    while isinstance(inner, OtherLight):
         inner = inner.scene
     gravity = Gravity(np.array(imu.gravity_m_s2 or (0.0, 0.0, 0.0)), imu.gm_m3_s2)
     is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
@@ -346,7 +367,8 @@ def _pixels(run: Run) -> MakePixels:
 
 def build_frames(rig: Rig, scene: Scene) -> SceneFrames:
     """Return the scene's light frames with the parts that the rig's method uses; a tolerance refines single pixels."""
-    return SceneFrames(scene, with_rate=rig.run.method == "hermite", with_pixel_light=rig.run.tolerance_us > 0)
+    refines = scene.refines or rig.run.tolerance_us > 0
+    return SceneFrames(scene, with_rate=rig.run.method == "hermite", with_pixel_light=refines)
 
 
 def schedule(rig: Rig) -> Schedule:

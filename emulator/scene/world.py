@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.gl.context import QUICK_LOOK, Painter
 from emulator.gl.render_target import Rectangle, RenderTarget
 from emulator.light import Light, Scene
+from emulator.trajectory.live import ComingPoses
 from emulator.trajectory.pose import Timescale, Trajectory
 
 if TYPE_CHECKING:
@@ -30,6 +31,10 @@ class World(Protocol):
     pinhole: Pinhole
     camera: Trajectory
     time: Timescale
+
+    @property
+    def paths(self) -> Sequence[Trajectory]:
+        """Paths of the bodies."""
 
     @property
     def motion_bound_px_s(self) -> float:
@@ -62,6 +67,7 @@ class WorldScene(Scene, Generic[W]):
         self._world = world
         self.camera_path, self.path_time = world.camera, world.time
         self.size, self.distance_m = world.pinhole.size, world.distance_m
+        self.is_known_ahead = not any(isinstance(path, ComingPoses) for path in (world.camera, *world.paths))
 
     @property
     def motion_bound_px_s(self) -> float:

@@ -27,9 +27,9 @@ import numpy as np
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import NOTHING, LastArrays, Light, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
-from emulator.raster.layout import Screen, View
+from emulator.raster.layout import Owners, Screen, View
 from emulator.raster.renderer import Renderer
-from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
+from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow, write_flow
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_thirds
 from emulator.scene.bodies.grain import GrainLayer, Ground, Placed
@@ -235,11 +235,17 @@ class RasterBodies(WorldScene[BodyWorld]):
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
         self._grain = GrainLayer(self._lit.grounds(), pinhole.size, threads)
+        self._owners = self._grain.owners if self._grain.bodies else Owners.of(width, height)
         self._arrays = LastArrays()
 
     def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
         """Return depth, flow and labels of the bodies, from shapes and poses alone."""
         return BodiesGeometry(self._world, rays)
+
+    def flow(self, out: Seen) -> bool:
+        """Write the flow of the last frame, of its facets."""
+        write_flow(self._owners.facets, self._renderer.data, out.flow, out.labels)
+        return True
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
@@ -253,7 +259,7 @@ class RasterBodies(WorldScene[BodyWorld]):
         before = self._drawn if self._arrays.are(light, rate) else None
         view = self._lit.view(t_ns)
         self._renderer.topology = self._lit.topology
-        self._drawn = self._renderer.draw(view, light, rate, before, self._grain.owners)
+        self._drawn = self._renderer.draw(view, light, rate, before, self._owners)
         self._grain.add(self._renderer, self._lit.placed(self._grain.bodies), self._drawn, light, rate)
         self.changed = None if before is None else self._drawn.union(before)
 

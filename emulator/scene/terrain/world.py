@@ -18,7 +18,7 @@ which is the penumbra: behind a 10 m rock under a Sun 2 degrees high it is about
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -34,7 +34,7 @@ from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
-from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, instants_over, measured_bounds
+from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError, instants_over, measured_bounds
 from firmware_protocol.events import Float32s, Floats
 
 
@@ -169,6 +169,8 @@ class TerrainWorld:
     motion_bound_px_s : from the path's speed, turning and height, sampled over the whole path.
     distance_m : the least sampled height over the ground beneath.
     """
+
+    paths: Sequence[Trajectory] = ()
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole) -> None:
         p = self.parameters = parameters
