@@ -118,6 +118,8 @@ class LightBetween(OtherLight):
         super().__init__(scene)
         self.has_rate = True
         self._step_ns, self._period_ns = step_ns, period_ns
+        every = f"{period_ns * 1e-6:g} ms" if period_ns else f"{OFTEN} or {SELDOM} steps"
+        self.renderer = f"{scene.renderer or scene.painter}, every {every}, moved along its surfaces in between"
         self._geometry: SceneGeometry | None = None
         self._whole = Region(0, scene.size[1], 0, scene.size[0])
         self._pool, self._drawer = ThreadPool(threads or available_threads()), ThreadPoolExecutor(1)
@@ -170,6 +172,10 @@ class LightBetween(OtherLight):
     def pixel_light(self) -> PixelLight:
         """Light of single pixels, as moved."""
         return self._pixels
+
+    def wait(self) -> None:
+        """Wait until all drawings are made that were begun; to measure."""
+        self._submit(lambda: None).result()
 
     def close(self) -> None:
         """End the threads and close the scene; a second call does nothing."""

@@ -298,6 +298,7 @@ def test_a_simulation_without_a_link_can_be_recorded(links, tmp_path):
 
 def test_without_poses_it_is_the_rigs_own_run(tmp_path):
     rig = rig_of()
+    rig = dataclasses.replace(rig, run=dataclasses.replace(rig.run, drawing_us=1))  # as where poses come from outside
     recorded = dataclasses.replace(rig, links=(evstim.FileLink(path=str(tmp_path / "events.raw")),))
     whole = dataclasses.replace(rig, run=dataclasses.replace(rig.run, step_us=10_000))
     with Simulation(rig) as sim:
