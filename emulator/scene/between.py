@@ -39,6 +39,7 @@ from emulator.scene.moved_light import (
     BLOCK,
     MARGIN,
     MOVED_ABOVE_PX,
+    ROOM,
     Drawing,
     Pair,
     carry_into_sky,
@@ -122,7 +123,9 @@ class LightBetween(OtherLight):
         self.renderer = f"{scene.renderer or scene.painter}, every {every}, moved along its surfaces in between"
         self._geometry: SceneGeometry | None = None
         self._whole = Region(0, scene.size[1], 0, scene.size[0])
-        self._pool, self._drawer = ThreadPool(threads or available_threads()), ThreadPoolExecutor(1)
+        threads = threads or available_threads()
+        self._room = np.zeros((threads, ROOM), np.float32)
+        self._pool, self._drawer = ThreadPool(threads), ThreadPoolExecutor(1)
         shape = scene.size[::-1]
         self._depth, self._labels = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
         self._aways, self._spare = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.float32)
@@ -154,7 +157,7 @@ class LightBetween(OtherLight):
 
         def write(band: int, thread: int) -> None:
             rows = first_row + band * _BAND, min(first_row + (band + 1) * _BAND, last_row)
-            write_rows(pair, slot.share(t_ns), (*rows, first, last), light, rate)
+            write_rows(pair, slot.share(t_ns), (*rows, first, last), self._room[thread], light, rate)
 
         self._pool.each(write, -(-(last_row - first_row) // _BAND))
 
@@ -188,7 +191,7 @@ class LightBetween(OtherLight):
         pair = self._between(slot)
         light, rate = np.zeros((2, len(pixels)), np.float32)
         if pair is not None:
-            write_pixels(pair, slot.share(t_ns), pixels, light, rate)
+            write_pixels(pair, slot.share(t_ns), pixels, self._room[0], light, rate)
             return light, rate
         frame = np.zeros((2, *self.size[::-1]), np.float32)
         self._submit(self._draw_frame, t_ns, frame[0], frame[1]).result()
@@ -229,13 +232,14 @@ class LightBetween(OtherLight):
     def _pair_of(self, before: _Drawn, after: _Drawn, period_s: float) -> Pair:
         moved_px = period_s * max(before.greatest_px_s, after.greatest_px_s)
         blocks = _grown(np.maximum(before.blocks, after.blocks), math.ceil((moved_px + 2 * MARGIN) / BLOCK))
-        pair = Pair(before.drawing, after.drawing, np.zeros((2, 0, 0), np.float32), blocks, period_s)
+        pair = Pair(before.drawing, after.drawing, np.zeros(0, np.float32), blocks, period_s)
         if not self.scene.has_rate or min(before.mean_px_s, after.mean_px_s) * period_s > 2 * MOVED_ABOVE_PX:
             return pair
-        lacking = np.zeros((2, *self.size[::-1]), np.float32)
+        lacking = np.zeros(2 * before.drawing.light.size, np.float32)
 
         def write(band: int, thread: int) -> None:
-            write_lacking(pair, (band * _BAND, min((band + 1) * _BAND, self.size[1])), lacking)
+            rows = band * _BAND, min((band + 1) * _BAND, self.size[1])
+            write_lacking(pair, rows, self._room[thread], lacking)
 
         self._pool.each(write, -(-self.size[1] // _BAND))
         return pair._replace(lacking=lacking)
@@ -276,16 +280,18 @@ class LightBetween(OtherLight):
 
     def _draw(self, t_ns: int, room: Drawing) -> _Drawn:
         self._draw_frame(t_ns, room.light, room.rate)
-        seen = Seen(self._depth, room.flow, self._labels)
+        height, width = self._labels.shape
+        flow = room.flow.reshape(height, width, 2)
+        seen = Seen(self._depth, flow, self._labels)
         if not self.scene.flow(seen):
             self._geometry = self._geometry or self.scene.geometry()
             if self._geometry is None:
                 raise SceneError("the scene gives no flow: draw each light frame, with run.drawing_us = 1")
             self._geometry.look(t_ns, seen)
-        mean_px_s, greatest_px_s = speeds(room.flow, room.light)
+        mean_px_s, greatest_px_s = speeds(flow, room.light)
         reach_px = greatest_px_s * (self._period_ns or SELDOM * self._step_ns) * 1e-9 + 2 * MARGIN
-        carry_into_sky(self._labels, room.flow, self._aways, reach_px)
-        spline(room.light, room.coefficients)
+        carry_into_sky(self._labels, flow, self._aways, reach_px)
+        spline(room.light, room.coefficients.reshape(height + 2 * MARGIN, width + 2 * MARGIN))
         blocks = np.zeros([-(-n // BLOCK) for n in room.light.shape], np.uint8)
         lit_blocks(room.light, blocks)
         return _Drawn(room, blocks, mean_px_s, greatest_px_s)

@@ -4,8 +4,8 @@ The law is that of `between`. A drawing has a spline through its light and the f
 
     pixels --spline--> coefficients (height + 4, width + 4)      labels, flow --carry_into_sky--> flow everywhere
 
-Two things make it fast: blocks of pixels that stay dark are left out, and a margin around the coefficients leaves no
-test in the loops over rows and columns of a spline. A pixel takes 60 ns on a 3.5 GHz core, a tenth of its drawing.
+Fast because pixels are listed, without blocks that stay dark, and computed as vectors (`_move`): 25 ns a pixel on a
+core with AVX-512, 65 ns one by one. A margin around the coefficients leaves no test in it.
 
 Source of splines with their filter: Unser, IEEE Signal Processing Magazine 16 (6), 1999.
 """
@@ -18,14 +18,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from emulator.light import Light
-from emulator.sensor.numerics.compiled import Real, lane
+from emulator.sensor.numerics.columns import pick, put, take
+from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane, vector_kernel
+from emulator.sensor.numerics.elementary import use_widest_vectors
 from firmware_protocol.compiled import entry_of
 from firmware_protocol.events import Bytes, Float32s, Int64s, UInt16s
 
 _Part = tuple[int, int, int, int]  # first and last row, first and last column, the last ones not included
 
-entry = entry_of("emulator.scene.moved_light", "emulator.sensor.numerics.compiled", _nrt=False)
+entry = entry_of("emulator.scene.moved_light", "emulator.sensor.numerics", _nrt=False)
 """Compile a function for calls from Python; it releases the GIL."""
+
+CHUNK = 1024
+"""Pixels that are computed together: their rows fit the first-level cache."""
+
+_Row, _Column, _Before, _After = (
+    0,
+    1,
+    2,
+    5,
+)  # rows of a thread's room: of each drawing light, rate, and whether it is inside
+ROOM = 8 * CHUNK
 
 BLOCK = 8  # pixels a side: a block without light in both drawings, and around, is dark in between
 MARGIN = 2  # pixels around the coefficients of a spline, so that no place needs a test
@@ -43,8 +56,8 @@ class Drawing(NamedTuple):
     Attributes
     ----------
     light, rate : (height, width), exact.
-    coefficients : (height + 4, width + 4), of the spline through the light, with a margin of two pixels.
-    flow : (height, width, 2), px/s: columns to the right, rows down.
+    coefficients : (height + 4) * (width + 4) of the spline through the light, row by row, with a margin of two pixels.
+    flow : (height * width * 2,) px/s, of each pixel to the right and down.
     """
 
     light: Float32s
@@ -56,8 +69,8 @@ class Drawing(NamedTuple):
     def of(cls, width: int, height: int) -> Drawing:
         """Return room for a drawing."""
         light, rate = np.zeros((2, height, width), np.float32)
-        around = np.zeros((height + 2 * MARGIN, width + 2 * MARGIN), np.float32)
-        return cls(light, rate, around, np.zeros((height, width, 2), np.float32))
+        coefficients = np.zeros((height + 2 * MARGIN) * (width + 2 * MARGIN), np.float32)
+        return cls(light, rate, coefficients, np.zeros(2 * height * width, np.float32))
 
 
 class Pair(NamedTuple):
@@ -66,7 +79,7 @@ class Pair(NamedTuple):
     Attributes
     ----------
     before, after : the drawings.
-    lacking : (2, height, width), e0 and e1 of the module; empty where all pixels move too far.
+    lacking : (2 * height * width,), e0 and e1 of `between`; empty where all pixels move too far.
     blocks : (rows, columns) of blocks, 1 where there may be light in between.
     period_s : time from one to the other.
     """
@@ -233,101 +246,173 @@ def _slopes(t: Real) -> tuple[Real, Real, Real, Real]:
 
 
 @lane
-def _flow_at(flow: Float32s, axis: int, i: int, j: int, a: Real, b: Real) -> Real:
-    """Return the flow between pixels, shares a and b to the right of and below pixel (i, j), linear along both."""
-    top = flow[i, j, axis] + a * (flow[i, j + 1, axis] - flow[i, j, axis])
-    bottom = flow[i + 1, j, axis] + a * (flow[i + 1, j + 1, axis] - flow[i + 1, j, axis])
-    return top + b * (bottom - top)
+def _line(coefficients: Float32s, first: int, at: int, weights: Any, slopes: Any) -> tuple[Real, Real]:
+    """Return the spline along a row of coefficients, and its derivative."""
+    a, b = pick(coefficients, first, at), pick(coefficients, first + 1, at)
+    c, d = pick(coefficients, first + 2, at), pick(coefficients, first + 3, at)
+    value = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d
+    return value, slopes[0] * a + slopes[1] * b + slopes[2] * c + slopes[3] * d
 
 
-@lane
-def _moved(drawing: Drawing, row: int, column: int, elapsed_s: Real) -> tuple[Real, Real, Any]:
-    """Return light and rate at a pixel, of a drawing moved by its flow, and whether the drawing contains the place."""
+@vector_kernel
+def _move(drawing: Drawing, elapsed_s: Real, n: int, room: Float32s, to: int) -> None:
+    """Write light, rate by motion, and 1 where the drawing has the place, of n pixels, to rows of `room` from `to`.
+
+    A vector of pixels takes as many gathers as a pixel takes loads.
+    """
+    use_widest_vectors()
     flow, coefficients = drawing.flow, drawing.coefficients
-    right, down = np.float32(flow.shape[1] - 1), np.float32(flow.shape[0] - 1)
-    # The place that moves to this pixel: by the flow at the pixel, then by the flow at that place.
-    x = min(max(np.float32(column) - flow[row, column, 0] * elapsed_s, _ZERO), right)
-    y = min(max(np.float32(row) - flow[row, column, 1] * elapsed_s, _ZERO), down)
-    i, j = min(int(y), flow.shape[0] - 2), min(int(x), flow.shape[1] - 2)
-    a, b = x - np.float32(j), y - np.float32(i)
-    vx, vy = _flow_at(flow, 0, i, j, a, b), _flow_at(flow, 1, i, j, a, b)
-    x, y = np.float32(column) - vx * elapsed_s, np.float32(row) - vy * elapsed_s
-    is_inside = (x >= -_HALF) & (x <= right + _HALF) & (y >= -_HALF) & (y <= down + _HALF)
-    x, y = min(max(x, _ZERO), right), min(max(y, _ZERO), down)
-    # The spline there and its gradient, from four rows and columns, the first one before the place.
-    i, j = int(y), int(x)
-    a, b = x - np.float32(j), y - np.float32(i)
-    wx, sx, wy, sy = _weights(a), _slopes(a), _weights(b), _slopes(b)
-    value, along, across = _ZERO, _ZERO, _ZERO
-    for k in range(4):
-        at = i + k + 1
-        p, q, s, t = coefficients[at, j + 1], coefficients[at, j + 2], coefficients[at, j + 3], coefficients[at, j + 4]
-        line = wx[0] * p + wx[1] * q + wx[2] * s + wx[3] * t
-        value += wy[k] * line
-        along += wy[k] * (sx[0] * p + sx[1] * q + sx[2] * s + sx[3] * t)
-        across += sy[k] * line
-    return value, -vx * along - vy * across, is_inside
+    height, width = drawing.light.shape
+    wide = width + 2 * MARGIN
+    right, down = np.float32(width - 1), np.float32(height - 1)
+    for k in range(n):
+        row, column = take(room, _Row * CHUNK + k), take(room, _Column * CHUNK + k)
+        # The place that moves to this pixel: by the flow at the pixel, then by the flow of the pixel at that place.
+        at = np.int32(2) * (np.int32(row) * np.int32(width) + np.int32(column))
+        x = min(max(column - pick(flow, 0, at) * elapsed_s, _ZERO), right)
+        y = min(max(row - pick(flow, 1, at) * elapsed_s, _ZERO), down)
+        at = np.int32(2) * (np.int32(y + _HALF) * np.int32(width) + np.int32(x + _HALF))
+        vx, vy = pick(flow, 0, at), pick(flow, 1, at)
+        x, y = column - vx * elapsed_s, row - vy * elapsed_s
+        is_inside = (x >= -_HALF) & (x <= right + _HALF) & (y >= -_HALF) & (y <= down + _HALF)
+        x, y = min(max(x, _ZERO), right), min(max(y, _ZERO), down)
+        # The spline there and its gradient, from four rows and columns, the first one before the place.
+        i, j = np.int32(y), np.int32(x)
+        a, b = x - np.float32(j), y - np.float32(i)
+        weights, slopes, down_weights, down_slopes = _weights(a), _slopes(a), _weights(b), _slopes(b)
+        at = i * np.int32(wide) + j
+        first = (MARGIN - 1) * (wide + 1)
+        light0, along0 = _line(coefficients, first, at, weights, slopes)
+        light1, along1 = _line(coefficients, first + wide, at, weights, slopes)
+        light2, along2 = _line(coefficients, first + 2 * wide, at, weights, slopes)
+        light3, along3 = _line(coefficients, first + 3 * wide, at, weights, slopes)
+        w, s = down_weights, down_slopes
+        along = w[0] * along0 + w[1] * along1 + w[2] * along2 + w[3] * along3
+        across = s[0] * light0 + s[1] * light1 + s[2] * light2 + s[3] * light3
+        put(room, to * CHUNK + k, w[0] * light0 + w[1] * light1 + w[2] * light2 + w[3] * light3)
+        put(room, (to + 1) * CHUNK + k, -vx * along - vy * across)
+        put(room, (to + 2) * CHUNK + k, _ONE if is_inside else _ZERO)
 
 
-@lane
-def _between(pair: Pair, row: int, column: int, u: Real) -> tuple[Real, Real]:
-    """Return light and rate at a pixel, a share u of the period after the first drawing."""
+@vector_kernel
+def _weigh(pair: Pair, u: Real, n: int, room: Float32s) -> None:
+    """Write light and rate of n pixels, a share u of the period after the first drawing, from both moved ones."""
+    use_widest_vectors()
+    period, width, rest = np.float32(pair.period_s), pair.before.light.shape[1], _ONE - u
+    has_lacking = pair.lacking.size > 0
+    for k in range(n):
+        light0, light1 = take(room, _Before * CHUNK + k), take(room, _After * CHUNK + k)
+        rate0, rate1 = take(room, (_Before + 1) * CHUNK + k), take(room, (_After + 1) * CHUNK + k)
+        is_in_0, is_in_1 = take(room, (_Before + 2) * CHUNK + k), take(room, (_After + 2) * CHUNK + k)
+        is_in_both = is_in_0 == is_in_1  # or in none
+        share = u if is_in_both else is_in_1
+        light, rate = light0 + share * (light1 - light0), rate0 + share * (rate1 - rate0)
+        rate += (light1 - light0) / period if is_in_both else _ZERO
+        if has_lacking:
+            row, column = take(room, _Row * CHUNK + k), take(room, _Column * CHUNK + k)
+            at = np.int32(row) * np.int32(width) + np.int32(column)
+            e0, e1 = pick(pair.lacking, 0, at), pick(pair.lacking, pair.before.light.size, at)
+            light += period * u * rest * (e0 * rest - e1 * u)
+            rate += e0 * rest * (_ONE - _THREE * u) + e1 * u * (_THREE * u - _TWO)
+        put(room, _Before * CHUNK + k, light if light > _DARK else _ZERO)
+        put(room, (_Before + 1) * CHUNK + k, rate if light > _DARK else _ZERO)
+
+
+@kernel
+def _compute(pair: Pair, u: Real, n: int, room: Float32s) -> None:
+    """Write light and rate of the n pixels in `room` to its rows _Before and the next."""
     period = np.float32(pair.period_s)
-    light0, rate0, is_in_0 = _moved(pair.before, row, column, u * period)
-    light1, rate1, is_in_1 = _moved(pair.after, row, column, (u - _ONE) * period)
-    if is_in_0 != is_in_1:
-        return (light0, rate0) if is_in_0 else (light1, rate1)
-    light, rate = light0 + u * (light1 - light0), rate0 + u * (rate1 - rate0) + (light1 - light0) / period
-    if pair.lacking.shape[1]:
-        e0, e1, rest = pair.lacking[0, row, column], pair.lacking[1, row, column], _ONE - u
-        light += period * u * rest * (e0 * rest - e1 * u)
-        rate += e0 * rest * (_ONE - _THREE * u) + e1 * u * (_THREE * u - _TWO)
-    return light, rate
+    _move(pair.before, u * period, n, room, _Before)
+    _move(pair.after, (u - _ONE) * period, n, room, _After)
+    _weigh(pair, u, n, room)
+
+
+@kernel
+def _write_out(n: int, room: Float32s, light: Light, rate: Float32s) -> None:
+    """Write light and rate of the n pixels in `room` to their places."""
+    for k in range(n):
+        r, c = int(room[_Row * CHUNK + k]), int(room[_Column * CHUNK + k])
+        light[r, c], rate[r, c] = room[_Before * CHUNK + k], room[(_Before + 1) * CHUNK + k]
 
 
 @entry
-def write_rows(pair: Pair, u: float, part: _Part, light: Light, rate: Float32s) -> None:
-    """Write light and rate, a share u of the period after the first drawing, in rows and columns of a part."""
-    share = np.float32(u)
+def write_rows(pair: Pair, u: float, part: _Part, room: Float32s, light: Light, rate: Float32s) -> None:
+    """Write light and rate, a share u of the period after the first drawing, in rows and columns of a part.
+
+    `room` has ROOM values of one thread.
+    """
+    n: Any = NONE
     for r in range(part[0], part[1]):
         for c in range(part[2], part[3]):
             if pair.blocks[r // BLOCK, c // BLOCK]:
-                value, change = _between(pair, r, c, share)
-                light[r, c], rate[r, c] = (value, change) if value > _DARK else (_ZERO, _ZERO)
+                room[_Row * CHUNK + n], room[_Column * CHUNK + n] = r, c
+                n += 1
             else:
                 light[r, c] = rate[r, c] = _ZERO
+            if n == CHUNK:
+                _compute(pair, np.float32(u), n, room)
+                _write_out(n, room, light, rate)
+                n = 0
+    _compute(pair, np.float32(u), n, room)
+    _write_out(n, room, light, rate)
 
 
 @entry
-def write_pixels(pair: Pair, u: float, pixels: Int64s, light: Float32s, rate: Float32s) -> None:
+def write_pixels(pair: Pair, u: float, pixels: Int64s, room: Float32s, light: Float32s, rate: Float32s) -> None:
     """Write light and rate of the pixels row * width + column."""
-    share, width = np.float32(u), pair.before.light.shape[1]
-    for k in range(len(pixels)):
-        r, c = pixels[k] // width, pixels[k] % width
-        light[k] = rate[k] = _ZERO
-        if pair.blocks[r // BLOCK, c // BLOCK]:
-            value, change = _between(pair, r, c, share)
-            if value > _DARK:
-                light[k], rate[k] = value, change
+    width = pair.before.light.shape[1]
+    for first in range(0, len(pixels), CHUNK):
+        n = min(CHUNK, len(pixels) - first)
+        for k in range(n):
+            room[_Row * CHUNK + k] = pixels[first + k] // width
+            room[_Column * CHUNK + k] = pixels[first + k] % width
+        _compute(pair, np.float32(u), n, room)
+        for k in range(n):
+            r, c = pixels[first + k] // width, pixels[first + k] % width
+            is_lit = pair.blocks[r // BLOCK, c // BLOCK]
+            light[first + k] = room[_Before * CHUNK + k] if is_lit else _ZERO
+            rate[first + k] = room[(_Before + 1) * CHUNK + k] if is_lit else _ZERO
+
+
+@kernel
+def _find_lacking(pair: Pair, n: int, room: Float32s, out: Float32s) -> None:
+    """Write e0 and e1 of the n pixels in `room`."""
+    height, width = pair.before.light.shape
+    period = np.float32(pair.period_s)
+    for end in range(2):
+        exact = pair.before.rate if end == 0 else pair.after.rate
+        _move(pair.before, np.float32(end) * period, n, room, _Before)
+        _move(pair.after, np.float32(end - 1) * period, n, room, _After)
+        here, there = (_Before, _After) if end == 0 else (_After, _Before)
+        for k in range(n):
+            r, c = int(room[_Row * CHUNK + k]), int(room[_Column * CHUNK + k])
+            change = (room[_After * CHUNK + k] - room[_Before * CHUNK + k]) / period
+            if room[(there + 2) * CHUNK + k] > _ZERO:
+                lacks = exact[r, c] - room[(here + 1) * CHUNK + k] - change
+                out[(end * height + r) * width + c] = lacks * _weight_of_rates(pair, r * width + c)
+
+
+@lane
+def _weight_of_rates(pair: Pair, pixel: int) -> Real:
+    """Return the share at which the exact rates of a pixel count: by how little it moves in a period."""
+    before, after = pair.before.flow, pair.after.flow
+    squared = before[2 * pixel] ** 2 + before[2 * pixel + 1] ** 2
+    squared = max(squared, after[2 * pixel] ** 2 + after[2 * pixel + 1] ** 2)
+    weight = (MOVED_ABOVE_PX - math.sqrt(squared) * pair.period_s) / (MOVED_ABOVE_PX - _CUBIC_BELOW_PX)
+    return np.float32(min(max(weight, 0.0), 1.0))
 
 
 @entry
-def write_lacking(pair: Pair, rows: tuple[int, int], out: Float32s) -> None:
-    """Write e0 and e1 of the module, (2, height, width), in some rows, weighted by how little a pixel moves."""
-    period = np.float32(pair.period_s)
+def write_lacking(pair: Pair, rows: tuple[int, int], room: Float32s, out: Float32s) -> None:
+    """Write e0 and e1 of `between` in some rows, weighted; `out`, (2 * height * width,), has zeros."""
+    width = pair.before.light.shape[1]
+    n: Any = NONE
     for r in range(rows[0], rows[1]):
-        for c in range(out.shape[2]):
-            out[0, r, c] = out[1, r, c] = _ZERO
-            before, after = pair.before.flow, pair.after.flow
-            squared = max(before[r, c, 0] ** 2 + before[r, c, 1] ** 2, after[r, c, 0] ** 2 + after[r, c, 1] ** 2)
-            moved_px = math.sqrt(squared) * pair.period_s
-            if moved_px < MOVED_ABOVE_PX and pair.blocks[r // BLOCK, c // BLOCK]:
-                weight = np.float32(min((MOVED_ABOVE_PX - moved_px) / (MOVED_ABOVE_PX - _CUBIC_BELOW_PX), 1.0))
-                light0, rate0, _ = _moved(pair.before, r, c, _ZERO)
-                light1, _, is_in_1 = _moved(pair.after, r, c, -period)
-                if is_in_1:
-                    out[0, r, c] = weight * (pair.before.rate[r, c] - rate0 - (light1 - light0) / period)
-                light0, _, is_in_0 = _moved(pair.before, r, c, period)
-                light1, rate1, _ = _moved(pair.after, r, c, _ZERO)
-                if is_in_0:
-                    out[1, r, c] = weight * (pair.after.rate[r, c] - rate1 - (light1 - light0) / period)
+        for c in range(width):
+            if pair.blocks[r // BLOCK, c // BLOCK] and _weight_of_rates(pair, r * width + c) > _ZERO:
+                room[_Row * CHUNK + n], room[_Column * CHUNK + n] = r, c
+                n += 1
+            if n == CHUNK:
+                _find_lacking(pair, n, room, out)
+                n = 0
+    _find_lacking(pair, n, room, out)
