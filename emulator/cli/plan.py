@@ -14,6 +14,7 @@ from emulator.rig.loading import load_rig
 from emulator.run.assembly import build_scene, plan_of
 from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.kernels import parts_of
+from emulator.scene.between import OFTEN, SELDOM
 
 _METHODS = {
     "hermite": "cubic in log light from value and derivative, low-pass solved in warped time",
@@ -36,7 +37,9 @@ def plan(rig: RigName, /, *, json: Json = False) -> int:
         with build_scene(loaded) as scene:
             planned = plan_of(loaded, scene)
             speed = expected_speed(loaded, scene, planned)
-    print_result(json, {**_as_json(planned), "speed": speed.as_json()}, _lines(planned, speed))
+            is_between = scene.refines
+    as_json = {**_as_json(planned), "light_between_drawings": is_between, "speed": speed.as_json()}
+    print_result(json, as_json, _lines(planned, speed, is_between))
     return GOOD
 
 
@@ -58,8 +61,8 @@ def _finite(table: dict[str, object]) -> dict[str, object]:
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
 
 
-def _lines(planned: Plan, speed: ExpectedSpeed) -> Iterator[str]:
-    """Yield the plan for people."""
+def _lines(planned: Plan, speed: ExpectedSpeed, is_between: bool) -> Iterator[str]:
+    """Yield the plan for people; `is_between`: light is moved between drawings."""
     p = planned.probe
     steps, sensor = planned.steps, planned.rig.camera.sensor
     yield f"{planned.rig.name}: {planned.rig.title}\n"
@@ -77,6 +80,10 @@ def _lines(planned: Plan, speed: ExpectedSpeed) -> Iterator[str]:
         f"{steps.bound}; timestamp error {_us(steps.error_us)} (95 %); a straight line would need "
         f"{steps.line_step_us:.0f} us for that"
     )
+    if is_between:
+        every_us = planned.rig.run.drawing_us
+        every = f"every {every_us} us" if every_us else f"every {OFTEN} steps, or {SELDOM} where the image moves fast"
+        yield f"drawing  {every}; in between light follows the motion of the surfaces (run.drawing_us)"
     for load in line_loads(planned.rig, p.events_per_s):
         yield f"line     {load.line}"
     yield f"speed    {speed.line}\n"

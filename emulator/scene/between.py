@@ -119,8 +119,6 @@ class LightBetween(OtherLight):
         super().__init__(scene)
         self.has_rate = True
         self._step_ns, self._period_ns = step_ns, period_ns
-        every = f"{period_ns * 1e-6:g} ms" if period_ns else f"{OFTEN} or {SELDOM} steps"
-        self.renderer = f"{scene.renderer or scene.painter}, every {every}, moved along its surfaces in between"
         self._geometry: SceneGeometry | None = None
         self._whole = Region(0, scene.size[1], 0, scene.size[0])
         threads = threads or available_threads()
