@@ -165,7 +165,7 @@ def build_pyramid(ground: Ground, sun_radii: Heights, sun: Floats, levels: int) 
 
     `sun_radii`, (grids, rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
     """
-    table = _table(ground, levels)
+    table = table_of(ground, levels)
     posts = int(table[-1, 0] + table[-1, 1] * table[-1, 2])
     heights = np.empty(posts, np.float32)
     moments = np.zeros((posts + _BEYOND * (table[:, 2].max() + 1)) * MOMENTS, np.uint16)
@@ -202,7 +202,8 @@ def _evens(posts: int) -> Int64s:
     return np.minimum(2 * np.arange(posts // 2 + 1), posts - 1)
 
 
-def _table(ground: Ground, levels: int) -> Int64s:
+def table_of(ground: Ground, levels: int) -> Int64s:
+    """Return the `levels` of a `Pyramid`."""
     rows, columns = ground.shape
     spans = columns - 1, rows - 1
     table = np.zeros((levels, 9), np.int64)

@@ -8,6 +8,7 @@ import pytest
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
+from emulator.scene.terrain import world
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
@@ -104,6 +105,52 @@ def test_a_plane_s_rate_is_that_of_the_turning_view(tmp_path):
     change = difference(p, 500_000_000)
     assert np.abs(change).max() > 1e-2 * light.mean()
     np.testing.assert_allclose(rate, change, atol=0.02 * np.abs(change).max())
+
+
+@pytest.fixture
+def computed(tmp_path, monkeypatch):
+    """Return a list that gets an item for each computation of a ground's light; the cache is empty and for all maps."""
+    calls, build = [], world.build_pyramid
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
+    monkeypatch.setattr(world, "_CACHED_POSTS", 0)
+    monkeypatch.setattr(world, "build_pyramid", lambda *inputs: calls.append(1) or build(*inputs))
+    return calls
+
+
+def test_light_from_the_cache_is_the_computed_one_to_the_last_bit(computed, tmp_path):
+    first = with_rate(parameters(), 10**10)
+    np.testing.assert_array_equal(with_rate(parameters(), 10**10), first)
+    assert len(computed) == 1
+    for path in (tmp_path / "empty" / "evstim").glob("light-1-*"):
+        path.write_bytes(path.read_bytes()[:-100])
+    np.testing.assert_array_equal(with_rate(parameters(), 10**10), first)
+    assert len(computed) == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sun_azimuth_deg": 61.0},
+        {"sun_elevation_deg": 20.5},
+        {"sun_distance_au": 1.1},
+        {"body_radius_m": 1e6},
+        {"ground": dataclasses.replace(RIDGE, seed=5)},
+        {"ground": dataclasses.replace(RIDGE, albedo_rms=0.2)},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_light_of_another_sun_or_ground_is_computed_anew(computed, changes):
+    with_rate(parameters(), 10**10)
+    light, rate = with_rate(parameters(**changes), 10**10)
+    assert len(computed) == 2
+    np.testing.assert_array_equal(with_rate(parameters(**changes), 10**10), (light, rate))
+
+
+def test_light_of_other_sources_is_computed_anew(computed, monkeypatch):
+    for checksum in (1, 2, 2):
+        monkeypatch.setattr(world, "checksum_of", lambda _, checksum=checksum: checksum)
+        looked_at(parameters(), 10**10)
+    assert len(computed) == 2
 
 
 def test_light_is_the_same_with_its_rate():
