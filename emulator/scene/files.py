@@ -80,7 +80,8 @@ _PICTURES = Kind(np.float32, 3)
 _FORMAT = 2
 """Version, to be increased when the same parameters give another array."""
 
-_MOST_BYTES, _MOST_HEADER_BYTES, _SUM_BYTES = 1 << 32, 4096, 4
+_MOST_BYTES = 1 << 32
+_MOST_HEADER_BYTES, _SUM_BYTES = 4096, 4
 
 
 def report_progress(title: str, done: int, of: int) -> None:

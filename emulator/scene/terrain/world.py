@@ -29,7 +29,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
 from emulator.scene.files import Kind, cached_array, cached_arrays, report_progress
-from emulator.scene.terrain.ground import Ground, Halves, Pyramid, build_pyramid, map_entry, table_of
+from emulator.scene.terrain.ground import Ground, Pyramid, build_pyramid, map_entry, table_of
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
@@ -249,13 +249,11 @@ class TerrainWorld:
         code = checksum_of(Path(__file__).parent), np.__version__
         made_from = digest.hexdigest(), ground.unit_m, ground.heights_m.shape, levels, sun, code
 
-        def make() -> tuple[Float32s, Halves, Halves]:
-            made = build_pyramid(ground, self.sun_radii(), self.disc, levels)
-            return made.heights, made.moments, made.shadows
-
         kinds = Kind(np.float32, 1), Kind(np.uint16, 1), Kind(np.uint16, 1)
-        heights, moments, shadows = cached_arrays("light", made_from, make, kinds)
-        return Pyramid(heights, moments, table_of(ground, levels), shadows)
+        arrays = cached_arrays(
+            "light", made_from, lambda: build_pyramid(ground, self.sun_radii(), self.disc, levels)[:-1], kinds
+        )
+        return Pyramid(*arrays, table_of(ground, levels))
 
     def planes(self, pose: Pose) -> Floats:
         """Return the inward normals of the four planes through the frame's edges and of the one behind, (5, 3)."""
