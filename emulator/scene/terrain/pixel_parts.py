@@ -101,7 +101,7 @@ OUTLINED = 2
 """In place of 1 for doubtful pixels: an outline passes in the pixel, or in one beside it."""
 
 _FROM = 0.98  # of the least depth around: where rays begin
-_BEFORE = 0.995  # of the way to where the ray below met the map
+_BEFORE = 0.998  # of the way to where the ray below met the map
 _APART, _MOST = 0.5, 7.0  # posts from a part to the next, as long as they are no more along a side
 _RAYS, _GOLDEN = 8.0, 0.618034  # rays of a pixel over `samples`; share of a pixel from one ray to the next
 _ZERO, _ONE, _GRAZING = np.float32(0.0), np.float32(1.0), np.float32(GRAZING)
