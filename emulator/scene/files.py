@@ -2,15 +2,18 @@
 
 Libraries read in a child process (see `guarded_reader`). The cache is $XDG_CACHE_HOME/evstim, or ~/.cache/evstim. A
 file's name there is a digest of all inputs of the array, so a changed input makes a new file and an old one is never
-wrong. Files are written beside their place and then renamed: a reader finds a complete file or none. A cache that
-cannot be written or read costs time, nothing else.
+wrong. Files are written beside their place and then renamed: a reader finds a complete file or none. They end with a
+checksum: a damaged one is made anew. Those that were not used for longest make room for new ones beyond 4 GiB. A cache
+that cannot be written or read costs time, nothing else.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import sys
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -19,6 +22,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib import format as npy
 
 from emulator.light import MachineLacks, SceneError
 from emulator.tables.toml_text import shortened
@@ -76,6 +80,9 @@ _PICTURES = Kind(np.float32, 3)
 _FORMAT = 2
 """Version, to be increased when the same parameters give another array."""
 
+_MOST_BYTES = 1 << 32
+_MOST_HEADER_BYTES, _SUM_BYTES = 4096, 4
+
 
 def report_progress(title: str, done: int, of: int) -> None:
     """Report on stderr that `done` of `of` parts of a computation are made; on a terminal one line is rewritten."""
@@ -125,19 +132,41 @@ def cached_arrays(
 
 
 def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:
+    """Return the array of a file of the cache; None where it is missing, damaged, or of another kind."""
     try:
-        array = load_array(path)
-    except (OSError, ArrayFileError):  # missing, truncated, or no file of this cache
+        content = np.fromfile(path if path.is_file() else os.devnull, np.uint8)
+        body, checksum = content[:-_SUM_BYTES], content[-_SUM_BYTES:]
+        if zlib.crc32(body.data).to_bytes(_SUM_BYTES, "little") != checksum.tobytes():
+            return None
+        header = io.BytesIO(body[:_MOST_HEADER_BYTES].tobytes())
+        npy.read_magic(header)
+        shape, _, dtype = npy.read_array_header_1_0(header)
+        array = body[header.tell() :].view(dtype).reshape(shape)
+    except (OSError, ValueError):
         return None
-    return array if array.dtype == np.dtype(kind.number) and array.ndim == kind.dimensions else None
+    with suppress(OSError):  # a cache that can only be read
+        os.utime(path)
+    return array if dtype == np.dtype(kind.number) and array.ndim == kind.dimensions else None
 
 
 def _write(path: Path, array: npt.NDArray[T]) -> None:
+    """Write a file of the cache, and remove those that were not used for longest if there is no room for all."""
+    header, numbers = io.BytesIO(), np.ascontiguousarray(array)
+    npy.write_array_header_1_0(header, npy.header_data_from_array_1_0(numbers))
+    checksum = zlib.crc32(numbers.data.cast("B") if numbers.size else b"", zlib.crc32(header.getvalue()))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryFolder("array", path.parent) as folder:
             beside = Path(folder) / path.name
-            np.save(beside, array)
+            with beside.open("wb") as file:
+                file.writelines([header.getvalue(), numbers.data, checksum.to_bytes(_SUM_BYTES, "little")])
             beside.replace(path)
     except OSError as error:
         sys.stderr.write(f"evstim: {path.parent} cannot be written ({error.strerror}): arrays are computed anew\n")
+        return
+    used_bytes = 0
+    with suppress(OSError):  # another process removes files at the same time
+        for kept in sorted(path.parent.glob("*.npy"), key=lambda kept: kept.stat().st_mtime, reverse=True):
+            used_bytes += kept.stat().st_size
+            if used_bytes > _MOST_BYTES and kept != path:
+                kept.unlink()

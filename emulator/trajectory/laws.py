@@ -244,7 +244,7 @@ class Descent(Trajectory):
     def _require_above(self, ground_m: float) -> None:
         first, last = self.span_ns
         for t_ns in np.linspace(first, last, 1000).astype(np.int64):
-            if self.pose(int(t_ns)).position_m[2] <= ground_m:
+            if self._path.pose(int(t_ns)).position_m[2] <= ground_m:
                 raise TrajectoryError(
                     f"the descent goes through the ground at {t_ns * 1e-9:.1f} s: "
                     "between two gates the speeds need more height than there is"

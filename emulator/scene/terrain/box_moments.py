@@ -6,9 +6,9 @@ function is written with the compiler's own vectors: the eight moments of a post
 
 The mean over a box of a function that is linear between posts is exact: a post at t posts from the box's middle has the
 weight (I(r - t) - I(-r - t)) / 2 r along each axis, r half its side and I the integral of the hat function. Weights of
-half a side of at most MOST_POSTS / 2 - 1 posts are sums over at most MOST_POSTS posts. Code for each number of columns
-is unrolled. Vectors of any length are correct on any processor: the compiler splits them where the processor's are
-shorter.
+half a side of at most MOST_POSTS / 2 - 1 posts are sums over at most MOST_POSTS posts. Code for few posts, which most
+boxes have, and for many is unrolled. Vectors of any length are correct on any processor: the compiler splits them where
+the processor's are shorter.
 
 Where the box moves by v posts a second, these weights have the rates (hat(r - t) - hat(-r - t)) v / 2 r along each
 axis, hat(t) = I'(t). The rates of the means take one more product a post, of numbers that are at hand.
@@ -32,12 +32,12 @@ _code: Any = cgutils
 _make_array: Any = arrayobj.make_array
 _intrinsic: Any = intrinsic
 
-MOST_POSTS = 10
+MOST_POSTS = 6
 """Along each side of a box; its side is at most MOST_POSTS - 2 posts long."""
 
-_COLUMNS = 4, 6, 8, MOST_POSTS
+_FEW = 4  # posts along each side of most boxes
 _ROWS = 2  # at a time
-_LANES = 16  # of weights
+_LANES = 8  # of weights
 _HALF, _FLOAT, _INT, _INT32 = ir.HalfType(), ir.FloatType(), ir.IntType(64), ir.IntType(32)
 _FUSED = ("contract",)  # flag of a product and a sum that may have one rounding, where the processor has such a step
 
@@ -117,19 +117,16 @@ def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
     place = builder.add(first, builder.add(builder.mul(top, columns), left))
     totals = [_code.alloca_once_value(builder, _constant([0.0] * MOMENTS)) for _ in across]
     weights = [builder.bitcast(_code.alloca_once_value(builder, shares), _FLOAT.as_pointer()) for shares in down]
-    end = builder.append_basic_block("end")
-    cases = [builder.append_basic_block(f"columns{n}") for n in _COLUMNS]
-    chosen = builder.switch(wide, cases[-1])
-    for n in range(1, MOST_POSTS):
-        case = next(k for k, least in enumerate(_COLUMNS) if n <= least)
-        chosen.add_case(ir.Constant(wide.type, n), cases[case])
-    for n, case in zip(_COLUMNS, cases, strict=True):
+    end, small, large = (builder.append_basic_block(name) for name in ("end", "small", "large"))
+    is_small = builder.and_(*(builder.icmp_signed("<=", count, _int(_FEW)) for count in (wide, high)))
+    builder.cbranch(is_small, small, large)
+    for n, lines, case in ((_FEW, _int(_FEW), small), (MOST_POSTS, high, large)):
         builder.position_at_end(case)
         spreads = [
             [_spread(builder, builder.extract_element(shares, ir.Constant(_INT32, k)), MOMENTS) for k in range(n)]
             for shares in across
         ]
-        with _code.for_range_slice(builder, _int(0), high, _int(_ROWS), _INT) as (first_row, _):
+        with _code.for_range_slice(builder, _int(0), lines, _int(_ROWS), _INT) as (first_row, _):
             sums = [builder.load(total) for total in totals]
             for further in range(_ROWS):
                 index = builder.add(first_row, _int(further))
@@ -156,7 +153,7 @@ def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any, move: Any) 
     begin = builder.select(builder.icmp_signed("<", begin, last), begin, last)
     begin = builder.select(builder.icmp_signed(">", begin, _int(0)), begin, _int(0))
     count = builder.add(builder.sub(builder.fptosi(high, _INT), begin), _int(2))
-    for bound, sign in ((_int(MOST_POSTS), "<"), (_int(_COLUMNS[0]), ">")):
+    for bound, sign in ((_int(MOST_POSTS), "<"), (_int(_FEW), ">")):
         count = builder.select(builder.icmp_signed(sign, count, bound), count, bound)
     offset = builder.sitofp(begin, _FLOAT)
     return begin, _weights(builder, builder.fsub(low, offset), builder.fsub(high, offset), move), count

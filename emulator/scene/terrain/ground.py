@@ -32,6 +32,7 @@ import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -140,24 +141,23 @@ Halves = UInt16s
 _Moments = Float32s
 
 
-@dataclass(frozen=True, eq=False)
-class Pyramid:
+class Pyramid(NamedTuple):
     """Posts of all levels, level by level, row by row.
 
     Attributes
     ----------
     heights : (n,) float32, metres.
     moments : (MOMENTS n,) 16-bit floats as uint16, which compiled loops read: b, b p, b q, b p p, b p q, b q q, p, q.
-    levels : (levels, 9): number of the first post, rows, columns; lattice place x, y of the first post, and of the last
-        one less that; rows and columns by which half a post's numbers differ from its numbers on the next level.
     shadows : (SHADOWS n,), as the moments, of the levels that are grids: height of the Sun's middle over the horizon in
         its radii, and albedo.
+    levels : (levels, 9): number of the first post, rows, columns; lattice place x, y of the first post, and of the last
+        one less that; rows and columns by which half a post's numbers differ from its numbers on the next level.
     """
 
     heights: Heights
     moments: Halves
-    levels: Int64s
     shadows: Halves
+    levels: Int64s
 
 
 def build_pyramid(ground: Ground, sun_radii: Heights, sun: Floats, levels: int) -> Pyramid:
@@ -165,7 +165,7 @@ def build_pyramid(ground: Ground, sun_radii: Heights, sun: Floats, levels: int) 
 
     `sun_radii`, (grids, rows, columns), is the height of the Sun's middle over the horizon of each post, in its radii.
     """
-    table = _table(ground, levels)
+    table = table_of(ground, levels)
     posts = int(table[-1, 0] + table[-1, 1] * table[-1, 2])
     heights = np.empty(posts, np.float32)
     moments = np.zeros((posts + _BEYOND * (table[:, 2].max() + 1)) * MOMENTS, np.uint16)
@@ -187,7 +187,7 @@ def build_pyramid(ground: Ground, sun_radii: Heights, sun: Floats, levels: int) 
         heights[first : first + rows * columns] = z.ravel()
         _write_halves(posts_moments.reshape(-1), moments[first * MOMENTS :])
         finer_z, finer = z, posts_moments
-    return Pyramid(heights, moments, table, shadows)
+    return Pyramid(heights, moments, shadows, table)
 
 
 @map_entry
@@ -202,7 +202,8 @@ def _evens(posts: int) -> Int64s:
     return np.minimum(2 * np.arange(posts // 2 + 1), posts - 1)
 
 
-def _table(ground: Ground, levels: int) -> Int64s:
+def table_of(ground: Ground, levels: int) -> Int64s:
+    """Return the `levels` of a `Pyramid`."""
     rows, columns = ground.shape
     spans = columns - 1, rows - 1
     table = np.zeros((levels, 9), np.int64)

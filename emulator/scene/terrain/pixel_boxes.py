@@ -9,8 +9,9 @@ Boxes lie along the axes of the map, so
                    S = min(l1 (1 - 1 / n^2), l1 - l2) they are sqrt(S / (n^2 - 1)) apart, half sides
                    sqrt(m11 - S vx^2) / 2 and sqrt(m22 - S vy^2) / 2, whose squares are l2 / 4 at least
 
-have the spread of the footprint. They are taken from the finest level on which they are at most 8 posts long, and mixed
-with those of the next one in the last tenth of the level's range.
+have the spread of the footprint. They are taken from the finest level on which they are at most 4 posts long, and mixed
+with those of the next one in the last tenth of the level's range. One box is enough where a footprint is shorter than
+the distance of posts.
 
 A pixel is doubtful where this does not hold: where the ground is seen edge-on, where the corners' hits do not span a
 parallelogram, and where its own facet has other corners than its neighbours' facets.
@@ -38,6 +39,7 @@ _BLEND = 0.9  # of a level's range: where the next one begins to be mixed in
 _f = np.float32
 _TINY, _ZERO, _QUARTER, _HALF, _ONE, _TWO = (_f(v) for v in (1e-20, 0.0, 0.25, 0.5, 1.0, 2.0))
 _LONGEST2 = _f(1.0 / 144.0)
+_SHORT2 = _f(1.0**2)  # posts along the longer axis
 _LEAN, _ROUND2, _ROUNDED = _f(0.12), _f(2.56), _f(0.65)
 _EDGE_ON2, _TWIST2 = _f(0.1**2), _f(0.5**2)
 _LEAST, _MOST_HALF = _f(0.01), _f(0.5 * LONGEST)  # half sides of a box in posts
@@ -82,6 +84,7 @@ def _sides(s: Float32s) -> None:
         x11, y11, z11 = triple(s, t.X, k + 1)
         s[t.MIDDLE_X * TILE + k] = _QUARTER * (x00 + x01 + x10 + x11)
         s[t.MIDDLE_Y * TILE + k] = _QUARTER * (y00 + y01 + y10 + y11)
+        s[t.MIDDLE_Z * TILE + k] = _QUARTER * (z00 + z01 + z10 + z11)
         # Mean sides to the right and down, and their spread as seen from above with its eigenvalues.
         rx, ry, rz = _HALF * (x01 - x00 + x11 - x10), _HALF * (y01 - y00 + y11 - y10), _HALF * (z01 - z00 + z11 - z10)
         lx, ly, lz = _HALF * (x10 - x00 + x11 - x01), _HALF * (y10 - y00 + y11 - y01), _HALF * (z10 - z00 + z11 - z01)
@@ -97,6 +100,7 @@ def _sides(s: Float32s) -> None:
         s[t.AXIS * TILE + k] = slant / max(apart, _TINY)
         # Edge-on: the footprint's normal is nearly across the direction to the eye.
         nx, ny, nz = ry * lz - rz * ly, rz * lx - rx * lz, rx * ly - ry * lx
+        set_triple(s, t.ACROSS_X, k, nx, ny, nz)
         ex, ey, ez = triple(s, t.EYE_X, k)
         facing = nx * ex + ny * ey + nz * ez
         edge_on = _EDGE_ON2 * (nx * nx + ny * ny + nz * nz) - facing * facing
@@ -170,18 +174,22 @@ def box_means(count: int, posts: Posts, top: int, place: Floats, tile: Tile) -> 
 def _windows(s: Float32s) -> None:
     """Write the boxes in posts of their level, and the share of the next one."""
     for k in range(TILE):
-        per_m, n = s[t.PER_M * TILE + k], s[t.TAPS * TILE + k]
-        half_u = min(max(s[t.HALF_X * TILE + k] * per_m, _LEAST), _MOST_HALF)
-        half_v = min(max(s[t.HALF_Y * TILE + k] * per_m, _LEAST), _MOST_HALF)
+        per_m, (m11, _, m22) = s[t.PER_M * TILE + k], triple(s, t.SPREAD_X, k)
+        short = s[t.LONGER * TILE + k] * per_m * per_m < _SHORT2
+        n = _ONE if short else s[t.TAPS * TILE + k]
+        half_x = _HALF * math.sqrt(m11) if short else s[t.HALF_X * TILE + k]
+        half_y = _HALF * math.sqrt(m22) if short else s[t.HALF_Y * TILE + k]
+        half_u = min(max(half_x * per_m, _LEAST), _MOST_HALF)
+        half_v = min(max(half_y * per_m, _LEAST), _MOST_HALF)
         step_u, step_v = s[t.TAP_X * TILE + k] * per_m, s[t.TAP_Y * TILE + k] * per_m
         back = _HALF * (n - _ONE)  # steps from the line's middle to its first box
         s[t.BOX_U * TILE + k] = s[t.FIRST_X * TILE + k] + s[t.MIDDLE_X * TILE + k] * per_m - back * step_u
         s[t.BOX_V * TILE + k] = s[t.FIRST_Y * TILE + k] + s[t.MIDDLE_Y * TILE + k] * per_m - back * step_v
         s[t.HALF_U * TILE + k], s[t.HALF_V * TILE + k] = half_u, half_v
+        s[t.TAPS * TILE + k] = n
         s[t.STEP_U * TILE + k], s[t.STEP_V * TILE + k] = step_u, step_v
         # The sums over boxes are taken with the weight half_u half_v times the mean (`add_box`).
-        longer = max(s[t.HALF_X * TILE + k], s[t.HALF_Y * TILE + k])
-        part = min(max(longer * per_m * _PER_BLEND - _BLENDED, _ZERO), _ONE)
+        part = min(max(max(half_x, half_y) * per_m * _PER_BLEND - _BLENDED, _ZERO), _ONE)
         s[t.NEXT * TILE + k] = part
         s[t.WEIGHT * TILE + k] = (_ONE - part) / (n * half_u * half_v)
         s[t.LAST_X * TILE + k] = max(s[t.LAST_X * TILE + k] - half_u, half_u)

@@ -110,14 +110,11 @@ def lowest_level(x: float, y: float, level: int, grids: Grids) -> int:
 @vector_kernel
 def keep_row(s: Float32s) -> None:
     """Make the row of corners the one above, and its planes those of the pixels between."""
-    for k in range(TILE):
+    for k in range(3 * TILE):  # three fields each
         s[t.OWN_W * TILE + k] = s[t.MIDDLE_W * TILE + k]
-        s[t.OWN_ACROSS * TILE + k] = s[t.W_ACROSS * TILE + k]
-        s[t.OWN_DOWN * TILE + k] = s[t.W_DOWN * TILE + k]
-        s[t.ABOVE_W * TILE + k] = s[t.CORNER_W * TILE + k]
         s[t.ABOVE_X * TILE + k] = s[t.X * TILE + k]
-        s[t.ABOVE_Y * TILE + k] = s[t.Y * TILE + k]
-        s[t.ABOVE_Z * TILE + k] = s[t.Z * TILE + k]
+    for k in range(TILE):
+        s[t.ABOVE_W * TILE + k] = s[t.CORNER_W * TILE + k]
 
 
 @vector_kernel
@@ -190,16 +187,21 @@ def write_levels(
     `top` is the coarsest level, `place` the camera's place.
     """
     levels, unit = posts.levels, posts.grids.unit_m
-    level, lowest = 0, 0  # a place's level is nearly always that of its neighbour
+    level, lowest, last = 0, 0, -1  # a place's level is nearly always that of its neighbour
+    per_m = first_x = first_y = 0.0
     for k in range(count):
         x, y = place[0] + s[fields.x * TILE + k], place[1] + s[fields.y * TILE + k]
         lowest = lowest_level(x, y, lowest, posts.grids)
         level = level_for(s[fields.size * TILE + k], level, lowest, top)
-        # From metres east and north of the camera to posts of the level: FIRST + PER_M x metres.
-        per_unit = 1.0 / (1 << level)
-        s[t.PER_M * TILE + k] = per_unit / unit
-        s[t.FIRST_X * TILE + k] = (place[0] / unit - levels[level, 3]) * per_unit
-        s[t.FIRST_Y * TILE + k] = (place[1] / unit - levels[level, 4]) * per_unit
+        if level != last:
+            # From metres east and north of the camera to posts of the level: FIRST + PER_M x metres.
+            last, per_unit = level, 1.0 / (1 << level)
+            per_m = per_unit / unit
+            first_x = (place[0] / unit - levels[level, 3]) * per_unit
+            first_y = (place[1] / unit - levels[level, 4]) * per_unit
+        s[t.PER_M * TILE + k] = per_m
+        s[t.FIRST_X * TILE + k] = first_x
+        s[t.FIRST_Y * TILE + k] = first_y
         s[t.LAST_X * TILE + k] = levels[level, 2] - 1.001
         s[t.LAST_Y * TILE + k] = levels[level, 1] - 1.001
         places[t.LEVEL * TILE + k] = level

@@ -155,19 +155,10 @@ def footprint_moves(motion: Motion, s: Float32s) -> None:
     vx, vy, vz = _f(motion.velocity[0]), _f(motion.velocity[1]), _f(motion.velocity[2])
     txy, txz, tyz = _f(motion.turning[0, 1]), _f(motion.turning[0, 2]), _f(motion.turning[1, 2])  # antisymmetric
     for k in range(TILE):
-        # Four times the footprint's middle, and twice its mean sides, see `pixel_boxes`; their product is the normal.
-        x00, y00, z00 = triple(s, t.ABOVE_X, k)
-        x01, y01, z01 = triple(s, t.ABOVE_X, k + 1)
-        x10, y10, z10 = triple(s, t.X, k)
-        x11, y11, z11 = triple(s, t.X, k + 1)
-        mx, my, mz = x00 + x01 + x10 + x11, y00 + y01 + y10 + y11, z00 + z01 + z10 + z11
-        rx, ry, rz = x01 - x00 + x11 - x10, y01 - y00 + y11 - y10, z01 - z00 + z11 - z10
-        lx, ly, lz = x10 - x00 + x11 - x01, y10 - y00 + y11 - y01, z10 - z00 + z11 - z01
-        nx, ny, nz = ry * lz - rz * ly, rz * lx - rx * lz, rx * ly - ry * lx
+        mx, my, mz = s[t.MIDDLE_X * TILE + k], s[t.MIDDLE_Y * TILE + k], s[t.MIDDLE_Z * TILE + k]
+        nx, ny, nz = triple(s, t.ACROSS_X, k)
         # u, and its part along the ground, m.
-        ux = vx + _QUARTER * (txy * my + txz * mz)
-        uy = vy + _QUARTER * (tyz * mz - txy * mx)
-        uz = vz - _QUARTER * (txz * mx + tyz * my)
+        ux, uy, uz = vx + txy * my + txz * mz, vy + tyz * mz - txy * mx, vz - txz * mx - tyz * my
         ex, ey, ez = triple(s, t.EYE_X, k)
         facing = nx * ex + ny * ey + nz * ez
         along = (nx * ux + ny * uy + nz * uz) / (facing if facing != _ZERO else _ONE)
@@ -205,7 +196,7 @@ def rate_of_doubtful(
 ) -> None:
     """Write the rate of doubtful pixels of rows first to last, from the light frame and the motion of the ground.
 
-    `motion` is that of ground points in camera axes; `doubtful` is of `shade_rows`, 1 for doubtful pixels.
+    `motion` is that of ground points in camera axes; `doubtful` is of `Smooth`.
     """
     owner, facets = sight.owner, sight.facets
     focal, middle_column, middle_row = sight.projection

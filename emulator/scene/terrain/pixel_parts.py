@@ -15,10 +15,11 @@ point is X = s d, s = 1 / (n . d). Its light is computed in these steps:
 The law of reflection is evaluated once, at the mu0 of the mean slope and the mu at which b / (mu0 + mu) has its mean.
 
 Where outlines pass, or footprints fail, parts are where 8 x `samples` rays through the pixel first meet the map, each
-in a row of its own, a golden section of the pixel beside the one before. A ray crosses the blocks of a `Quadtree`. It
-passes one whose highest post lies below it whole, then tries a block twice as large, and looks into the others: down to
-blocks of the finest grid there, whose cells between four posts it crosses one by one. Heights are bilinear over a cell,
-so the height of the ray over the ground is quadratic along it, and its first root the place.
+in a row of its own, a golden section of the pixel beside the one before. Where no outline passes, a ray begins a little
+before the place where the one below it met the map, if it is above the ground there. It crosses the blocks of a
+`Quadtree`. It passes one whose highest post lies below it whole, then tries a block twice as large, and looks into the
+others: down to blocks of the finest grid there, whose cells between four posts it crosses one by one. Heights are
+bilinear over a cell, so the height of the ray over the ground is quadratic along it, and its first root the place.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from emulator.scene.terrain.pixel_law import GRAZING, Sunlight
 from emulator.scene.terrain.quadtree import BLOCK
 from emulator.scene.terrain.tile import MOMENTS, TILE, P, Q, Tile, set_triple, triple
 from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane
-from firmware_protocol.events import Float32s, Floats
+from firmware_protocol.events import Bytes, Float32s, Floats
 
 Triple = tuple[float, float, float]
 
@@ -96,7 +97,11 @@ class _Parts(NamedTuple):
 COLUMN, SHARE, MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED, SEEN = range(7)
 LINE_FIELDS = 7
 
+OUTLINED = 2
+"""In place of 1 for doubtful pixels: an outline passes in the pixel, or in one beside it."""
+
 _FROM = 0.98  # of the least depth around: where rays begin
+_BEFORE = 0.998  # of the way to where the ray below met the map
 _APART, _MOST = 0.5, 7.0  # posts from a part to the next, as long as they are no more along a side
 _RAYS, _GOLDEN = 8.0, 0.618034  # rays of a pixel over `samples`; share of a pixel from one ray to the next
 _ZERO, _ONE, _GRAZING = np.float32(0.0), np.float32(1.0), np.float32(GRAZING)
@@ -118,8 +123,8 @@ def into_world(turn: Floats, x: float, y: float, z: float) -> Triple:
 
 @kernel
 def part_means(
-    row: int, first: int, last: int, by_rays: bool, sight: Sight, posts: Posts, peaks: Peaks, samples: float,
-    sun: Sunlight, tile: Tile, line: Floats,
+    row: int, first: int, last: int, by_rays: bool, doubtful: Bytes, sight: Sight, posts: Posts, peaks: Peaks,
+    samples: float, sun: Sunlight, tile: Tile, line: Floats,
 ) -> None:  # fmt: skip
     """Write the means over the parts of a row's listed pixels, see the module docstring, and the share that is ground.
 
@@ -127,6 +132,7 @@ def part_means(
     ----------
     first, last : of the columns listed in `line`, and the one after the last.
     by_rays : parts are where rays through the pixel first meet the map; else near its facet.
+    doubtful : of the row's pixels; OUTLINED where an outline passes.
     samples : least parts along each side of a pixel, and an eighth of its rays.
     """
     filled: int = NONE
@@ -140,6 +146,7 @@ def part_means(
         # Parts of one pixel after another fill tiles; a full tile is added to its pixels.
         for part in range(int(count)):
             _put(filled, k, part, parts, tile)
+            tile.fields[t.NEXT * TILE + filled] = part > 0 and doubtful[column] < OUTLINED
             filled += 1
             if filled == TILE:
                 _add_points(filled, by_rays, posts, peaks, sight.place, sun, tile, line)
@@ -220,6 +227,7 @@ def _put(n: int, k: int, part: int, parts: _Parts, tile: Tile) -> None:
     line = part // int(parts.columns)
     right, down = (part - line * parts.columns + 0.5) / parts.columns - 0.5, (line + 0.5) / parts.rows - 0.5
     if parts.from_depth > 0.0:
+        down = -down  # from below
         right = (line + 0.5) * _GOLDEN % 1.0 - 0.5
     s[t.X * TILE + n] = middle[0] + right * a[0] + down * b[0]
     s[t.Y * TILE + n] = middle[1] + right * a[1] + down * b[1]
@@ -280,16 +288,20 @@ def _between(table: Halves, numbers: int, k: int, low: int, high: int, u: float,
 def first_hits(count: int, posts: Posts, peaks: Peaks, place: Floats, s: Float32s) -> None:
     """Move places, given as directions from the camera at `place`, to where their rays first meet the map.
 
-    Rays begin LIFTED from the camera; those below ground there begin at the camera. Rays that meet nothing get TAPS 0.
+    Rays begin LIFTED from the camera, or with NEXT a little before the hit of the ray before; those below ground there
+    begin nearer, in the end at the camera. Rays that meet nothing get TAPS 0.
     """
-    per_m = 1.0 / posts.grids.unit_m
+    per_m, before = 1.0 / posts.grids.unit_m, 0.0
     for k in range(count):
         x, y, z = triple(s, t.X, k)
         ray = _Ray(place[0] * per_m, place[1] * per_m, place[2], x * per_m, y * per_m, float(z))
-        start = float(s[t.LIFTED * TILE + k])
-        along = _way(ray, start, posts, peaks)
-        if along <= start:
-            along = _way(ray, 0.0, posts, peaks)
+        start = np.float64(s[t.LIFTED * TILE + k])
+        along = 0.0
+        for begin in (max(start, before if s[t.NEXT * TILE + k] > 0.0 else 0.0), start, 0.0):
+            along = _way(ray, begin, posts, peaks)
+            if along > begin:
+                break
+        before = _BEFORE * along if along < _FAR else 0.0
         s[t.TAPS * TILE + k] = 1.0 if along < _FAR else 0.0
         along = along if along < _FAR else 1.0
         set_triple(s, t.X, k, x * along, y * along, z * along)

@@ -40,7 +40,7 @@ ROW_FIELDS = t.MEANS + 7
 
 
 class Smooth(NamedTuple):
-    """Pictures from footprints, (height, width): light of the ground, 1 for doubtful pixels, rate of light."""
+    """Pictures from footprints, (height, width): light of the ground, doubtful pixels (1, OUTLINED), rate of light."""
 
     light: Float32s
     doubtful: Bytes
@@ -117,7 +117,7 @@ def shade_doubtful(
         # Elsewhere the first hit of a ray is the one near the facet.
         for first, last in ((NONE, doubtful), (doubtful, count)):
             by_rays = first < doubtful
-            part_means(row, first, last, by_rays, sight, posts, peaks, samples, sun, tile, line)
+            part_means(row, first, last, by_rays, smooth.doubtful[row], sight, posts, peaks, samples, sun, tile, line)
         _angles(row, count, sight, sun, line, s)
         reflect(sun.law, sun.law_parameters, s[t.MU0], s[t.MU], s[t.CHORD2], count, s[t.MU0])
         for k in range(count):
@@ -152,14 +152,14 @@ def _changes(row: int, values: Float32s, s: Floats) -> None:
 
 @lane
 def _add_outlines(row: int, coverage: Float32s, least: Floats, doubtful: Bytes) -> None:
-    """Make the pixels of a row doubtful that have an outline in them or in a neighbour; `least` is room."""
+    """Make the pixels of a row OUTLINED that have an outline in them or in a neighbour; `least` is room."""
     height, width = coverage.shape
     above, below = coverage[max(row - 1, 0)], coverage[min(row + 1, height - 1)]
     for k in range(width):
         least[k] = min(min(above[k], below[k]), coverage[row, k])
     for k in range(width):
         if min(min(least[max(k - 1, 0)], least[min(k + 1, width - 1)]), least[k]) < 1.0:
-            doubtful[k] = 1
+            doubtful[k] = parts.OUTLINED
 
 
 @lane

@@ -30,7 +30,6 @@ from emulator.raster.layout import Owners, Screen, View
 from emulator.raster.renderer import Renderer
 from emulator.raster.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
 from emulator.raster.topology import Topology, join, prepare
-from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, Sunlight, rate_of_doubtful
 from emulator.scene.terrain.pixel_parts import LINE_FIELDS, Peaks
@@ -119,7 +118,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         super().__init__(world)
         self._reach = max(pinhole.focal_px / facet_px(parameters, pinhole, _FINEST_PX, _COARSER), LEAST_REACH)
         self._tree = Quadtree(world.ground, self._reach)
-        self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.disc, len(self._tree.levels) + 1)
+        self._pyramid = world.pyramid(len(self._tree.levels) + 1)
         # A map is large: albedo is part of the light now, and the pyramid begins with the same heights.
         shape = world.ground.heights_m.shape
         heights_m = self._pyramid.heights[: math.prod(shape)].reshape(shape)

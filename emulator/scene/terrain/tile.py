@@ -43,7 +43,9 @@ BOX_U, BOX_V, HALF_U, HALF_V, STEP_U, STEP_V, WEIGHT, NEXT = range(50, 58)
 # Pixels: rates of the footprint's middle on the ground and of the direction to the eye, a second; a short time; the
 # rate of light.
 MOVE_X, MOVE_Y, EYE_RATE_X, EYE_RATE_Y, EYE_RATE_Z, MOMENT_S, RATE = range(58, 65)
-FIELDS = 65
+# Pixels: height of the footprint's middle, and its normal, both from the camera in the world.
+MIDDLE_Z, ACROSS_X, ACROSS_Y, ACROSS_Z = range(65, 69)
+FIELDS = 69
 
 # Whole numbers: a level, its first post, posts in its rows, rows; a post; a pixel.
 LEVEL, LEVEL_FIRST, LEVEL_COLUMNS, LEVEL_ROWS, POST, PIXEL = range(6)

@@ -17,17 +17,19 @@ which is the penumbra: behind a 10 m rock under a Sun 2 degrees high it is about
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
-from emulator.scene.files import cached_array, report_progress
-from emulator.scene.terrain.ground import Ground, map_entry
+from emulator.scene.files import Kind, cached_array, cached_arrays, report_progress
+from emulator.scene.terrain.ground import Ground, Pyramid, build_pyramid, map_entry, table_of
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
@@ -35,6 +37,7 @@ from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError, instants_over, measured_bounds
+from firmware_protocol.compiled import checksum_of
 from firmware_protocol.events import Float32s, Floats
 
 
@@ -154,6 +157,7 @@ def _is_on(at: float, columns: int) -> bool:
 
 _LOOKS = 240  # instants at which the path is sampled in advance
 _APART_NS = 20_000_000
+_CACHED_POSTS = 1 << 20  # the light of fewer is computed as fast as it is read
 
 
 class TerrainWorld:
@@ -230,6 +234,28 @@ class TerrainWorld:
         dip = math.sqrt(2 * relief_m / p.body_radius_m) if p.body_radius_m else 0.0
         slopes = np.arctan(np.maximum(slopes, np.float32(-dip)))
         return (np.float32(math.radians(p.sun_elevation_deg)) - slopes) / np.float32(self._sun.radius_rad)
+
+    def pyramid(self, levels: int) -> Pyramid:
+        """Return `levels` levels of the ground in the light of the Sun.
+
+        Those of a large ground come from the cache of scenes where the same sources have made them of the same ground
+        and Sun before: a start then takes some seconds less.
+        """
+        p, ground = self.parameters, self.ground
+        if ground.heights_m.size < _CACHED_POSTS:
+            return build_pyramid(ground, self.sun_radii(), self.disc, levels)
+        digest = hashlib.sha256(ground.heights_m.data)
+        if ground.albedo is not None:
+            digest.update(ground.albedo.data)
+        sun = p.sun_azimuth_deg, p.sun_elevation_deg, p.sun_distance_au, p.body_radius_m
+        code = checksum_of(Path(__file__).parent), np.__version__
+        made_from = digest.hexdigest(), ground.unit_m, ground.heights_m.shape, levels, sun, code
+
+        kinds = Kind(np.float32, 1), Kind(np.uint16, 1), Kind(np.uint16, 1)
+        arrays = cached_arrays(
+            "light", made_from, lambda: build_pyramid(ground, self.sun_radii(), self.disc, levels)[:-1], kinds
+        )
+        return Pyramid(*arrays, table_of(ground, levels))
 
     def planes(self, pose: Pose) -> Floats:
         """Return the inward normals of the four planes through the frame's edges and of the one behind, (5, 3)."""

@@ -39,9 +39,9 @@ def expected(posts, x, y, half_x, half_y):
     return ground((ys, xs)).mean(axis=(0, 1))
 
 
-@pytest.mark.parametrize("half_x", [0.01, 0.4, 1.37, 2.6, 4.0])
+@pytest.mark.parametrize("half_x", [0.01, 0.4, 1.37, 2.0])
 @pytest.mark.parametrize(
-    ("x", "y", "half_y"), [(12.3, 9.1, 0.7), (26.0, 18.0, 4.0), (4.0, 4.0, 3.3), (15.5, 11.5, 0.02)]
+    ("x", "y", "half_y"), [(12.3, 9.1, 0.7), (26.0, 18.0, 2.0), (2.0, 2.0, 1.3), (15.5, 11.5, 0.02)]
 )
 def test_a_mean_is_that_of_ground_linear_between_posts(posts, x, y, half_x, half_y):
     box = tuple(np.float32(v) for v in (x, y, half_x, half_y, 1 / (half_x * half_y), 0.0, 0.0))
@@ -51,7 +51,7 @@ def test_a_mean_is_that_of_ground_linear_between_posts(posts, x, y, half_x, half
     np.testing.assert_allclose(sums[MOMENTS : 2 * MOMENTS], expected(posts, x, y, half_x, half_y), atol=2e-4)
 
 
-@pytest.mark.parametrize("half_x", [0.01, 1.37, 4.0])
+@pytest.mark.parametrize("half_x", [0.01, 1.37, 2.0])
 @pytest.mark.parametrize("move", [(1.0, 0.0), (0.0, 1.0), (-30.0, 20.0)])
 def test_the_rate_of_a_mean_is_its_change_as_the_box_moves(posts, half_x, move):
     x, y, half_y, moment_s = 12.3, 9.1, 0.7, 1e-4

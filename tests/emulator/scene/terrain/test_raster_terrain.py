@@ -8,13 +8,15 @@ import pytest
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
+from emulator.scene.terrain import tile, world
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
+from emulator.scene.terrain.pixel_parts import first_hits
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
-from emulator.scene.terrain.tile import MOMENTS
+from emulator.scene.terrain.tile import FIELDS, MOMENTS, TILE, new_tile
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
@@ -106,6 +108,52 @@ def test_a_plane_s_rate_is_that_of_the_turning_view(tmp_path):
     np.testing.assert_allclose(rate, change, atol=0.02 * np.abs(change).max())
 
 
+@pytest.fixture
+def computed(tmp_path, monkeypatch):
+    """Return a list that gets an item for each computation of a ground's light; the cache is empty and for all maps."""
+    calls, build = [], world.build_pyramid
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
+    monkeypatch.setattr(world, "_CACHED_POSTS", 0)
+    monkeypatch.setattr(world, "build_pyramid", lambda *inputs: calls.append(1) or build(*inputs))
+    return calls
+
+
+def test_light_from_the_cache_is_the_computed_one_to_the_last_bit(computed, tmp_path):
+    first = with_rate(parameters(), 10**10)
+    np.testing.assert_array_equal(with_rate(parameters(), 10**10), first)
+    assert len(computed) == 1
+    for path in (tmp_path / "empty" / "evstim").glob("light-1-*"):
+        path.write_bytes(path.read_bytes()[:-100])
+    np.testing.assert_array_equal(with_rate(parameters(), 10**10), first)
+    assert len(computed) == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sun_azimuth_deg": 61.0},
+        {"sun_elevation_deg": 20.5},
+        {"sun_distance_au": 1.1},
+        {"body_radius_m": 1e6},
+        {"ground": dataclasses.replace(RIDGE, seed=5)},
+        {"ground": dataclasses.replace(RIDGE, albedo_rms=0.2)},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_light_of_another_sun_or_ground_is_computed_anew(computed, changes):
+    with_rate(parameters(), 10**10)
+    light, rate = with_rate(parameters(**changes), 10**10)
+    assert len(computed) == 2
+    np.testing.assert_array_equal(with_rate(parameters(**changes), 10**10), (light, rate))
+
+
+def test_light_of_other_sources_is_computed_anew(computed, monkeypatch):
+    for checksum in (1, 2, 2):
+        monkeypatch.setattr(world, "checksum_of", lambda _, checksum=checksum: checksum)
+        looked_at(parameters(), 10**10)
+    assert len(computed) == 2
+
+
 def test_light_is_the_same_with_its_rate():
     p = parameters()
     np.testing.assert_array_equal(with_rate(p, 10**10)[0], looked_at(p, 10**10))
@@ -185,6 +233,24 @@ def test_light_at_outlines_is_that_of_rays():
     assert errors.mean() < 0.12
     assert np.isfinite(light).all()
     assert (light >= 0).all()
+
+
+@pytest.mark.parametrize("upwards", [True, False])
+def test_a_ray_that_begins_near_the_hit_of_the_one_before_finds_its_own_first_hit(upwards):
+    """Rays in an upright plane over rough ground; downwards they begin below the ground, and then at the start."""
+    rough = dataclasses.replace(RIDGE, crater_density=0.2)
+    with RasterTerrain(parameters(ground=rough), CAMERA) as scene:
+        posts, peaks = scene._posts, scene._peaks
+    heights = np.linspace(-0.6, 0.02, TILE)[:: 1 if upwards else -1]
+    hits = []
+    for begins_there in (0, 1):
+        s = new_tile().fields[: FIELDS * TILE].reshape(FIELDS, TILE)
+        s[[tile.X, tile.Y, tile.Z, tile.LIFTED]] = 0.1 * np.ones(TILE), np.ones(TILE), heights, 5.0 * np.ones(TILE)
+        s[tile.NEXT] = begins_there
+        first_hits(TILE, posts, peaks, np.array([3.7, -300.0, 120.0]), s.reshape(-1))
+        hits.append(s[[tile.Y, tile.TAPS]])
+    assert np.unique(hits[0][0]).size > TILE / 2
+    np.testing.assert_allclose(hits[1], hits[0], rtol=1e-6)
 
 
 @pytest.mark.system

@@ -197,10 +197,68 @@ def test_what_was_made_is_kept(tmp_path, monkeypatch):
     for _ in range(2):
         assert cached_array("thing", SMALL, make)[0, 0, 0] == 1
     assert cached_array("thing", Ridge(), make)[0, 0, 0] == 2
-    for path in (tmp_path / "evstim").iterdir():
-        path.write_bytes(path.read_bytes()[:-5])  # cut short by a full disk
-    assert cached_array("thing", SMALL, make)[0, 0, 0] == 3
-    assert not list((tmp_path / "evstim").glob("*.part"))
+    assert len(list((tmp_path / "evstim").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        lambda content: content[:-5],  # cut short by a full disk
+        lambda content: content[:-5] + bytes([content[-5] ^ 1]) + content[-4:],
+        lambda content: content.replace(b"(1, 2, 3)", b"(1, 3, 2)"),
+        lambda content: bytes(len(content)),  # as a power failure leaves it
+        lambda content: bytes(4),
+        lambda content: b"",
+    ],
+    ids=["short", "bit", "shape", "zeros", "few zeros", "empty"],
+)
+def test_a_damaged_array_is_made_anew(tmp_path, monkeypatch, damaged):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made = np.arange(6, dtype=np.float32).reshape(1, 2, 3)
+    cached_array("thing", SMALL, lambda: made)
+    (path,) = (tmp_path / "evstim").iterdir()
+    sound = path.read_bytes()
+    path.write_bytes(damaged(sound))
+    np.testing.assert_array_equal(cached_array("thing", SMALL, lambda: made), made)
+    assert path.read_bytes() == sound
+    path.unlink()
+    path.mkdir()
+    np.testing.assert_array_equal(cached_array("thing", SMALL, lambda: made), made)
+
+
+def test_arrays_that_were_not_used_for_longest_make_room(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(files, "_MOST_BYTES", 3000)
+    made = []
+
+    def make():
+        made.append(1)
+        return np.zeros((1, 16, 16), np.float32)
+
+    def last_used(seconds):
+        newest = max((tmp_path / "evstim").iterdir(), key=lambda path: path.stat().st_mtime)
+        os.utime(newest, (seconds, seconds))
+
+    for seconds, name in enumerate(["first", "second"]):
+        cached_array(name, SMALL, make)
+        last_used(seconds)
+    cached_array("first", SMALL, make)  # used again
+    cached_array("third", SMALL, make)
+    assert len(made) == 3
+    assert {path.name.split("-")[0] for path in (tmp_path / "evstim").iterdir()} == {"first", "third"}
+    cached_array("large", SMALL, lambda: np.zeros((1, 64, 64), np.float32))  # larger than the room for all
+    assert [path.name.split("-")[0] for path in (tmp_path / "evstim").iterdir()] == ["large"]
+
+
+def test_a_cache_that_can_only_be_read_is_read(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32))
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(files.os, "utime", refuse)
+    assert cached_array("thing", SMALL, refuse).all()
 
 
 def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch, capsys):
