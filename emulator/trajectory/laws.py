@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.attitude import Matrix, Quaternion, Vector, quaternion_of
+from emulator.geometry.attitude import Matrix, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import (
@@ -232,7 +232,10 @@ class Descent(Trajectory):
         """Return the pose at `t_ns`; after the last gate it stays there."""
         first, last = self.span_ns
         depression = float(self._depression_rad(min(max(t_ns, first), last) * 1e-9))
-        return Pose(self._path.pose(t_ns).position_m, _attitude(self._ahead, depression))
+        c, s = math.cos(depression), math.sin(depression)
+        # The picture's up turns with the boresight, from the zenith to straight ahead.
+        axes = looking_along(c * self._ahead - s * _UP, s * self._ahead + c * _UP)
+        return Pose(self._path.pose(t_ns).position_m, quaternion_of(axes))
 
     def motion(self, t_ns: int) -> Motion:
         """Return the motion; it turns about the camera's x axis, backwards as the depression grows."""
@@ -260,9 +263,3 @@ def _depression(gates: Sequence[Gate]) -> PPoly:
     if len(gates) == 1:
         return PPoly([radians], [0.0, 1.0])
     return PchipInterpolator([gate.t_s for gate in gates], radians)
-
-
-def _attitude(ahead: Vector, depression_rad: float) -> Quaternion:
-    """Return world_from_camera: the picture's up turns with the boresight, from the zenith to straight ahead."""
-    c, s = math.cos(depression_rad), math.sin(depression_rad)
-    return quaternion_of(looking_along(c * ahead - s * _UP, s * ahead + c * _UP))
