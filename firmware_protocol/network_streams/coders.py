@@ -141,22 +141,26 @@ class Datagram(NamedTuple):
     end: int
 
 
-class ConnectionCoder(ABC):
-    """Coder of a stream for a connection.
+class StreamCoder:
+    """Coder of a stream.
 
     Attributes
     ----------
     limit_px : most columns and rows of the format.
-    greeting : bytes that a client gets first; empty if the format has no header.
     has_edges : True if it carries edges on the camera's external input.
     """
 
     limit_px: ClassVar[tuple[int, int]]
     has_edges: ClassVar[bool] = False
-    greeting: bytes = b""
 
     def __init__(self, facts: StreamFacts) -> None:
         self.facts = facts
+
+
+class ConnectionCoder(StreamCoder, ABC):
+    """Coder of a stream for a connection; `greeting`: bytes that a client gets first, if the format has a header."""
+
+    greeting: bytes = b""
 
     @abstractmethod
     def encode(self, events: Events, edges: Edges) -> bytes | bytearray:
@@ -175,14 +179,8 @@ class ConnectionCoder(ABC):
         return b""
 
 
-class DatagramCoder(ABC):
-    """Coder of a stream for datagrams; see `ConnectionCoder` for the attributes."""
-
-    limit_px: ClassVar[tuple[int, int]]
-    has_edges: ClassVar[bool] = False
-
-    def __init__(self, facts: StreamFacts) -> None:
-        self.facts = facts
+class DatagramCoder(StreamCoder, ABC):
+    """Coder of a stream for datagrams."""
 
     @abstractmethod
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
