@@ -141,26 +141,22 @@ class Datagram(NamedTuple):
     end: int
 
 
-class StreamCoder:
-    """Coder of a stream.
+class ConnectionCoder(ABC):
+    """Coder of a stream for a connection.
 
     Attributes
     ----------
     limit_px : most columns and rows of the format.
+    greeting : bytes that a client gets first; empty if the format has no header.
     has_edges : True if it carries edges on the camera's external input.
     """
 
     limit_px: ClassVar[tuple[int, int]]
     has_edges: ClassVar[bool] = False
+    greeting: bytes = b""
 
     def __init__(self, facts: StreamFacts) -> None:
         self.facts = facts
-
-
-class ConnectionCoder(StreamCoder, ABC):
-    """Coder of a stream for a connection; `greeting`: bytes that a client gets first, if the format has a header."""
-
-    greeting: bytes = b""
 
     @abstractmethod
     def encode(self, events: Events, edges: Edges) -> bytes | bytearray:
@@ -179,8 +175,14 @@ class ConnectionCoder(StreamCoder, ABC):
         return b""
 
 
-class DatagramCoder(StreamCoder, ABC):
-    """Coder of a stream for datagrams."""
+class DatagramCoder(ABC):
+    """Coder of a stream for datagrams; see `ConnectionCoder` for the attributes."""
+
+    limit_px: ClassVar[tuple[int, int]]
+    has_edges: ClassVar[bool] = False
+
+    def __init__(self, facts: StreamFacts) -> None:
+        self.facts = facts
 
     @abstractmethod
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:

@@ -29,14 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Edges, Events
-from firmware_protocol.network_streams.coders import (
-    ConnectionCoder,
-    Datagram,
-    DatagramCoder,
-    StreamCoder,
-    StreamFacts,
-    cut,
-)
+from firmware_protocol.network_streams.coders import ConnectionCoder, Datagram, DatagramCoder, StreamFacts, cut
 
 if TYPE_CHECKING:
     from firmware_protocol.evt.evt2 import Form
@@ -94,12 +87,12 @@ class _EvtStream:
         return later
 
 
-class _Evt(StreamCoder):
+class _Evt:
     limit_px: ClassVar[tuple[int, int]] = (1 << 11, 1 << 11)
     has_edges: ClassVar[bool] = True
 
     def __init__(self, facts: StreamFacts) -> None:
-        super().__init__(facts)
+        self.facts = facts
         self._stream = _EvtStream(facts)
 
 
