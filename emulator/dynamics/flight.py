@@ -35,7 +35,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from signal import Signals
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 from msgspec import Meta
 
@@ -155,17 +155,6 @@ _MOST_FRAMES = 1000  # a step, so that a flood does not hold the flight up
 _TIME = "time_s"
 
 
-class Inputs(Protocol):
-    """Source of inputs."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Variables that may be set."""
-
-    def at(self, t_s: float) -> dict[str, float]:
-        """Return the values to be set before the step from `t_s`."""
-
-
 class FileInputs:
     """Inputs of a CSV file: a row holds from its time on; raises DynamicsError."""
 
@@ -228,6 +217,10 @@ class CanInputs:
                 else:
                     due[signal.variable] = value
         return due
+
+
+Inputs = FileInputs | CanInputs
+"""Source of inputs: `names` of variables that may be set, and those that are due `at` a time."""
 
 
 @contextmanager
