@@ -136,12 +136,18 @@ class Listener:
         return str(host), int(port)
 
     def open(self, host: str, port: int) -> None:
-        """Listen on one address, 0 for any free port; raises OSError when the address cannot be used."""
+        """Listen on one address, 0 for any free port; raises OSError, with the remedy, when it cannot be used."""
         if not host:
             raise OSError("an empty host would listen on every address of this machine")
-        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, _, _, _, address = min(addresses, key=lambda info: info[0] != socket.AF_INET)  # localhost is 127.0.0.1
-        self._socket = socket.create_server((str(address[0]), port), family=family, backlog=_BACKLOG)
+        try:
+            addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            # IPv4 first: localhost is 127.0.0.1
+            family, _, _, _, address = min(addresses, key=lambda info: info[0] != socket.AF_INET)
+            self._socket = socket.create_server((str(address[0]), port), family=family, backlog=_BACKLOG)
+        except OSError as error:
+            remedy = "another program may use it: stop that one, or give this link another port (0 takes a free one)"
+            reason = f"cannot listen on {host} port {port}: {error.strerror or error}"
+            raise OSError(error.errno, f"{reason}; {remedy}") from error
         self._socket.setblocking(False)
         asyncio.get_running_loop().add_reader(self._socket, self._accept)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -25,13 +25,16 @@ _GADGETS = Path("/sys/kernel/config/usb_gadget")
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check. `fix` is a shell command, None if nothing is missing."""
+    """Result of one check. `fix` is a shell command, None if nothing is missing: then it is `good`."""
 
     name: str
-    good: bool
+    good: bool = field(init=False)
     detail: str
     needed_for: str
     fix: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "good", self.fix is None)
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,9 @@ def package(name: str) -> Need:
 
     def look() -> Finding:
         try:
-            return Finding(name, True, importlib.metadata.version(name), of.needed_for)
+            return Finding(name, importlib.metadata.version(name), of.needed_for)
         except importlib.metadata.PackageNotFoundError:
-            return Finding(name, False, "not installed", of.needed_for, install_command(of.extra))
+            return Finding(name, "not installed", of.needed_for, install_command(of.extra))
 
     return Need(f"extra {of.extra} ({name})", look)
 
@@ -104,12 +107,12 @@ def network_interface(name: str) -> Need:
 
     def look() -> Finding:
         if (_NETWORK / name).exists():
-            return Finding(name, True, "there", purpose)
+            return Finding(name, "there", purpose)
         fix = (
             f"modprobe vcan && ip link add dev {name} type vcan && ip link set {name} up"
             "  # virtual; for a real bus connect its adapter"
         )
-        return Finding(name, False, "there is no such network interface", purpose, fix)
+        return Finding(name, "there is no such network interface", purpose, fix)
 
     return Need(f"network interface {name}", look)
 
@@ -117,24 +120,23 @@ def network_interface(name: str) -> Need:
 def _module(module: str, place: Path, purpose: str) -> Finding:
     """Distinguish a loaded module, one that can be loaded, and one that this kernel does not have."""
     if place.exists():
-        return Finding(module, True, "loaded", purpose)
+        return Finding(module, "loaded", purpose)
     release = platform.release()
     if any(Path(f"/lib/modules/{release}").rglob(f"{module}.ko*")):
-        return Finding(module, False, "not loaded", purpose, f"modprobe {module}")
-    detail = f"kernel {release} comes without it"
-    return Finding(module, False, detail, purpose, "apt-get install linux-image-amd64  # and boot it")
+        return Finding(module, "not loaded", purpose, f"modprobe {module}")
+    fix = "apt-get install linux-image-amd64  # and boot it"
+    return Finding(module, f"kernel {release} comes without it", purpose, fix)
 
 
 def _udc() -> Finding:
-    controllers = sorted(p.name for p in _UDC.iterdir()) if _UDC.is_dir() else []
-    finding = Finding("UDC", True, ", ".join(controllers), "a camera on a real USB cable (links usb_gadget)")
+    controllers = ", ".join(sorted(p.name for p in _UDC.iterdir())) if _UDC.is_dir() else ""
+    use = "a camera on a real USB cable (links usb_gadget)"
     if not controllers:
         fix = "modprobe dummy_hcd  # for a trial; or a board with a USB device port (Raspberry Pi: dtoverlay=dwc2)"
-        return replace(finding, good=False, detail="no USB device controller", fix=fix)
+        return Finding("UDC", "no USB device controller", use, fix)
     if not _GADGETS.is_dir():
-        detail = f"{finding.detail}, but no gadgets in configfs"
-        return replace(finding, good=False, detail=detail, fix="modprobe libcomposite")
-    return finding
+        return Finding("UDC", f"{controllers}, but no gadgets in configfs", use, "modprobe libcomposite")
+    return Finding("UDC", controllers, use)
 
 
 VHCI = Need(

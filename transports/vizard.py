@@ -21,7 +21,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from firmware_protocol.vizard import merged, refusal
 from transports.network import AllowList
@@ -133,23 +133,6 @@ _LOOK_MS = 50
 _REACH_S = 5.0
 
 
-class Server(Protocol):
-    """Socket of one simulation."""
-
-    @property
-    def peer_gone(self) -> bool:
-        """True when the simulation has closed its connection."""
-
-    def receive(self, timeout_ms: int) -> list[bytes] | None:
-        """Return the parts of the next request; None when none came in time."""
-
-    def send(self, parts: Sequence[bytes]) -> None:
-        """Answer it."""
-
-    def forget_peer(self) -> None:
-        """Serve the next peer."""
-
-
 class Other(_Watched):
     """Connection to a visualiser that listens on `host` and `port`; raises OSError if none listens.
 
@@ -183,7 +166,7 @@ class Other(_Watched):
 class ForwardingServer:
     """Server whose requests go to another visualiser too; the owner closes both. `lost`: why that has no replies."""
 
-    def __init__(self, server: Server, other: Other) -> None:
+    def __init__(self, server: VizardServer, other: Other) -> None:
         self._server, self._other = server, other
         self.lost = ""
 
@@ -211,3 +194,7 @@ class ForwardingServer:
     def forget_peer(self) -> None:
         """Serve the next peer that connects."""
         self._server.forget_peer()
+
+
+Server = VizardServer | ForwardingServer
+"""Socket of one simulation."""

@@ -143,11 +143,11 @@ class Proportion:
         return f"{self.successes} of {self.runs} ({self.share:.1%}; 95 % interval {self.low:.1%} to {self.high:.1%})"
 
 
-def proportion(successes: int, runs: int, confidence: float = 0.95) -> Proportion:
-    """Return the share of successes with its Wilson interval."""
+def proportion(successes: int, runs: int) -> Proportion:
+    """Return the share of successes with its Wilson interval of 95 %."""
     if not runs:
         return Proportion(0, 0, 0.0, 1.0)
-    interval = binomtest(successes, runs).proportion_ci(confidence, method="wilson")
+    interval = binomtest(successes, runs).proportion_ci(0.95, method="wilson")
     return Proportion(successes, runs, float(interval.low), float(interval.high))
 
 

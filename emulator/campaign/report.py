@@ -123,10 +123,7 @@ def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_poin
     if base_points and find_spec("SALib") and has_value.all() and len(y) == base_points * (len(laws) + 2):
         return Sensitivity(column, _SOBOL.format(base_points), _sobol(y, laws))
     x = np.stack([parameter_numbers(rows, law)[has_value] for law in laws], axis=1)
-    shares = [
-        {"parameter": law.key, **_influence(values, y_there), **_rank(values, y_there)}
-        for law, values in zip(laws, x.T, strict=True)
-    ]
+    shares = [{"parameter": law.key, **_dependence(values, y_there)} for law, values in zip(laws, x.T, strict=True)]
     method = f"PAWN index and rank correlation of {len(y_there)} runs as sampled"
     if base_points:
         method += "; no Sobol indices, because the design is not whole, or SALib is not installed"
@@ -147,14 +144,11 @@ def _sobol(y: Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
     return [{"parameter": law.key, **{n: c[k] for n, c in columns.items()}} for k, law in enumerate(laws)]
 
 
-def _rank(x: Floats, y: Floats) -> dict[str, float]:
-    rho = spearmanr(x, y) if np.ptp(x) > 0 else None
-    return {"rank correlation": float(rho.statistic) if rho else math.nan, "p": float(rho.pvalue) if rho else math.nan}
-
-
-def _influence(x: Floats, y: Floats) -> dict[str, float]:
+def _dependence(x: Floats, y: Floats) -> dict[str, float]:
     slices = slices_of(x)
-    return {"PAWN": pawn(y, slices), "PAWN, 95 % of chance": pawn_of_chance(y, slices)}
+    indices = {"PAWN": pawn(y, slices), "PAWN, 95 % of chance": pawn_of_chance(y, slices)}
+    rank, p = spearmanr(x, y) if np.ptp(x) > 0 else (math.nan, math.nan)
+    return {**indices, "rank correlation": float(rank), "p": float(p)}
 
 
 _BINS = 8

@@ -23,11 +23,11 @@ from emulator.cli.output import (
     status,
 )
 from emulator.cli.recordings import check_recording
-from emulator.cli.rigs import Needed, examined_needs
+from emulator.cli.rigs import examined_needs
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.assembly import build_scene, plan_of
-from emulator.run.expected_speed import ExpectedSpeed, expected_speed
+from emulator.run.expected_speed import expected_speed
 from emulator.run.kernels import CODER, DECODER, EVT, parts_of, uncompiled
 from emulator.run.machine import examine, kernel_cache
 from transports.needs import Finding
@@ -80,8 +80,15 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
             speed = expected_speed(rig, scene, None if SCENES[rig.scene.kind].events else plan_of(rig, scene))
         verdict = "runs" if speed.cost.factor > 1 else "does NOT run"
         sentence = f"{rig.name} {verdict} in real time on this machine: {speed.line}"
-    findings = [need.finding for need in needed]
-    print_result(as_json, {"findings": findings, **_as_json(rig, needed, speed)}, [sentence])
+    value = {
+        "findings": [need.finding for need in needed],
+        "rig": rig.name,
+        "needs": [need.as_json() for need in needed],
+        "real_time": None if speed is None else speed.cost.factor > 1,
+        "times_real_time": None if speed is None else speed.cost.factor,
+        "expected": None if speed is None else speed.as_json(),
+    }
+    print_result(as_json, value, [sentence])
     return LACKING if speed is None else GOOD if speed.cost.factor > 1 else BAD_VERDICT
 
 
@@ -95,16 +102,6 @@ def _prepare(names: Sequence[str]) -> None:
     if len(rigs) == 1:
         with build_scene(rigs[0]):
             status.print(f"{rigs[0].name} is prepared", markup=False)
-
-
-def _as_json(rig: Rig, needed: Sequence[Needed], speed: ExpectedSpeed | None) -> dict[str, object]:
-    return {
-        "rig": rig.name,
-        "needs": [need.as_json() for need in needed],
-        "real_time": None if speed is None else speed.cost.factor > 1,
-        "times_real_time": None if speed is None else speed.cost.factor,
-        "expected": None if speed is None else speed.as_json(),
-    }
 
 
 def _print(findings: Sequence[Finding], *, every: bool) -> None:

@@ -18,8 +18,7 @@ from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Jso
 from emulator.cli.run import summary, summary_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics import flight
-from emulator.dynamics.flight import FlightResult, Pace, opened_inputs
-from emulator.dynamics.fmu import Fmu
+from emulator.dynamics.flight import FlightResult, Fmu, Pace, opened_inputs
 from emulator.run.outcome import good, judge
 from emulator.run.simulation import Simulation
 from emulator.trajectory.pose import Pose

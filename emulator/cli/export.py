@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
@@ -11,41 +9,15 @@ from typing import Literal
 from emulator.cli.checks import failures
 from emulator.cli.output import GOOD, WRONG_USE, Json, failing, print_result
 from emulator.rig.loading import load_rig
-from firmware_protocol.can_frames.dbc import CanMessage, can_messages
-from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files
-from firmware_protocol.ground.description import Packet, instrument_packets
+from firmware_protocol.can_frames.dbc import can_messages
+from firmware_protocol.ground.cosmos import cosmos_files
+from firmware_protocol.ground.description import instrument_packets
 from firmware_protocol.ground.fprime import fprime_text
 from firmware_protocol.ground.wireshark import wireshark_text
 from firmware_protocol.ground.xtce import xtce_text
 from transports.can_bus.kind import CanLink
 from transports.link.kind import LinkParameters
 from transports.udp_packets.kind import UdpPacketsLink
-
-
-@dataclass(frozen=True)
-class _Wanted:
-    """Content of the definitions: the packets, the UDP ports that carry them, the frames of a CAN bus."""
-
-    packets: tuple[Packet, ...]
-    udp: UdpPacketsLink
-    frames: tuple[tuple[int, CanMessage], ...]
-
-
-_MAKERS: Mapping[str, Callable[[_Wanted], Mapping[str, str]]] = {
-    "xtce": lambda content: {"evstim.xml": xtce_text(content.packets)},
-    "cosmos": lambda content: {
-        f"openc3-cosmos-evstim/{name}": text
-        for name, text in cosmos_files(
-            content.packets, CosmosPorts(content.udp.command_host, content.udp.command_port, content.udp.port)
-        ).items()
-    },
-    "fprime": lambda content: {
-        "EvstimTopologyDictionary.json": fprime_text(content.packets, version=version("evstim"))
-    },
-    "wireshark": lambda content: {
-        "evstim.lua": wireshark_text(content.packets, (content.udp.port, content.udp.command_port), content.frames),
-    },
-}
 
 
 def export(
@@ -69,7 +41,24 @@ def export(
     out
         Folder for the files. Default: the current one.
     """
-    files = _MAKERS[kind](_wanted(rig))
+    links: tuple[LinkParameters, ...] = ()
+    if rig is not None:
+        with failures():
+            links = tuple(load_rig(rig).links)
+    udp = next((link for link in links if isinstance(link, UdpPacketsLink)), UdpPacketsLink())
+    packets = instrument_packets()
+    if kind == "xtce":
+        files = {"evstim.xml": xtce_text(packets)}
+    elif kind == "cosmos":
+        plugin = cosmos_files(packets, udp.command_host, udp.command_port, udp.port)
+        files = {f"openc3-cosmos-evstim/{name}": text for name, text in plugin.items()}
+    elif kind == "fprime":
+        files = {"EvstimTopologyDictionary.json": fprime_text(packets, version("evstim"))}
+    else:
+        can = next((link for link in links if isinstance(link, CanLink)), None)
+        messages = () if can is None else can_messages(fd=can.fd, transport=can.carriage)
+        frames = [] if can is None else [(can.identifiers.by_name[message.name], message) for message in messages]
+        files = {"evstim.lua": wireshark_text(packets, (udp.port, udp.command_port), frames)}
     paths = [out / name for name in files]
     for path, text in zip(paths, files.values(), strict=True):
         with failing(WRONG_USE, OSError, at=str(path)):
@@ -77,15 +66,3 @@ def export(
             path.write_text(text, encoding="utf-8")
     print_result(json, {"kind": kind, "files": paths}, map(str, paths))
     return GOOD
-
-
-def _wanted(rig: str | None) -> _Wanted:
-    links: tuple[LinkParameters, ...] = ()
-    if rig is not None:
-        with failures():
-            links = tuple(load_rig(rig).links)
-    udp = next((link for link in links if isinstance(link, UdpPacketsLink)), UdpPacketsLink())
-    can = next((link for link in links if isinstance(link, CanLink)), None)
-    messages = () if can is None else can_messages(fd=can.fd, transport=can.carriage)
-    ids = {} if can is None else can.identifiers.by_name
-    return _Wanted(instrument_packets(), udp, tuple((ids[message.name], message) for message in messages))

@@ -276,7 +276,9 @@ def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -
 
 
 def summary(rig: Rig, result: RunResult) -> dict[str, object]:
-    """Return the object that `run --json` prints."""
+    """Return the object that `run --json` prints; its latency is that of the slowest link, which no other one hides."""
+    measured = [report.latency for report in result.links.values() if report.latency.p99 is not None]
+    slowest = max(measured, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
     return {
         "rig": rig.name,
         "sim_seconds": result.sim_seconds,
@@ -286,7 +288,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
         "rules": [rule.as_json() for rule in judge(rig.verdict, result)],
-        "latency_us": dataclasses.asdict(_worst([report.latency for report in result.links.values()])),
+        "latency_us": dataclasses.asdict(slowest),
         "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
         "scene": result.scene_counts,
@@ -308,12 +310,6 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
             for name, r in result.links.items()
         },
     }
-
-
-def _worst(latencies: list[LatencySummary]) -> LatencySummary:
-    """Return the latency of the slowest link, so that a fast link does not hide it."""
-    measured = [latency for latency in latencies if latency.p99 is not None]
-    return max(measured, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
 
 
 # Rules whose finding no other line of the summary has.

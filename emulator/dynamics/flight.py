@@ -1,4 +1,4 @@
-"""A flight: an FMU is simulated step by step, and the pose of each step is sent.
+"""A flight: an FMU is simulated step by step, in a process of its own, and the pose of each step is sent.
 
 Inputs of the FMU come from a CSV file over its time, or from the frames of a CAN bus as they come. The mapping file has
 the variables of the pose, the start values and the sources of inputs:
@@ -25,22 +25,30 @@ from __future__ import annotations
 
 import csv
 import importlib
+import importlib.util
 import math
+import multiprocessing
 import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from signal import Signals
+from typing import Annotated, Any
 
 from msgspec import Meta
 
+from emulator.dynamics.fmu_process import serve
 from emulator.light import MachineLacks
+from emulator.run.link_process import starting_a_process
 from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
 from emulator.tables.typed_table import TableError, convert
 from firmware_protocol.bounds import Bounded
 from firmware_protocol.pose_message import NOW, PoseMessage, PoseMessageError
+from transports import Closing
+from transports.needs import install_command
+from transports.output_file import TemporaryFolder
 
 
 class DynamicsError(Exception):
@@ -147,17 +155,6 @@ _MOST_FRAMES = 1000  # a step, so that a flood does not hold the flight up
 _TIME = "time_s"
 
 
-class Inputs(Protocol):
-    """Source of inputs."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Variables that may be set."""
-
-    def at(self, t_s: float) -> dict[str, float]:
-        """Return the values to be set before the step from `t_s`."""
-
-
 class FileInputs:
     """Inputs of a CSV file: a row holds from its time on; raises DynamicsError."""
 
@@ -222,6 +219,10 @@ class CanInputs:
         return due
 
 
+Inputs = FileInputs | CanInputs
+"""Source of inputs: `names` of variables that may be set, and those that are due `at` a time."""
+
+
 @contextmanager
 def opened_inputs(mapping: Mapping, folder: Path) -> Iterator[list[Inputs]]:
     """Yield the inputs that a mapping names; files lie in `folder`. Raises DynamicsError and MachineLacks."""
@@ -242,13 +243,70 @@ def opened_inputs(mapping: Mapping, folder: Path) -> Iterator[list[Inputs]]:
 _UNIT_WITHIN = 0.01
 
 
-class Stepping(Protocol):
-    """Dynamics that go on step by step."""
+_START_S = 120.0
+_STEP_S = 30.0
 
-    outputs: dict[str, float]
+
+class Fmu(Closing):
+    """An initialised co-simulation FMU; use it in a `with` block.
+
+    `step` sets the variables `inputs`; `outputs` has the present values of the mapping's outputs, by variable. Raises
+    MachineLacks without fmpy; DynamicsError if the file is no FMU that can be used, or lacks a variable; FlightEnded if
+    it fails or crashes when it starts.
+    """
+
+    def __init__(self, file: Path, mapping: Mapping, inputs: tuple[str, ...] = ()) -> None:
+        if importlib.util.find_spec("fmpy") is None:
+            raise MachineLacks(f"FMUs need fmpy:  {install_command('fmu')}")
+        if not file.is_file():
+            raise DynamicsError(f"{file}: no such file")
+        self._file, self._names = file, list(dict.fromkeys(mapping.outputs))
+        self._folder = TemporaryFolder("fmu")  # outlives a crash of the FMU
+        context = multiprocessing.get_context("spawn")
+        self._near, child_end = context.Pipe()
+        self._process = context.Process(target=serve, args=(child_end,), name=f"FMU {file.name}", daemon=True)
+        with starting_a_process(serve):
+            self._process.start()
+        child_end.close()
+        where = {"file": str(file), "folder": self._folder.name}
+        content = {**where, "start": mapping.start, "outputs": self._names, "inputs": list(inputs)}
+        try:
+            self.outputs = self._answer(content, _START_S, "when it starts")
+        except BaseException:
+            self.close()
+            raise
 
     def step(self, t_s: float, step_s: float, inputs: dict[str, float]) -> None:
-        """Set inputs and do one step."""
+        """Set inputs and do one step from `t_s`; raises FlightEnded."""
+        self.outputs = self._answer((t_s, step_s, inputs), _STEP_S, f"in its step from {t_s:g} s")
+
+    def _answer(self, message: object, limit_s: float, moment: str) -> dict[str, float]:
+        try:
+            self._near.send(message)
+            if not self._near.poll(limit_s):
+                raise FlightEnded(f"{self._file}: the FMU does not answer within {limit_s:g} s {moment}")
+            kind, content = self._near.recv()
+        except (EOFError, OSError) as error:
+            raise FlightEnded(f"{self._file}: the FMU crashed {moment} ({self._end()})") from error
+        if kind == "wrong":
+            raise DynamicsError(f"{self._file} {content}")
+        if kind == "failed":
+            raise FlightEnded(f"{self._file}: the FMU failed {moment}: {content}")
+        return dict(zip(self._names, content, strict=True))
+
+    def _end(self) -> str:
+        self._process.join(10)
+        code = self._process.exitcode
+        return Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+
+    def close(self) -> None:
+        """End the process, and remove what it has unpacked."""
+        self._near.close()
+        self._process.join(2)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._folder.cleanup()
 
 
 @dataclass(frozen=True)
@@ -277,7 +335,7 @@ class FlightResult:
 
 
 def fly(
-    unit: Stepping, mapping: Mapping, inputs: Sequence[Inputs], pace: Pace, send: Callable[[PoseMessage], object]
+    unit: Fmu, mapping: Mapping, inputs: Sequence[Inputs], pace: Pace, send: Callable[[PoseMessage], object]
 ) -> FlightResult:
     """Step the FMU until the time is over or `pace` ends the flight; raises FlightEnded."""
     steps, number = round(pace.seconds / mapping.step_s), 0
@@ -293,7 +351,7 @@ def fly(
     return FlightResult(number, number * mapping.step_s, pose)
 
 
-def _pose(unit: Stepping, mapping: Mapping, number: int, pace: Pace) -> PoseMessage:
+def _pose(unit: Fmu, mapping: Mapping, number: int, pace: Pace) -> PoseMessage:
     """Return the present pose; raises FlightEnded where the FMU's numbers are no pose."""
     t_s = number * mapping.step_s
     wrong = [name for name in mapping.outputs if not math.isfinite(unit.outputs[name])]
@@ -312,7 +370,7 @@ def _pose(unit: Stepping, mapping: Mapping, number: int, pace: Pace) -> PoseMess
         raise FlightEnded(f"at {t_s:g} s: {error}") from error
 
 
-def _number(unit: Stepping, component: str | float) -> float:
+def _number(unit: Fmu, component: str | float) -> float:
     return unit.outputs[component] if isinstance(component, str) else float(component)
 
 

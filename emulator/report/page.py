@@ -95,11 +95,6 @@ def pyplot() -> Any:
         raise ChartsLacking(f"charts need matplotlib:  {install_command('report')}") from error
 
 
-def check_charts() -> None:
-    """Raise ChartsLacking where matplotlib is missing, before a long computation."""
-    pyplot()
-
-
 def panels(
     count: int, columns: int, width_in: float, height_in: float, *, high: int = 1, layout: str = "constrained"
 ) -> tuple[Any, list[list[Any]]]:

@@ -165,24 +165,17 @@ CAMERA_MODELS: Registry[CameraModel] = Registry(
     "evstim.cameras",
     CameraModel,
     {
-        "davis346": "emulator.cameras.davis346:DAVIS346",
-        "davis240c": "emulator.cameras.davis346:DAVIS240C",
-        "dvxplorer": "emulator.cameras.dvxplorer:DVXPLORER",
-        "dvxplorer_micro": "emulator.cameras.dvxplorer:DVXPLORER_MICRO",
-        "dvxplorer_micro_firmware9": "emulator.cameras.dvxplorer:DVXPLORER_MICRO_FIRMWARE9",
-        "imx636": "emulator.cameras.imx636:IMX636",
-        "evk4": "emulator.cameras.imx636:EVK4",
-        "evk3_hd": "emulator.cameras.imx636:EVK3_HD",
-        "silkyevcam_hd": "emulator.cameras.imx636:SILKYEVCAM_HD",
-        "silkyevcam_hd_lite": "emulator.cameras.imx636:SILKYEVCAM_HD_LITE",
-        "ueye_xcp_e": "emulator.cameras.imx636:UEYE_XCP_E",
-        "ueye_xls_e": "emulator.cameras.imx636:UEYE_XLS_E",
-        "triton2": "emulator.cameras.imx636:TRITON2",
-        "gen31": "emulator.cameras.gen31:GEN31",
-        "silkyevcam_vga": "emulator.cameras.gen31:SILKYEVCAM_VGA",
-        "evk3_vga": "emulator.cameras.gen31:EVK3_VGA",
-        "genx320": "emulator.cameras.genx320:GENX320",
-        "ideal": "emulator.cameras.davis346:IDEAL",
+        name: f"emulator.cameras.{module}:{name.upper()}"
+        for module, names in (
+            ("davis346", ("davis346", "davis240c")),
+            ("dvxplorer", ("dvxplorer", "dvxplorer_micro", "dvxplorer_micro_firmware9")),
+            ("imx636", ("imx636", "evk4", "evk3_hd", "silkyevcam_hd", "silkyevcam_hd_lite")),
+            ("imx636", ("ueye_xcp_e", "ueye_xls_e", "triton2")),
+            ("gen31", ("gen31", "silkyevcam_vga", "evk3_vga")),
+            ("genx320", ("genx320",)),
+            ("davis346", ("ideal",)),
+        )
+        for name in names
     },
 )
 """Camera models by the name that rigs write."""

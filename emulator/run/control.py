@@ -340,13 +340,7 @@ class ReadySignal:
             part = self._path.with_name(self._path.name + ".part")
             part.write_text(json.dumps({"pid": os.getpid(), "links": dict(addresses)}) + "\n", encoding="utf-8")
             part.replace(self._path)
-        _notify("READY=1")
-
-
-def _notify(message: str) -> None:
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as service_manager:
-        service_manager.connect("\0" + address[1:] if address.startswith("@") else address)
-        service_manager.send(message.encode())
+        if address := os.environ.get("NOTIFY_SOCKET"):
+            with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as service_manager:
+                service_manager.connect("\0" + address[1:] if address.startswith("@") else address)
+                service_manager.send(b"READY=1")

@@ -61,17 +61,15 @@ def egl() -> Finding:
         with suppress(ValueError):
             names.remove(report.renderer)  # once
         also = f"; also there: {', '.join(names)}" if len(available) > 1 else ""
-        return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{also}", use)
+        return Finding("EGL", f"{report.renderer}, OpenGL {report.version}{also}", use)
     fix = f"unset {WANTED}" if available else f"apt-get install {PACKAGES}"
-    return Finding("EGL", False, report.reason, use, fix)
+    return Finding("EGL", report.reason, use, fix)
 
 
 def _usbip_tool() -> Finding:
     path = shutil.which("usbip") or shutil.which("usbip", path=_SBIN)
     use = "attaching the camera to this machine's own USB bus"
-    if path:
-        return Finding("usbip", True, path, use)
-    return Finding("usbip", False, "the tool is not installed", use, "apt-get install usbip")
+    return Finding("usbip", path or "the tool is not installed", use, None if path else "apt-get install usbip")
 
 
 def _gvcp() -> Finding:
@@ -83,18 +81,16 @@ def _gvcp() -> Finding:
         except OSError as error:
             detail = f"UDP port {GVCP_PORT} cannot be used: {error.strerror}"
             fix = f"ss -lunp 'sport = :{GVCP_PORT}'  # its owner; or another address of the link: host = \"127.0.0.2\""
-            return Finding("GVCP", False, detail, use, fix)
-    return Finding("GVCP", True, f"UDP port {GVCP_PORT} is free", use)
+            return Finding("GVCP", detail, use, fix)
+    return Finding("GVCP", f"UDP port {GVCP_PORT} is free", use)
 
 
 def _udp_buffer() -> Finding:
     """Check the size of the kernel's buffer for a receiver that is not read for a moment."""
     use = "receivers of GigE Vision streams, at most 16 MiB each"
     limit_bytes = int(_RMEM_MAX.read_text()) if _RMEM_MAX.exists() else 0
-    detail = f"net.core.rmem_max = {limit_bytes}"
-    if limit_bytes >= _UDP_BUFFER:
-        return Finding("UDP buffer", True, detail, use)
-    return Finding("UDP buffer", False, detail, use, f"sysctl -w net.core.rmem_max={_UDP_BUFFER}")
+    fix = None if limit_bytes >= _UDP_BUFFER else f"sysctl -w net.core.rmem_max={_UDP_BUFFER}"
+    return Finding("UDP buffer", f"net.core.rmem_max = {limit_bytes}", use, fix)
 
 
 def _priority() -> Finding:
@@ -102,40 +98,36 @@ def _priority() -> Finding:
     use = "answers of GigE Vision cameras within a driver's 25 ms on a busy machine"
     capabilities = next((line for line in _STATUS.read_text().splitlines() if line.startswith("CapEff:")), "CapEff: 0")
     if int(capabilities.split()[1], 16) >> _CAP_SYS_NICE & 1:
-        return Finding("priority", True, "CAP_SYS_NICE", use)
+        return Finding("priority", "CAP_SYS_NICE", use)
     nice = resource.getrlimit(resource.RLIMIT_NICE)[0]
     if nice >= _NICE_LIMIT or nice == resource.RLIM_INFINITY:
-        return Finding("priority", True, "this user may run at nice -20", use)
-    return Finding("priority", False, "this user may not run at nice -20", use, _PRIORITY_FIX)
+        return Finding("priority", "this user may run at nice -20", use)
+    return Finding("priority", "this user may not run at nice -20", use, _PRIORITY_FIX)
 
 
 def _libusb() -> Finding:
     path = ctypes.util.find_library("usb-1.0")
-    use = "`evstim listen` on the real USB bus"
-    if path:
-        return Finding("libusb", True, path, use)
-    return Finding("libusb", False, "not found", use, "apt-get install libusb-1.0-0")
+    fix = None if path else "apt-get install libusb-1.0-0"
+    return Finding("libusb", path or "not found", "`evstim listen` on the real USB bus", fix)
 
 
 def _usb_permission() -> Finding:
     bus = Path("/dev/bus/usb")
     use = "opening USB cameras on this machine"
     if not bus.is_dir():
-        detail = "no /dev/bus/usb: this machine has no USB host"
-        return Finding("USB permission", False, detail, use, "modprobe vhci-hcd")
+        return Finding("USB permission", "no /dev/bus/usb: this machine has no USB host", use, "modprobe vhci-hcd")
     nodes = [node for node in bus.rglob("*") if node.is_char_device()]
     closed = [node for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
     if not closed:
-        return Finding("USB permission", True, f"all {len(nodes)} device nodes can be opened", use)
-    detail = f"{len(closed)} of {len(nodes)} device nodes cannot be opened"
-    return Finding("USB permission", False, detail, use, _UDEV_FIX)
+        return Finding("USB permission", f"all {len(nodes)} device nodes can be opened", use)
+    return Finding("USB permission", f"{len(closed)} of {len(nodes)} device nodes cannot be opened", use, _UDEV_FIX)
 
 
 def _cores() -> Finding:
     count = len(os.sched_getaffinity(0))
     use = "the session and each link in a process of its own"
     fix = None if count >= 2 else "taskset -p ffff $$  # or a machine with two cores"
-    return Finding("cores", count >= 2, str(count), use, fix)
+    return Finding("cores", str(count), use, fix)
 
 
 def kernel_cache() -> Finding:
@@ -144,11 +136,11 @@ def kernel_cache() -> Finding:
 
     use = "kernels that are compiled once, not in each process"
     if not hasattr(unpack, "_cache"):
-        return Finding("kernel cache", True, "no folder, as NUMBA_DISABLE_JIT is set", use)
+        return Finding("kernel cache", "no folder, as NUMBA_DISABLE_JIT is set", use)
     if (folder := cache_folder(unpack)) is None:
-        return Finding("kernel cache", False, NO_FOLDER, use, "export XDG_CACHE_HOME=/a/folder/of/yours")
+        return Finding("kernel cache", NO_FOLDER, use, "export XDG_CACHE_HOME=/a/folder/of/yours")
     place = f"{folder}, and so beside each module" if folder.name == "__pycache__" else str(folder.parent)
-    return Finding("kernel cache", True, place, use)
+    return Finding("kernel cache", place, use)
 
 
 def on_free_ports(rig: Rig, folder: Path) -> Rig:

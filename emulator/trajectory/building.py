@@ -139,69 +139,64 @@ def _read_row(samples: Samples, columns: dict[str, int], cells: list[str]) -> No
 
 
 @dataclass(eq=False)
-class Flight:
+class Flight(Samples):
     """Contents of a flight file.
 
     Attributes
     ----------
-    samples : its poses, `period_s` apart but for pauses.
+    period_ns : time between two poses but for pauses.
     left_out : how often each other command stood in it.
     """
 
-    samples: Samples = field(default_factory=Samples)
+    period_ns: int = field(kw_only=True)
     left_out: Counter[str] = field(default_factory=Counter)
-
-
-@dataclass
-class _Reader:
-    period_ns: int
-    flight: Flight = field(default_factory=Flight)
-    t_ns: int = 0
-    angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
+    _t_ns: int = 0
+    _angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
 
     def read(self, words: list[str]) -> None:
+        """Read the words of a line; raises ValueError."""
         match words:
             case ["start", *numbers]:
                 self._place(_flight_numbers(numbers, 6))
             case ["quaternion", *numbers]:
                 values = _flight_numbers(numbers, 7)
-                self.angles = None
+                self._angles = None
                 self._add(Pose(values[:3], values[3:]))
             case ["pause", *numbers]:
                 (seconds,) = _flight_numbers(numbers, 1)
-                if seconds < 0 or not self.flight.samples.poses:
+                if seconds < 0 or not self.poses:
                     raise ValueError("a pause needs a pose before it, and time that does not go back")
                 if seconds:
-                    self.t_ns += round(seconds * 1e9) - self.period_ns
-                    self._add(self.flight.samples.poses[-1])
+                    self._t_ns += round(seconds * 1e9) - self.period_ns
+                    self._add(self.poses[-1])
             case [command, *_] if command[0].isalpha():
-                self.flight.left_out[command] += 1
+                self.left_out[command] += 1
             case numbers:
-                if self.angles is None:
+                if self._angles is None:
                     raise ValueError("increments need a `start` line before them")
-                self._place(self.angles + _flight_numbers(numbers, 6))
+                self._place(self._angles + _flight_numbers(numbers, 6))
 
     def _place(self, angles: npt.NDArray[np.float64]) -> None:
-        self.angles = angles
+        self._angles = angles
         self._add(Pose(angles[:3], _flight_attitude(*(math.radians(a) for a in angles[3:]))))
 
     def _add(self, pose: Pose) -> None:
-        self.flight.samples.times_ns.append(self.t_ns)
-        self.flight.samples.poses.append(pose)
-        self.t_ns += self.period_ns
+        self.times_ns.append(self._t_ns)
+        self.poses.append(pose)
+        self._t_ns += self.period_ns
 
 
 def parse_flight(text: str, period_s: float) -> Flight:
     """Read a flight file whose poses are `period_s` apart; raises TrajectoryError with the line."""
-    reader = _Reader(round(period_s * 1e9))
+    flight = Flight(period_ns=round(period_s * 1e9))
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
         try:
             if words:
-                reader.read(words)
+                flight.read(words)
         except ValueError as error:
             raise TrajectoryError(f"line {number}: {error}") from error
-    return reader.flight
+    return flight
 
 
 def _flight_numbers(words: list[str], count: int) -> npt.NDArray[np.float64]:
@@ -246,10 +241,10 @@ def _keyframes(path: Path, period_s: float) -> Keyframes:
     match path.suffix.lower():
         case ".fli":
             flight = parse_flight(_text(path), period_s)
-            samples = flight.samples
             if flight.left_out:
                 left_out = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
                 _LOG.info("%s: left out of the flight: %s", path, left_out)
+            samples: Samples = flight
         case ".csv":
             samples = parse_table(_text(path))
         case _:

@@ -33,12 +33,13 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
-from emulator.geometry.attitude import Matrix, Quaternion, Vector, quaternion_of
+from emulator.geometry.attitude import Matrix, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import (
@@ -51,15 +52,33 @@ from emulator.trajectory.pose import (
     instants_between,
     measured_bounds,
 )
+from firmware_protocol.bounds import check_bounds
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
+_Positive = Annotated[float, Meta(gt=0)]
 _NEWTON_STEPS = 50
 
 
+class Checked:
+    """Base of tables: numbers must be finite, attitudes unit quaternions, and directions not zero."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        for name, value in vars(self).items():
+            numbers = value if isinstance(value, tuple) else (value,)
+            if any(isinstance(n, float) and not math.isfinite(n) for n in numbers):
+                raise ValueError(f"{name} is {value}: it must be finite")
+            if name == "q_world_from_body" and abs(math.hypot(*value) - 1) >= 1e-3:
+                length = math.hypot(*value)
+                raise ValueError(f"{name} is {value}, of length {length:.4g}: a unit quaternion (w, x, y, z) is needed")
+            if name in ("up", "pole") and not any(value):
+                raise ValueError(f"{name} is all zeros and points nowhere")
+
+
 @dataclass(frozen=True)
-class Elements:
+class Elements(Checked):
     """An orbit about a point mass at the origin.
 
     Attributes
@@ -71,8 +90,8 @@ class Elements:
     anomaly_deg : mean anomaly at time zero.
     """
 
-    gm_m3_s2: float
-    semi_major_axis_m: float
+    gm_m3_s2: _Positive
+    semi_major_axis_m: _Positive
     eccentricity: float = 0.0
     inclination_deg: float = 0.0
     node_deg: float = 0.0
@@ -80,12 +99,7 @@ class Elements:
     anomaly_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f"{name} is {value}: it must be finite")
-        for name in ("gm_m3_s2", "semi_major_axis_m"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} is {getattr(self, name):g}: it must be above 0")
+        super().__post_init__()
         if not 0 <= self.eccentricity < 1:
             raise ValueError(f"eccentricity is {self.eccentricity:g}: an orbit that returns has 0 to below 1")
 
@@ -168,31 +182,22 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Gate:
+class Gate(Checked):
     """Height, speeds and pitch of a lander at one instant.
 
     Attributes
     ----------
     t_s : stream time.
-    height_m : above the site, > 0.
+    height_m : above the site.
     forward_m_s, down_m_s : speeds along the heading and downward.
-    depression_deg : of the boresight below the horizontal, 0 to 90.
+    depression_deg : of the boresight below the horizontal.
     """
 
     t_s: float
-    height_m: float
+    height_m: _Positive
     forward_m_s: float = 0.0
     down_m_s: float = 0.0
-    depression_deg: float = 90.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not math.isfinite(value):
-                raise ValueError(f"{name} is {value}: it must be finite")
-        if self.height_m <= 0:
-            raise ValueError(f"height_m is {self.height_m:g}: it must be above 0")
-        if not 0 <= self.depression_deg <= 90:
-            raise ValueError(f"depression_deg is {self.depression_deg:g}: it must be 0 to 90")
+    depression_deg: Annotated[float, Meta(ge=0, le=90)] = 90.0
 
 
 LANDING = (
@@ -232,7 +237,10 @@ class Descent(Trajectory):
         """Return the pose at `t_ns`; after the last gate it stays there."""
         first, last = self.span_ns
         depression = float(self._depression_rad(min(max(t_ns, first), last) * 1e-9))
-        return Pose(self._path.pose(t_ns).position_m, _attitude(self._ahead, depression))
+        c, s = math.cos(depression), math.sin(depression)
+        # The picture's up turns with the boresight, from the zenith to straight ahead.
+        axes = looking_along(c * self._ahead - s * _UP, s * self._ahead + c * _UP)
+        return Pose(self._path.pose(t_ns).position_m, quaternion_of(axes))
 
     def motion(self, t_ns: int) -> Motion:
         """Return the motion; it turns about the camera's x axis, backwards as the depression grows."""
@@ -260,9 +268,3 @@ def _depression(gates: Sequence[Gate]) -> PPoly:
     if len(gates) == 1:
         return PPoly([radians], [0.0, 1.0])
     return PchipInterpolator([gate.t_s for gate in gates], radians)
-
-
-def _attitude(ahead: Vector, depression_rad: float) -> Quaternion:
-    """Return world_from_camera: the picture's up turns with the boresight, from the zenith to straight ahead."""
-    c, s = math.cos(depression_rad), math.sin(depression_rad)
-    return quaternion_of(looking_along(c * ahead - s * _UP, s * ahead + c * _UP))

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Matrix, Vector, cross, quaternion_of, spin, unit
 from emulator.geometry.camera import Cycle
-from emulator.trajectory.pose import Bounds, Motion, Pose, Trajectory, TrajectoryError, measured_bounds, rate_of_frame
+from emulator.trajectory.pose import Bounds, Motion, Pose, Trajectory, TrajectoryError, measured_bounds
 
 _ALONG = 1e-9
 
@@ -57,7 +57,7 @@ class Looking(Trajectory):
 
     def motion(self, t_ns: int) -> Motion:
         """Return the path's motion with the turning that keeps the boresight on the target."""
-        place, axes = self._place.motion(t_ns), self.pose(t_ns).world_from_body
+        place, axes = self._place.motion(t_ns), self.pose(t_ns).world_from_body  # axes of the camera are its columns
         x, _, z = axes.T
         across = cross(z, self._up)
         if np.linalg.norm(across) < _ALONG:
@@ -66,8 +66,9 @@ class Looking(Trajectory):
         z_rate = _turning(-place.velocity_m_s, z) / np.linalg.norm(sight)
         x_rate = _turning(cross(z_rate, self._up), x) / np.linalg.norm(across)
         y_rate = cross(z_rate, x) + cross(z, x_rate)
-        rates = np.column_stack([x_rate, y_rate, z_rate])
-        return Motion(place.velocity_m_s, place.acceleration_m_s2, rate_of_frame(axes, rates))
+        turn = axes.T @ np.column_stack([x_rate, y_rate, z_rate])
+        rate = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
+        return Motion(place.velocity_m_s, place.acceleration_m_s2, rate)
 
 
 def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:

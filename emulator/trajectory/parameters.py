@@ -6,7 +6,6 @@ picture; without `look_at_m` the attitude is the path's own.
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from ipaddress import IPv4Address
@@ -15,8 +14,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.laws import LANDING, Elements, Gate
-from firmware_protocol.bounds import check_bounds
+from emulator.trajectory.laws import LANDING, Checked, Elements, Gate
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
@@ -24,22 +22,6 @@ _Port = Annotated[int, Meta(ge=0, le=65535)]
 _Wait = Annotated[float, Meta(ge=0, le=60_000)]
 _UP: _Triple = (0.0, 0.0, 1.0)
 _AS_THE_WORLD: _Quaternion = (1.0, 0.0, 0.0, 0.0)
-
-
-class _Checked:
-    """Base of the tables: numbers must be finite, attitudes unit quaternions, and directions not zero."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        for name, value in vars(self).items():
-            numbers = value if isinstance(value, tuple) else (value,)
-            if any(isinstance(n, float) and not math.isfinite(n) for n in numbers):
-                raise ValueError(f"{name} is {value}: it must be finite")
-            if name == "q_world_from_body" and abs(math.hypot(*value) - 1) >= 1e-3:
-                length = math.hypot(*value)
-                raise ValueError(f"{name} is {value}, of length {length:.4g}: a unit quaternion (w, x, y, z) is needed")
-            if name in ("up", "pole") and not any(value):
-                raise ValueError(f"{name} is all zeros and points nowhere")
 
 
 def _require_senders(host: str, allow: tuple[str, ...]) -> None:
@@ -56,7 +38,7 @@ def _require_senders(host: str, allow: tuple[str, ...]) -> None:
 
 
 @dataclass(frozen=True)
-class FixedPath(_Checked):
+class FixedPath(Checked):
     """A fixed pose.
 
     Attributes
@@ -75,7 +57,7 @@ class FixedPath(_Checked):
 
 
 @dataclass(frozen=True)
-class Keyframe(_Checked):
+class Keyframe(Checked):
     """One pose of a path.
 
     Attributes
@@ -91,7 +73,7 @@ class Keyframe(_Checked):
 
 
 @dataclass(frozen=True)
-class KeyframePath(_Checked):
+class KeyframePath(Checked):
     """A smooth path through poses at given times.
 
     Attributes
@@ -108,7 +90,7 @@ class KeyframePath(_Checked):
 
 
 @dataclass(frozen=True)
-class OrbitPath(Elements, _Checked):
+class OrbitPath(Elements):
     """An elliptical orbit around the origin.
 
     Attributes
@@ -126,13 +108,9 @@ class OrbitPath(Elements, _Checked):
     look_at_m: _Triple = (0.0, 0.0, 0.0)
     up: _Triple = _UP
 
-    def __post_init__(self) -> None:
-        Elements.__post_init__(self)
-        _Checked.__post_init__(self)
-
 
 @dataclass(frozen=True)
-class SpinPath(_Checked):
+class SpinPath(Checked):
     """A rotation about +Z at a fixed place; with a tilt that axis precesses about the angular momentum.
 
     Attributes
@@ -155,7 +133,7 @@ class SpinPath(_Checked):
 
 
 @dataclass(frozen=True)
-class DescentPath(_Checked):
+class DescentPath(Checked):
     """A landing in phases above a world with z up.
 
     Attributes
@@ -172,7 +150,7 @@ class DescentPath(_Checked):
 
 
 @dataclass(frozen=True)
-class FilePath(_Checked):
+class FilePath(Checked):
     """A path read from files.
 
     Attributes
@@ -200,7 +178,7 @@ class FilePath(_Checked):
 
 
 @dataclass(frozen=True)
-class LivePath(_Checked):
+class LivePath(Checked):
     """Poses that come from outside while the run goes on, one UDP datagram each.
 
     Attributes
@@ -229,7 +207,7 @@ class LivePath(_Checked):
 
 
 @dataclass(frozen=True)
-class BasiliskPath(_Checked):
+class BasiliskPath(Checked):
     """The path of a camera, spacecraft or celestial body in a Basilisk simulation, for `evstim vizard`.
 
     Attributes
@@ -258,7 +236,7 @@ class BasiliskPath(_Checked):
 
 
 @dataclass(frozen=True)
-class SpicePath(_Checked):
+class SpicePath(Checked):
     """A camera's path from SPICE kernels; the world is `frame` with the target at its origin.
 
     Attributes

@@ -110,12 +110,6 @@ def rate_of_vector(vector: Vector, rate: Vector) -> Vector:
     return np.asarray(rate - first * crossed + second * np.cross(vector, crossed))
 
 
-def rate_of_frame(axes: Matrix, rates: Matrix) -> Vector:
-    """Return the angular rate along a body's axes, the columns of `axes`, (3, 3), which change by `rates` a second."""
-    turn = axes.T @ rates
-    return np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
-
-
 class Timescale:
     """Scene time = start + factor * stream time; `factor` is taken as the decimal number that a person wrote."""
 

@@ -37,7 +37,7 @@ class RawSettings:
     tick_us : 1, 10, 100 or 1000.
     epoch_us : Longest time between two epoch frames. Half the span of a frame's 16 bits covers the epoch frames that
         may be lost in a row before time is ambiguous: three of 10 ms at a tick of 1 us.
-    fd, brs : CAN FD frames, and the faster bit rate for their data.
+    fd : CAN FD frames, with the faster bit rate for their data.
     clock : 11-bit identifier of clock frames; None for none, if no receiver starts later and the time is never set.
     """
 
@@ -46,7 +46,6 @@ class RawSettings:
     tick_us: int = 1
     epoch_us: int = 10_000
     fd: bool = False
-    brs: bool = True
     clock: int | None = None
 
     def __post_init__(self) -> None:
@@ -152,7 +151,7 @@ class RawSender:
         self._seq = (self._seq + len(packed)) & 0xFF
         frames, at = [], 0
         for raw, n in packed:
-            frames.append(Packed(Frame(s.events, raw, fd=True, brs=s.brs), events[at : at + n]))
+            frames.append(Packed(Frame(s.events, raw, fd=True, brs=True), events[at : at + n]))
             at += n
         return frames
 

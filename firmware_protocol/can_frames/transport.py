@@ -64,8 +64,7 @@ class IsoTpSettings:
     Attributes
     ----------
     send, receive : identifiers of this side's frames and of the peer's.
-    extended : 29-bit identifiers.
-    fd, brs : CAN FD frames of up to 64 bytes, and the faster bit rate for their data.
+    fd : CAN FD frames of up to 64 bytes, with the faster bit rate for their data.
     flow_control
         True: wait for the peer's flow control. False: send at this side's own pace, for peers that only receive.
     block_size, separation : BS and STmin that this side requests of the peer.
@@ -76,9 +75,7 @@ class IsoTpSettings:
 
     send: int
     receive: int
-    extended: bool = False
     fd: bool = False
-    brs: bool = True
     flow_control: bool = True
     block_size: int = 0
     separation: int = 0
@@ -94,11 +91,11 @@ class IsoTpSettings:
     def frame(self, data: bytes) -> Frame:
         """Return a frame of this side, padded."""
         padded = data.ljust(max(8, fd_length(len(data))), bytes([_PADDING]))
-        return Frame(self.send, padded, extended=self.extended, fd=self.fd, brs=self.fd and self.brs)
+        return Frame(self.send, padded, fd=self.fd, brs=self.fd)
 
     def is_ours(self, frame: Frame) -> bool:
-        """Return true if the frame comes from the peer on this channel."""
-        return frame.identifier == self.receive and frame.extended == self.extended and not frame.error
+        """Return true if the frame comes from the peer on this channel, whose identifiers have 11 bits."""
+        return frame.identifier == self.receive and not (frame.extended or frame.error)
 
 
 def separation_ns(code: int) -> int:

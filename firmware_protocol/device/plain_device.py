@@ -60,7 +60,9 @@ class _ItemsOfClock:
             until_us = int(events["t"][-1]) if len(events) else int(self.events[0]["t"][0]) - 1
         else:
             until_us = max(now_us, int(events["t"][-1]) if len(events) else 0)
-        edges, readings = self._take_edges(until_us), self._take_readings(until_us)
+        edges = self._take_edges(until_us)
+        n = bisect_right(self.readings, until_us, key=_time_of)
+        readings, self.readings = tuple(self.readings[:n]), self.readings[n:]
         if not (len(events) or len(edges) or readings):
             return None
         times = [events["t"][-1:], edges["t"][-1:], *(reading.record["t"][-1:] for reading in readings[-1:])]
@@ -78,11 +80,6 @@ class _ItemsOfClock:
     def _take_edges(self, until_us: int) -> Edges:
         n = int(np.searchsorted(self.edges["t"], np.uint64(max(0, until_us)), "right"))
         taken, self.edges = self.edges[:n], self.edges[n:]
-        return taken
-
-    def _take_readings(self, until_us: int) -> tuple[Reading, ...]:
-        n = bisect_right(self.readings, until_us, key=_time_of)
-        taken, self.readings = tuple(self.readings[:n]), self.readings[n:]
         return taken
 
 

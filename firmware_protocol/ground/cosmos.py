@@ -7,7 +7,6 @@ telemetry. The part of varying length ends where the error control begins, which
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from firmware_protocol.ground.description import Packet, Placed
 from firmware_protocol.packets.ccsds import ERROR_CONTROL, PRIMARY_HEADER
@@ -17,48 +16,38 @@ _UNITS = {"us": "microseconds", "s": "seconds", "px": "pixels", "1/s": "per_seco
 _HEX = frozenset({"apid", "error_control", "request_packet_id", "request_sequence_control"})
 
 
-@dataclass(frozen=True)
-class CosmosPorts:
-    """Address to which COSMOS sends telecommands, and port on which it receives packets."""
+def cosmos_files(packets: Sequence[Packet], camera_host: str, camera_port: int, packet_port: int) -> Mapping[str, str]:
+    """Return the text of each file of the plugin, by its path.
 
-    camera_host: str = "127.0.0.1"
-    camera_port: int = 10_025
-    port: int = 10_015
-
-
-def cosmos_files(packets: Sequence[Packet], ports: CosmosPorts, target: str = "EVSTIM") -> Mapping[str, str]:
-    """Return the text of each file of the plugin, by its path."""
+    COSMOS sends telecommands to `camera_host` and `camera_port`, and receives packets on `packet_port`.
+    """
     commands = [packet for packet in packets if packet.is_command]
     telemetry = [packet for packet in packets if not packet.is_command]
-    folder = f"targets/{target}/cmd_tlm"
     return {
-        "plugin.txt": _plugin(ports, target),
-        f"openc3-cosmos-{target.lower()}.gemspec": _gemspec(target),
-        f"targets/{target}/target.txt": "LANGUAGE python\nIGNORE_PARAMETER ERROR_CONTROL\n",
-        f"{folder}/tlm.txt": "\n".join(line for packet in telemetry for line in _telemetry(packet, target)) + "\n",
-        f"{folder}/cmd.txt": "\n".join(line for packet in commands for line in _command(packet, target)) + "\n",
+        "plugin.txt": _PLUGIN.format(camera_host, camera_port, packet_port),
+        "openc3-cosmos-evstim.gemspec": _GEMSPEC,
+        "targets/EVSTIM/target.txt": "LANGUAGE python\nIGNORE_PARAMETER ERROR_CONTROL\n",
+        f"{_FOLDER}/tlm.txt": "\n".join(line for packet in telemetry for line in _telemetry(packet)) + "\n",
+        f"{_FOLDER}/cmd.txt": "\n".join(line for packet in commands for line in _command(packet)) + "\n",
     }
 
 
-def _plugin(ports: CosmosPorts, target: str) -> str:
-    crc = "ERROR_CONTROL FALSE ERROR -16 16 BIG_ENDIAN 0x1021 0xFFFF FALSE FALSE"
-    return f"""VARIABLE target_name {target}
-VARIABLE camera_host {ports.camera_host}
-VARIABLE camera_port {ports.camera_port}
-VARIABLE packet_port {ports.port}
+_FOLDER = "targets/EVSTIM/cmd_tlm"
+_PLUGIN = """VARIABLE target_name EVSTIM
+VARIABLE camera_host {}
+VARIABLE camera_port {}
+VARIABLE packet_port {}
 
-TARGET {target} <%= target_name %>
+TARGET EVSTIM <%= target_name %>
 
 INTERFACE <%= target_name %>_INT openc3/interfaces/udp_interface.py <%= camera_host %> <%= camera_port %> \
 <%= packet_port %> nil nil 128 10.0 nil
   MAP_TARGET <%= target_name %>
-  PROTOCOL READ_WRITE openc3/interfaces/protocols/crc_protocol.py {crc}
+  PROTOCOL READ_WRITE openc3/interfaces/protocols/crc_protocol.py \
+ERROR_CONTROL FALSE ERROR -16 16 BIG_ENDIAN 0x1021 0xFFFF FALSE FALSE
 """
-
-
-def _gemspec(target: str) -> str:
-    return f"""Gem::Specification.new do |spec|
-  spec.name = 'openc3-cosmos-{target.lower()}'
+_GEMSPEC = """Gem::Specification.new do |spec|
+  spec.name = 'openc3-cosmos-evstim'
   spec.version = '0.1.0'
   spec.summary = 'Packets of an evstim instrument'
   spec.authors = ['evstim']
@@ -68,8 +57,8 @@ end
 """
 
 
-def _telemetry(packet: Packet, target: str) -> Iterable[str]:
-    yield f"TELEMETRY {target} {packet.name} BIG_ENDIAN {_quoted(packet.meaning)}"
+def _telemetry(packet: Packet) -> Iterable[str]:
+    yield f"TELEMETRY EVSTIM {packet.name} BIG_ENDIAN {_quoted(packet.meaning)}"
     for placed in packet.fields:
         field, identifies = placed.field, _identifies(placed)
         head = "APPEND_ID_ITEM" if identifies else "APPEND_ITEM"
@@ -88,8 +77,8 @@ def _telemetry(packet: Packet, target: str) -> Iterable[str]:
     yield ""
 
 
-def _command(packet: Packet, target: str) -> Iterable[str]:
-    yield f"COMMAND {target} {packet.name.upper()} BIG_ENDIAN {_quoted(packet.meaning)}"
+def _command(packet: Packet) -> Iterable[str]:
+    yield f"COMMAND EVSTIM {packet.name.upper()} BIG_ENDIAN {_quoted(packet.meaning)}"
     for placed in packet.fields:
         field = placed.field
         low, high = (value * field.scale if field.scale != 1 else value for value in field.range)

@@ -19,7 +19,7 @@ _WIDTHS = (8, 16, 32, 64)
 _CHANNELS_OF_A_PACKET = 256
 
 
-def fprime_text(packets: Sequence[Packet], deployment: str = "evstim", version: str = "") -> str:
+def fprime_text(packets: Sequence[Packet], version: str = "") -> str:
     """Return the JSON text."""
     telemetry = [
         packet
@@ -27,9 +27,9 @@ def fprime_text(packets: Sequence[Packet], deployment: str = "evstim", version: 
         if not packet.is_command and packet.body.fields and all(field.bits % 8 == 0 for field in packet.body.fields)
     ]
     commands = [packet for packet in packets if packet.is_command]
-    definitions = [type_ for packet in (*telemetry, *commands) for type_ in _types(packet, deployment)]
+    definitions = [type_ for packet in (*telemetry, *commands) for type_ in _types(packet)]
     metadata = {
-        "deploymentName": deployment,
+        "deploymentName": "evstim",
         "projectVersion": version,
         "frameworkVersion": "4.0.0",
         "libraryVersions": [],
@@ -39,22 +39,20 @@ def fprime_text(packets: Sequence[Packet], deployment: str = "evstim", version: 
         "metadata": metadata,
         "typeDefinitions": list({type_["qualifiedName"]: type_ for type_ in definitions}.values()),
         "constants": [],
-        "commands": [_command(packet, deployment) for packet in commands],
+        "commands": [_command(packet) for packet in commands],
         "parameters": [],
         "events": [],
-        "telemetryChannels": [
-            channel for n, packet in enumerate(telemetry, 1) for channel in _channels(n, packet, deployment)
-        ],
+        "telemetryChannels": [channel for n, packet in enumerate(telemetry, 1) for channel in _channels(n, packet)],
         "records": [],
         "containers": [],
-        "telemetryPacketSets": [_packet_set(telemetry, deployment)],
+        "telemetryPacketSets": [_packet_set(telemetry)],
     }
     return json.dumps(dictionary, indent=2) + "\n"
 
 
-def _types(packet: Packet, deployment: str) -> Iterable[_Json]:
+def _types(packet: Packet) -> Iterable[_Json]:
     for field in packet.body.fields:
-        name = f"{deployment}.{packet.name}_{field.name}"
+        name = f"evstim.{packet.name}_{field.name}"
         if field.choices:
             yield _enumeration(name, field)
         elif field.bits not in _WIDTHS:
@@ -86,41 +84,41 @@ def _integer(name: str) -> _Json:
     return {"name": name, "kind": "integer", "size": int(name[1:]), "signed": name[0] == "I"}
 
 
-def _type(packet: Packet, field: Field, deployment: str) -> _Json:
+def _type(packet: Packet, field: Field) -> _Json:
     if field.choices or field.bits not in _WIDTHS:
-        return {"name": f"{deployment}.{packet.name}_{field.name}", "kind": "qualifiedIdentifier"}
+        return {"name": f"evstim.{packet.name}_{field.name}", "kind": "qualifiedIdentifier"}
     return _integer(f"{'I' if field.signed else 'U'}{field.bits}")
 
 
-def _channels(number: int, packet: Packet, deployment: str) -> Iterable[_Json]:
+def _channels(number: int, packet: Packet) -> Iterable[_Json]:
     for n, field in enumerate(packet.body.fields):
         yield {
-            "name": f"{deployment}.{packet.name}.{field.name}",
-            "type": _type(packet, field, deployment),
+            "name": f"evstim.{packet.name}.{field.name}",
+            "type": _type(packet, field),
             "id": number * _CHANNELS_OF_A_PACKET + n,
             "telemetryUpdate": "always",
             "annotation": _annotation(field),
         }
 
 
-def _packet_set(telemetry: Sequence[Packet], deployment: str) -> _Json:
+def _packet_set(telemetry: Sequence[Packet]) -> _Json:
     members = [
         {
             "name": packet.name,
             "id": number,
             "group": 0,
-            "members": [f"{deployment}.{packet.name}.{field.name}" for field in packet.body.fields],
+            "members": [f"evstim.{packet.name}.{field.name}" for field in packet.body.fields],
         }
         for number, packet in enumerate(telemetry, 1)
     ]
-    return {"name": deployment, "members": members, "omitted": []}
+    return {"name": "evstim", "members": members, "omitted": []}
 
 
-def _command(packet: Packet, deployment: str) -> _Json:
+def _command(packet: Packet) -> _Json:
     parameters = [
         {
             "name": placed.field.name,
-            "type": _type(packet, placed.field, deployment),
+            "type": _type(packet, placed.field),
             "ref": False,
             "annotation": _annotation(placed.field),
         }
@@ -128,7 +126,7 @@ def _command(packet: Packet, deployment: str) -> _Json:
         if placed.identifies is None
     ]
     return {
-        "name": f"{deployment}.{packet.name}",
+        "name": f"evstim.{packet.name}",
         "commandKind": "async",
         "opcode": packet.service << 8 | packet.subtype,
         "formalParams": parameters,

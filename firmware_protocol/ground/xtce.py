@@ -54,10 +54,10 @@ class _Sets:
         Xml.SubElement(self.names, self.word, name=name, shortDescription=meaning, attrib=ref)
 
 
-def xtce_text(packets: Sequence[Packet], name: str = "evstim") -> str:
+def xtce_text(packets: Sequence[Packet]) -> str:
     """Return the XML document."""
     attributes = {"xmlns": NAMESPACE, "xmlns:xsi": _XSI, "xsi:schemaLocation": f"{NAMESPACE} {_SCHEMA}"}
-    root = Xml.Element("SpaceSystem", name=name, attrib=attributes)
+    root = Xml.Element("SpaceSystem", name="evstim", attrib=attributes)
     _telemetry(Xml.SubElement(root, "TelemetryMetaData"), [packet for packet in packets if not packet.is_command])
     _commands(Xml.SubElement(root, "CommandMetaData"), [packet for packet in packets if packet.is_command])
     Xml.indent(root)

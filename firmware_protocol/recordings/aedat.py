@@ -507,14 +507,13 @@ class FrameWords:
     def _frames(self, words: Words) -> Iterator[Frame]:
         waiting = np.concatenate([self._waiting, words]) if len(words) else self._waiting
         while len(waiting):
-            waiting = waiting[
-                int(np.append(~_is_signal(waiting), True).argmax()) :
-            ]  # without signal reads at the start
-            end = _end_of_frame(waiting)
-            if not end:
+            first = int(np.append(~_is_signal(waiting), True).argmax())
+            waiting = waiting[first:]  # without signal reads at the start
+            # A frame ends where there are as many signal reads as reset reads.
+            ends = np.flatnonzero(np.cumsum(np.where(_is_signal(waiting), -1, 1)) == 0)
+            if not len(ends):
                 break
-            frame = self._frame(waiting[:end])
-            waiting = waiting[end:]
+            frame, waiting = self._frame(waiting[: ends[0] + 1]), waiting[ends[0] + 1 :]
             if frame is not None:
                 yield frame
         if len(waiting) > 4 * self._size[0] * self._size[1]:  # reads are missing
@@ -545,10 +544,3 @@ class FrameWords:
 def _is_signal(words: Words) -> npt.NDArray[np.bool_]:
     signal: npt.NDArray[np.bool_] = (words["address"] & _SIGNAL) != 0
     return signal
-
-
-def _end_of_frame(words: Words) -> int:
-    """Return the number of words with as many signal reads as reset reads; 0 if there are not as many yet."""
-    open_reads = np.cumsum(np.where(_is_signal(words), -1, 1))
-    ends = np.flatnonzero(open_reads == 0)
-    return int(ends[0]) + 1 if len(ends) else 0

@@ -18,11 +18,11 @@ all recipients, also those to the device; 128 also before the host has selected 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from firmware_protocol.usb.descriptors import ENGLISH_US, Interface, Speed
+from firmware_protocol.usb.descriptors import Interface, Speed
 from firmware_protocol.usb.device import SetupPacket
 
 EVENT_BYTES = 12
@@ -86,9 +86,5 @@ def descriptor_block(interfaces: Mapping[Speed, Interface]) -> bytes:
     return _HEAD.pack(_DESCRIPTORS_MAGIC, _HEAD.size + len(body), flags) + body
 
 
-def string_block(strings: Sequence[str] = (), language: int = ENGLISH_US) -> bytes:
-    """Return the strings of an interface in one language; without strings there is no language either."""
-    body = struct.pack("<I", min(1, len(strings)))
-    if strings:
-        body += struct.pack("<H", language) + b"".join(text.encode() + b"\0" for text in strings)
-    return _HEAD.pack(_STRINGS_MAGIC, _HEAD.size + len(body), len(strings)) + body
+NO_STRINGS = _HEAD.pack(_STRINGS_MAGIC, _HEAD.size + 4, 0) + bytes(4)
+"""Strings of an interface that has none, and so no language either: a camera's strings are those of its device."""

@@ -9,7 +9,7 @@ from typing import TypeVar
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure, status
-from emulator.report.page import ChartsLacking, check_charts
+from emulator.report.page import ChartsLacking, pyplot
 
 _T = TypeVar("_T")
 
@@ -17,7 +17,7 @@ _T = TypeVar("_T")
 def check_drawing() -> None:
     """Raise Failure where charts cannot be drawn."""
     try:
-        check_charts()
+        pyplot()
     except ChartsLacking as error:
         raise Failure(str(error), LACKING) from error
 

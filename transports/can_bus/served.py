@@ -208,15 +208,10 @@ class ServedBus(CanBus):
 
     async def open(self) -> None:
         """Listen on the port; raises BusDown if the port cannot be opened."""
-        p = self._parameters
         try:
-            self._listener.open(p.host, p.port)
+            self._listener.open(self._parameters.host, self._parameters.port)
         except OSError as error:
-            raise BusDown(
-                error.errno,
-                f"cannot serve a CAN bus on {p.host} port {p.port}: {error.strerror}; another evstim or socketcand may "
-                "use it: stop that one, or give this link another port (0 takes a free one)",
-            ) from error
+            raise BusDown(*error.args) from error
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
         """Pass a frame to the bus; return False if there is no room now."""

@@ -72,6 +72,17 @@ class Stage:
         self.hits += hits
         self.touched += touched
 
+    def hit_places(self, n: int) -> list[int]:
+        """Return the indices of the next `n` units that are hit, and count them."""
+        places = self._where.within(n)
+        self.count(len(places), len(places))
+        self.over = self._where.over
+        return places
+
+
+def _kind_of(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
 
 @dataclass(frozen=True)
 class Fault(Bounded):
@@ -98,7 +109,7 @@ class Fault(Bounded):
 
     def __init_subclass__(cls, *, carriers: tuple[str, ...] = (), effect: type[Stage] | None = None) -> None:
         if "kind" not in vars(cls):
-            cls.kind = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+            cls.kind = _kind_of(cls.__name__)
         cls.carriers = carriers or cls.carriers
         cls.effect = effect or cls.effect
 
@@ -198,10 +209,7 @@ class HitStage(ItemStage[T]):
 
     def is_hit(self) -> bool:
         """Return whether the next item is hit, and count it."""
-        hit = bool(self._where.within(1))
-        self.count(hit, hit)
-        self.over = self._where.over
-        return hit
+        return bool(self.hit_places(1))
 
 
 class Loss(HitStage[T]):
@@ -248,52 +256,29 @@ class Delay(HitStage[T]):
         return held
 
 
+_BUILT_IN = {
+    "transports.faults.usb": (
+        "UsbSilence", "UsbStall", "ShortTransfers", "EmptyTransfers", "FifoOverflow", "ControlStall", "SlowControl",
+        "UsbUnplugged", "WrongVersion", "RegisterFlip",
+    ),
+    "transports.faults.words": (
+        "OddBytes", "StaleData", "TimeBack", "TimeAhead", "TimeFrozen", "MissedWraps", "RepeatedEvents",
+    ),
+    "transports.faults.line": (
+        "BitFlips", "InsertedBytes", "LostBytes", "Burst", "Overrun", "StuckLine", "WrongBaud", "Stall", "Unplugged",
+    ),
+    "transports.faults.datagrams": ("LostDatagrams", "RepeatedDatagrams", "LateDatagrams"),
+    "transports.gige.packet_faults": ("RefusedResends", "LostHeartbeat", "LinkDown", "IpChange"),
+    "transports.faults.bus": (
+        "LostFrames", "RepeatedFrames", "ReorderedFrames", "ChangedFrames", "ErrorFrames", "BusOff", "DeadBus",
+        "BabblingIdiot",
+    ),
+}  # fmt: skip
+
 FAULTS: Registry[type[Fault]] = Registry(
     "evstim.faults",
     type[Fault],
-    {
-        "usb_silence": "transports.faults.usb:UsbSilence",
-        "usb_stall": "transports.faults.usb:UsbStall",
-        "short_transfers": "transports.faults.usb:ShortTransfers",
-        "empty_transfers": "transports.faults.usb:EmptyTransfers",
-        "odd_bytes": "transports.faults.words:OddBytes",
-        "fifo_overflow": "transports.faults.usb:FifoOverflow",
-        "control_stall": "transports.faults.usb:ControlStall",
-        "slow_control": "transports.faults.usb:SlowControl",
-        "usb_unplugged": "transports.faults.usb:UsbUnplugged",
-        "wrong_version": "transports.faults.usb:WrongVersion",
-        "register_flip": "transports.faults.usb:RegisterFlip",
-        "stale_data": "transports.faults.words:StaleData",
-        "time_back": "transports.faults.words:TimeBack",
-        "time_ahead": "transports.faults.words:TimeAhead",
-        "time_frozen": "transports.faults.words:TimeFrozen",
-        "missed_wraps": "transports.faults.words:MissedWraps",
-        "repeated_events": "transports.faults.words:RepeatedEvents",
-        "bit_flips": "transports.faults.line:BitFlips",
-        "inserted_bytes": "transports.faults.line:InsertedBytes",
-        "lost_bytes": "transports.faults.line:LostBytes",
-        "burst": "transports.faults.line:Burst",
-        "overrun": "transports.faults.line:Overrun",
-        "stuck_line": "transports.faults.line:StuckLine",
-        "wrong_baud": "transports.faults.line:WrongBaud",
-        "stall": "transports.faults.line:Stall",
-        "unplugged": "transports.faults.line:Unplugged",
-        "lost_datagrams": "transports.faults.datagrams:LostDatagrams",
-        "repeated_datagrams": "transports.faults.datagrams:RepeatedDatagrams",
-        "late_datagrams": "transports.faults.datagrams:LateDatagrams",
-        "refused_resends": "transports.gige.packet_faults:RefusedResends",
-        "lost_heartbeat": "transports.gige.packet_faults:LostHeartbeat",
-        "link_down": "transports.gige.packet_faults:LinkDown",
-        "ip_change": "transports.gige.packet_faults:IpChange",
-        "lost_frames": "transports.faults.bus:LostFrames",
-        "repeated_frames": "transports.faults.bus:RepeatedFrames",
-        "reordered_frames": "transports.faults.bus:ReorderedFrames",
-        "changed_frames": "transports.faults.bus:ChangedFrames",
-        "error_frames": "transports.faults.bus:ErrorFrames",
-        "bus_off": "transports.faults.bus:BusOff",
-        "dead_bus": "transports.faults.bus:DeadBus",
-        "babbling_idiot": "transports.faults.bus:BabblingIdiot",
-    },
+    {_kind_of(name): f"{module}:{name}" for module, names in _BUILT_IN.items() for name in names},
     name_of=attrgetter("kind"),
 )
 """Types of faults by the kind that rigs write."""

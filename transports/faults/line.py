@@ -73,11 +73,9 @@ class _Insertions(ByteStage):
         self._where = Places(fault, where)
 
     def change(self, data: bytes) -> bytes:
-        places = self._where.within(len(data))
-        self._hit(places, len(places))
-        self.over = self._where.over
+        self.places = self.hit_places(len(data))
         parts, begin = [], 0
-        for place in places:
+        for place in self.places:
             parts += [data[begin:place], self._bytes.bytes(1)]
             begin = place
         return b"".join((*parts, data[begin:]))

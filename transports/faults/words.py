@@ -98,10 +98,8 @@ class _OddEnds(WordStage):
         return max_bytes - 2 if self._fault.change == "extra" else max_bytes
 
     def change(self, sent: SentWords) -> SentWords:
-        if not len(sent.words) or sent.odd or not self._where.within(1):
+        if not len(sent.words) or sent.odd or not self.hit_places(1):
             return sent
-        self.count(1, 1)
-        self.over = self._where.over
         if self._fault.change == "extra":
             return SentWords(sent.words, sent.origin, self._random.bytes(1))
         return SentWords(sent.words[:-1], sent.origin[:-1], sent.words[-1:].tobytes()[:1])
@@ -128,9 +126,7 @@ class _Repetition(WordStage):
 
     def change(self, sent: SentWords) -> SentWords:
         columns = np.flatnonzero(is_column(sent.words))
-        twice = columns[self._where.within(len(columns))]
-        self.count(len(twice), len(twice))
-        self.over = self._where.over
+        twice = columns[self.hit_places(len(columns))]
         words = np.insert(sent.words, twice + 1, sent.words[twice])
         return SentWords(words, np.insert(sent.origin, twice + 1, sent.origin[twice]), sent.odd)
 
@@ -143,9 +139,7 @@ class RepeatedEvents(HitFault, carriers=(USB_LINK,), effect=_Repetition):
 class _MissedWraps(WordStage):
     def change(self, sent: SentWords) -> SentWords:
         wraps = np.flatnonzero(_is_wrap(sent.words))
-        gone = wraps[self._where.within(len(wraps))]
-        self.count(len(gone), len(gone))
-        self.over = self._where.over
+        gone = wraps[self.hit_places(len(wraps))]
         good = np.ones(len(sent.words), np.bool_)
         good[gone] = False
         return sent.only(good)

@@ -265,14 +265,7 @@ class ClientGroup:
 
     def open(self, port: int) -> None:
         """Listen; raises OSError, with the remedy, when the port cannot be opened."""
-        try:
-            self._listener.open(self._host, port)
-        except OSError as error:
-            raise OSError(
-                error.errno,
-                f"cannot listen on {self._host} port {port}: {error.strerror or error}; another program may use "
-                "it: stop that one, or give this link another port (0 takes a free one)",
-            ) from error
+        self._listener.open(self._host, port)
 
     @property
     def address(self) -> str | None:

@@ -394,7 +394,8 @@ class NpzReader:
                 self._damage = f"it is cut at octet {path.stat().st_size}, in {cut or 'its directory'}"
             names = {name.removesuffix(".npy") for name in archive.namelist()}
             arrays = _members(archive, {*_RESTARTS.values(), "size"} - {cut})
-            self._starts = {name: _last(arrays.get(key, _NONE)) for name, key in _RESTARTS.items()}
+            restarts = {name: arrays.get(key, _NONE).ravel() for name, key in _RESTARTS.items()}
+            self._starts = {name: int(indices[-1]) if indices.size else 0 for name, indices in restarts.items()}
             pictures = {name for name in names if re.fullmatch("pictures/(light|depth|flow|labels)", name)} - {cut}
             if pictures:
                 with archive.open(f"{min(pictures)}.npy") as file:
@@ -504,11 +505,6 @@ class _Waiting:
             self._next = self._next[n:]
             limit -= n
         return np.concatenate(taken)
-
-
-def _last(starts: npt.NDArray[Any]) -> int:
-    """Return the last of the indices at which the clock was restarted; 0 for none."""
-    return int(starts.ravel()[-1]) if starts.size else 0
 
 
 def _frames(records: npt.NDArray[Any]) -> tuple[Frame, ...]:

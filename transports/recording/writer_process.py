@@ -214,7 +214,9 @@ def serve_writer(
     try:
         file = opened()
     except BaseException as error:  # noqa: BLE001 a panic of Rust is no Exception
-        _report(error=reason(error), errno=getattr(error, "errno", None) or _errno_in(str(error)))
+        # A library may name the operating system's error in the text of its own.
+        match = re.search(r"errno = (\d+)|os error (\d+)", str(error))
+        _report(error=reason(error), errno=getattr(error, "errno", None) or int(match[1] or match[2] if match else 0))
         return
     _report(opened=True)
     try:
@@ -225,12 +227,6 @@ def serve_writer(
             file.close()
     else:
         _report(trouble="", **report(file))
-
-
-def _errno_in(text: str) -> int:
-    """Return the number of the operating system's error that a library names in its own error, 0 without."""
-    match = re.search(r"errno = (\d+)|os error (\d+)", text)
-    return int(match[1] or match[2]) if match else 0
 
 
 def _report(**values: Any) -> None:

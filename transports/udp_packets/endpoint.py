@@ -173,15 +173,10 @@ def listen_udp(
 
     with closing(DatagramInlet(ports.host, ports.port, ports.allow)) as inlet:
         inlet.open(_RECEIVE_BUFFER)
-        _send(ports, [receiving.receiver.wrap(command) for command in commands])
+        if commands:
+            with closing(DatagramOutlet(ports.command_host, ports.command_port)) as outlet:
+                outlet.open()
+                for command in commands:
+                    outlet.send(receiving.receiver.wrap(command))
         receive(lambda: receiving.now, goes_on, turn)
     return receiving.finish(gone=False)
-
-
-def _send(ports: Ports, commands: Sequence[bytes]) -> None:
-    if not commands:
-        return
-    with closing(DatagramOutlet(ports.command_host, ports.command_port)) as outlet:
-        outlet.open()
-        for command in commands:
-            outlet.send(command)

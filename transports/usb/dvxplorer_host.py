@@ -10,8 +10,6 @@ time, gets that of the last word.
 
 from __future__ import annotations
 
-import numpy as np
-
 from firmware_protocol.dvxplorer.decoder import GroupDecoder
 from firmware_protocol.dvxplorer.device import PRODUCT_ID
 from firmware_protocol.dvxplorer.frame_stream import SAMPLE_BYTES, sample_of
@@ -19,7 +17,7 @@ from firmware_protocol.dvxplorer.frame_words import FrameDecoder
 from firmware_protocol.dvxplorer.registers import SIZE, Chip, registers
 from firmware_protocol.fx3.camera import VENDOR_ID
 from firmware_protocol.fx3.registers import Access, Module
-from firmware_protocol.imu_samples import ImuSamples, no_samples
+from firmware_protocol.imu_samples import ImuSamples
 from transports.usb.fx3_host import ENABLE_IMU, SOURCES_OFF, Entry, Fx3Host, Fx3Info, WordDecoder
 from transports.usb.host import BulkReader, StreamSettings, UnsuitableDevice, UsbHost
 
@@ -117,8 +115,7 @@ class MicroHost(Fx3Host):
         """Return the samples since the last call, (n,) IMU_SAMPLE, each with the time of the last word."""
         while self._samples is not None and (data := self._samples.read(0.0)) is not None:
             self._take_sample(data)
-        samples, self._imu = self._imu, []
-        return np.concatenate([no_samples(), *samples])
+        return super().take_imu()
 
     def _take_sample(self, data: bytes) -> None:
         assert isinstance(self._decoder, FrameDecoder)

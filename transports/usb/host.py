@@ -157,10 +157,14 @@ class CameraHost(ABC, Generic[_Info]):
 
     def read(self, timeout_s: float) -> Events | None:
         """Return the next transfer's events, in device time, none if it has times only; None when none came in time."""
+        data = self.read_words(timeout_s)
+        return None if data is None else self._decode(data)
+
+    def read_words(self, timeout_s: float) -> bytes | None:
+        """Return the next transfer's words as they are; None when none came in time."""
         if self._reader is None:
             raise RuntimeError("the camera is not started")
-        data = self._reader.read(timeout_s)
-        return None if data is None else self._decode(data)
+        return self._reader.read(timeout_s)
 
     def take_edges(self) -> Edges:
         """Return the edges read since the last call, (n,) EDGE in device time, if the start enabled them."""
@@ -177,10 +181,13 @@ class CameraHost(ABC, Generic[_Info]):
 
     def stop(self) -> Events:
         """Stop the camera and the stream; return the events that were still in transit."""
+        return np.concatenate([empty_events(), *map(self._decode, self.stop_words())])
+
+    def stop_words(self) -> list[bytes]:
+        """Stop the camera and the stream; return the transfers that were still in transit."""
         self._end_stream()
         reader, self._reader = self._reader, None
-        remaining = [self._decode(data) for data in reader.close()] if reader else []
-        return np.concatenate([empty_events(), *remaining])
+        return reader.close() if reader else []
 
     def close(self) -> None:
         """Stop the camera, if it is still there, and close it."""

@@ -153,18 +153,6 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
         for address, value in (*self._sensor.formats[form], *self._sensor.start):
             self.write_register(address, value)
 
-    def read_words(self, timeout_s: float) -> bytes | None:
-        """Return the next transfer's words as they are; None when none came in time."""
-        if self._reader is None:
-            raise RuntimeError("the camera is not started")
-        return self._reader.read(timeout_s)
-
-    def stop_words(self) -> list[bytes]:
-        """Stop the camera and the stream; return the transfers that were still in transit."""
-        self._end_stream()
-        reader, self._reader = self._reader, None
-        return reader.close() if reader else []
-
     def _end_stream(self) -> None:
         for address, value in self._sensor.stop:
             self.write_register(address, value)

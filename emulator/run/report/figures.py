@@ -32,7 +32,8 @@ def timeline(of: ReportContent, marked: Sequence[Happening]) -> str:
     if not len(on) and not lanes:
         return ""
     highest_hz = max(float(on.max(initial=0)), float(off.max(initial=0)))
-    scale, unit = _unit(highest_hz)
+    scales = ((1e6, "Mev/s"), (1e3, "kev/s"))
+    scale, unit = next((named for named in scales if highest_hz >= named[0]), (1.0, "events/s"))
     end_s = max(seconds, len(on) * bin_s, 1e-3)
     y = Axis(unit, 0.0, highest_hz / scale * 1.08 or 1.0)
     text = f"Event rate over {seconds:.4g} s of stream time, at most {highest_hz:.4g} events/s of a polarity"
@@ -40,13 +41,6 @@ def timeline(of: ReportContent, marked: Sequence[Happening]) -> str:
     edges = np.arange(len(on) + 1) * bin_s
     chart = Chart(Axis("stream time, s", 0.0, end_s), y, text, lanes=lanes)
     return chart.steps(edges, off / scale, "off").steps(edges, on / scale, "on").svg()
-
-
-def _unit(most_hz: float) -> tuple[float, str]:
-    for scale, unit in ((1e6, "Mev/s"), (1e3, "kev/s")):
-        if most_hz >= scale:
-            return scale, unit
-    return 1.0, "events/s"
 
 
 def _lanes(of: ReportContent, marked: Sequence[Happening]) -> Iterator[Lane]:

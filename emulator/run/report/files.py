@@ -8,7 +8,7 @@ in the same folder is not taken for that of a run that was killed.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -114,17 +114,10 @@ def page_of(of: ReportContent, json_digest: str) -> Document:
     test = of.circumstances.test
     subtitle = f"run by the test {test}" if test else of.rig.title
     page = Document(f"{of.rig.name}: report of a run", subtitle, of.verdict, verdict_words(of.rules))
-    for section in _sections(of, json_digest):
-        page.add(section)
-    return page
-
-
-def _sections(of: ReportContent, json_digest: str) -> Iterator[Section]:
     for section in (_rules, _run, _timeline, _ledger, _latency, _pictures, _modelled, _machine):
-        yield section(of)
-    yield _signature(of, json_digest)
-    if of.rig.source is not None:
-        yield _file(of.rig.source.path, of.rig.source.text)
+        page.add(section(of))
+    page.add(_signature(of, json_digest))
+    return page if of.rig.source is None else page.add(_file(of.rig.source.path, of.rig.source.text))
 
 
 def _rules(of: ReportContent) -> Section:
@@ -187,7 +180,11 @@ def _timeline(of: ReportContent) -> Section:
         Column("link", "link"), Column("what", "what"), Column("by", "by"),
     ]  # fmt: skip
     rows = [
-        {**asdict(happening), "t_s": f"{happening.t_s:.6f}", "until_s": _seconds(happening.until_s)}
+        {
+            **asdict(happening),
+            "t_s": f"{happening.t_s:.6f}",
+            "until_s": None if happening.until_s is None else f"{happening.until_s:.6f}",
+        }
         for happening in marked
     ]
     section.table("Faults, triggers and commands", columns, rows)
@@ -199,10 +196,6 @@ def _timeline(of: ReportContent) -> Section:
         for record in link.faults
     ]
     return section.table("Effects of the faults", _FAULT_COLUMNS, effects)
-
-
-def _seconds(value: float | None) -> str | None:
-    return None if value is None else f"{value:.6f}"
 
 
 _FAULT_COLUMNS = [

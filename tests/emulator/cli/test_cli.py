@@ -99,7 +99,7 @@ def test_doctor_names_a_fix_for_everything_that_is_missing(json_of):
 
 
 def finding(name, fix=None):
-    return Finding(name, good=fix is None, detail=f"version of {name}", needed_for="a test", fix=fix)
+    return Finding(name, detail=f"version of {name}", needed_for="a test", fix=fix)
 
 
 def test_doctor_is_short_where_all_is_well_and_names_what_is_missing(monkeypatch, capsys):

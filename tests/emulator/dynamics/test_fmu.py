@@ -7,9 +7,8 @@ import zipfile
 
 import pytest
 
-from emulator.dynamics import fmu
-from emulator.dynamics.flight import DynamicsError, FlightEnded, Mapping
-from emulator.dynamics.fmu import Fmu
+from emulator.dynamics import flight
+from emulator.dynamics.flight import DynamicsError, FlightEnded, Fmu, Mapping
 
 pytestmark = pytest.mark.system
 
@@ -40,7 +39,7 @@ def test_an_fmu_that_fails_in_flight(falling, version, trouble, told, unpacked):
 
 
 def test_an_fmu_that_hangs(falling, monkeypatch, unpacked):
-    monkeypatch.setattr(fmu, "_STEP_S", 0.5)
+    monkeypatch.setattr(flight, "_STEP_S", 0.5)
     with (
         Fmu(falling(2), FALL, ("trouble",)) as unit,
         pytest.raises(FlightEnded, match=r"does not answer within 0\.5 s"),

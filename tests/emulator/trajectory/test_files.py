@@ -130,8 +130,8 @@ def test_euler_angles_are_not_read():
 def test_a_flight_file():
     text = "start 0 0 100 90 -90 0  # down\n1 0 0 0 0 0\npause 2\n\nquaternion 5 6 7 1 0 0 0\nsun_position 1 2 3\n"
     flight = parse_flight(text, 0.1)
-    poses = flight.samples.poses
-    assert flight.samples.times_ns == [0, S // 10, S // 10 + 2 * S, S // 10 + 2 * S + S // 10]
+    poses = flight.poses
+    assert flight.times_ns == [0, S // 10, S // 10 + 2 * S, S // 10 + 2 * S + S // 10]
     np.testing.assert_allclose(poses[0].world_from_body @ [0, 0, 1], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(poses[0].world_from_body @ [0, -1, 0], [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(poses[1].position_m, [1, 0, 100])

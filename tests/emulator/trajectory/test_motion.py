@@ -43,7 +43,7 @@ def test_kepler_s_equation_is_solved(mean, eccentricity):
 def test_an_orbit_refuses_what_does_not_return():
     with pytest.raises(ValueError, match="eccentricity is 1"):
         Elements(1.0, 1.0, 1.0)
-    with pytest.raises(ValueError, match="gm_m3_s2 is -1"):
+    with pytest.raises(ValueError, match="gm_m3_s2 must be above 0, got -1"):
         Elements(-1.0, 1.0)
 
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from ground_packets import COMMANDS, SAMPLES
 
-from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files
+from firmware_protocol.ground.cosmos import cosmos_files
 from firmware_protocol.ground.description import instrument_packets
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from own_environments import python_with
 
-FILES = cosmos_files(instrument_packets(), CosmosPorts("192.168.1.7", 4000, 5000))
+FILES = cosmos_files(instrument_packets(), "192.168.1.7", 4000, 5000)
 TELEMETRY = FILES["targets/EVSTIM/cmd_tlm/tlm.txt"]
 
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
-from firmware_protocol.usb.functionfs import descriptor_block, string_block
+from firmware_protocol.usb.functionfs import NO_STRINGS, descriptor_block
 from transports.faults.faulty_device import FaultyDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointReport, LinkBroken
@@ -136,7 +136,7 @@ class GadgetEndpoint(Endpoint):
         of_camera = configurations[Speed.FULL].endpoint_addresses
         used = {place: address for place, address in places.items() if address in of_camera}
         try:
-            return FunctionFiles(self._gadget.mount, (descriptor_block(interfaces), string_block()), used)
+            return FunctionFiles(self._gadget.mount, (descriptor_block(interfaces), NO_STRINGS), used)
         except OSError as error:
             raise GadgetError(
                 f"cannot give the kernel the camera's interface in {self._gadget.mount}: {error}; `evstim gadget down` "

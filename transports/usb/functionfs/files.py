@@ -69,11 +69,13 @@ def _checked(count: int) -> int:
     return count
 
 
-@contextlib.contextmanager
-def _expected(number: int) -> Iterator[None]:
-    """Suppress the expected error, which reports that a halt was executed."""
+def _halt(fd: int, *, is_in: bool, number: int) -> None:
+    """Transfer in the wrong direction, which the kernel executes as a halt and reports as the error `number`."""
     try:
-        yield
+        if is_in:
+            _read(fd, 0)
+        else:
+            _write(fd, b"")
     except OSError as error:
         if error.errno != number:
             raise
@@ -114,12 +116,8 @@ class ControlFile:
         return _read(self._fd, length)
 
     def refuse(self, *, is_in: bool) -> None:
-        """Halt the request by a transfer in the wrong direction, which the kernel answers with EL2HLT."""
-        with _expected(errno.EL2HLT):
-            if is_in:
-                _read(self._fd, 0)
-            else:
-                _write(self._fd, b"")
+        """Halt the request."""
+        _halt(self._fd, is_in=is_in, number=errno.EL2HLT)
 
     def close(self) -> None:
         """Close ep0: the kernel disconnects the gadget from its controller."""
@@ -172,12 +170,8 @@ class EndpointFile:
             signal.pthread_kill(thread, WAKE_SIGNAL)
 
     def halt(self) -> None:
-        """Halt the endpoint until the host clears it, by a transfer in the wrong direction, which returns EBADMSG."""
-        with _expected(errno.EBADMSG):
-            if self.is_in:
-                _read(self._fd, 0)
-            else:
-                _write(self._fd, b"")
+        """Halt the endpoint until the host clears it."""
+        _halt(self._fd, is_in=self.is_in, number=errno.EBADMSG)
 
     def close(self) -> None:
         """Close the file."""

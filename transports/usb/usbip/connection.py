@@ -37,7 +37,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol, TypeGuard
+from typing import Protocol
 
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 from firmware_protocol.usb.usbip import (
@@ -176,7 +176,8 @@ class Connection(asyncio.BufferedProtocol):
         """Store the transport of a connected socket."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
-        self.peer = _name(transport)
+        address = transport.get_extra_info("peername")
+        self.peer = f"{address[0]}:{address[1]}" if isinstance(address, tuple) else "local socket"
         _tune(transport.get_extra_info("socket"), self._settings)
         # Blocked as soon as one byte waits: the device holds its data until the socket accepts them.
         transport.set_write_buffer_limits(high=0)
@@ -271,12 +272,12 @@ class Connection(asyncio.BufferedProtocol):
                 message = self._parser.next_message()
                 if message is None:
                     break
-                if not _waits_for_data(message):
+                if isinstance(message, Submit) and message.is_in and message.endpoint:  # it reads data
+                    has_first = has_first or not self._pending.get(message.endpoint)
+                else:
                     if not is_fed:
                         self._bus.attend()
                     is_fed = True
-                elif not self._pending.get(message.endpoint):
-                    has_first = True
                 self._handle(message)
         except UsbipError as error:
             log.warning("%s: closed, the peer broke the protocol: %s", self.peer, error)
@@ -426,16 +427,6 @@ class Connection(asyncio.BufferedProtocol):
     def _operation_overdue(self) -> None:
         log.warning("%s: closed, no device requested within %g s", self.peer, self._settings.operation_timeout_s)
         self._transport.abort()
-
-
-def _waits_for_data(message: Request) -> TypeGuard[Submit]:
-    """Return True for a URB that reads an endpoint of data."""
-    return isinstance(message, Submit) and message.is_in and message.endpoint != 0
-
-
-def _name(transport: asyncio.Transport) -> str:
-    peer = transport.get_extra_info("peername")
-    return f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else "local socket"
 
 
 def _tune(sock: socket.socket, settings: ConnectionSettings) -> None:

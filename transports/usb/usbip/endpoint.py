@@ -54,14 +54,7 @@ class UsbipEndpoint(Endpoint):
 
     async def start(self) -> None:
         """Listen; raises OSError, with the remedy, when the port cannot be opened."""
-        try:
-            await self._server.start(self._at.host, self._at.port)
-        except OSError as error:
-            raise OSError(
-                error.errno,
-                f"cannot listen on {self._at.host} port {self._at.port}: {error.strerror}; another evstim or usbipd "
-                "may use it: stop that one, or give this link another port (0 takes a free one)",
-            ) from error
+        await self._server.start(self._at.host, self._at.port)
         self._port = self._server.port
 
     def pump(self) -> None:
