@@ -35,7 +35,7 @@ import numpy.typing as npt
 from emulator.scene.bodies.cast_shadow import TriangleTree
 from emulator.scene.bodies.compiled import Numbers, Point, cross, dot, entry, kernel, minus, plus, row
 from emulator.scene.bodies.shadow_polygons import Polygons, Triangles, add_triangle
-from emulator.scene.bodies.sun_rays import RayTree, Verdicts, Window, corner, depth_in, first_met, look_to_sun, next_met
+from emulator.scene.bodies.sun_rays import SUNLIT, RayTree, Window, corner, depth_in, first_met, look_to_sun, next_met
 from emulator.threads import ThreadPool
 from firmware_protocol.events import Floats, Int64s
 
@@ -388,9 +388,8 @@ class ShadowEdges:
         lifted = np.ascontiguousarray(vertices + _LIFT * side_m * normals)
         self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, np.ascontiguousarray(normals), first)
         self._body, self._tree, self._pool = body, RayTree.of(tree), pool
-        self._verdicts = Verdicts.unknown(len(vertices))
+        self._hiding = np.full(len(vertices), SUNLIT)
         self._is_hidden = np.full(len(vertices), -1, np.int8)
-        self._sun, self._moved_rad = np.zeros(3), 0.0
         self._sides = [
             Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
         ]
@@ -398,7 +397,6 @@ class ShadowEdges:
     def begin(self, sun: Floats, radius_rad: float) -> None:
         """Begin a light frame with the Sun in direction `sun`, (3,): no vertex is tested yet."""
         self._is_hidden.fill(-1)
-        self._moved_rad = float(np.linalg.norm(sun - self._sun))
         self._sun, self._radius_rad = sun, radius_rad
 
     def hidden_from_sun(self, chosen: Numbers, count: int, window: Window) -> npt.NDArray[np.int8]:
@@ -408,7 +406,7 @@ class ShadowEdges:
         def work(part: tuple[int, int], _: int) -> None:
             look_to_sun(
                 self._tree, receiver.lifted, receiver.normals, chosen, part, window, self._sun, self._radius_rad,
-                self._moved_rad, self._verdicts, self._is_hidden,
+                self._hiding, self._is_hidden,
             )  # fmt: skip
 
         self._share(work, count, _POINTS_A_PART)
