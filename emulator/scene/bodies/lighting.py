@@ -408,7 +408,7 @@ class Lighting:
             facets = FrameFacets(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
             suns = Suns(row(group.suns, 0), row(group.suns, 1), step_s, radius)
             polygons.append(body.edges.cut(Lights(out, dark), suns, self._window(group), facets))
-            out = np.where(hidden == 1, dark, out)
+            np.copyto(out, dark, where=hidden == 1)
         return Radiance(*out, *dark)
 
     def _choose(self, body: _Lit, group: _Seen) -> tuple[int, npt.NDArray[np.int8]]:

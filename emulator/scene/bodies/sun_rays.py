@@ -28,31 +28,6 @@ def corner(corners: Floats, k: int, number: int) -> Point:
     return vertex(corners[k // corners.shape[2], :, k % corners.shape[2]], number)
 
 
-class RayTree(NamedTuple):
-    """A tree for rays: three levels of a binary one are one, so that eight boxes, or a leaf's triangles, are a vector.
-
-    Node i of the binary tree has the boxes 8 i to 8 i + 7 below it.
-
-    Attributes
-    ----------
-    binary : the tree.
-    boxes : (any, 6, 8) m, middle and half the sides of its nodes 8 k to 8 k + 7.
-    first : the number of boxes that a ray tests first, those of the highest level that has whole nodes below it.
-    """
-
-    binary: TriangleTree
-    boxes: Floats
-    first: int
-
-    @classmethod
-    def of(cls, tree: TriangleTree) -> RayTree:
-        """Return the same tree for rays."""
-        boxes = np.zeros((-(-len(tree.boxes) // 8) * 8, 6))
-        boxes[: len(tree.boxes)] = tree.boxes
-        depth = len(tree.sizes).bit_length() - 1
-        return cls(tree, boxes.reshape(-1, 8, 6).transpose(0, 2, 1).copy(), 1 << (depth % 3 or min(depth, 3)))
-
-
 @kernel
 def _boxes_met(boxes: Floats, k: int, point: Point, inverse: Point, size: Point) -> Any:
     """Return the boxes of a row that a ray meets, a bit each; `size` is that of `inverse`.
@@ -94,7 +69,7 @@ def _triangles_met(corners: Floats, leaf: int, point: Point, sun: Point) -> Any:
 
 
 @kernel
-def first_met(tree: RayTree, point: Point, sun: Point) -> int:
+def first_met(tree: TriangleTree, point: Point, sun: Point) -> int:
     """Return the first triangle, in the order of the tree, between a point and the Sun's middle; SUNLIT for none."""
     inverse = inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2])
     size = abs(inverse[0]), abs(inverse[1]), abs(inverse[2])
@@ -108,22 +83,22 @@ def first_met(tree: RayTree, point: Point, sun: Point) -> int:
             continue
         node = 8 * k + _LOWEST[met & 255]
         met &= met - 1
-        leaf = node - len(tree.binary.sizes)
+        leaf = node - len(tree.sizes)
         if leaf < 0:
             k = node
             met = met << 8 | _boxes_met(tree.boxes, k, point, inverse, size)
             continue
-        triangles = _triangles_met(tree.binary.corners, leaf, point, sun)
+        triangles = _triangles_met(tree.corners, leaf, point, sun)
         if triangles:
-            return int(tree.binary.corners.shape[2] * leaf + _LOWEST[triangles])
+            return int(tree.corners.shape[2] * leaf + _LOWEST[triangles])
     return SUNLIT
 
 
 @kernel
-def next_met(tree: RayTree, before: int, point: Point, sun: Point) -> int:
+def next_met(tree: TriangleTree, before: int, point: Point, sun: Point) -> int:
     """Return `first_met`, or a triangle of the leaf of triangle `before` that is met, for which no tree is searched."""
     if before >= 0:
-        corners = tree.binary.corners
+        corners = tree.corners
         leaf = before // corners.shape[2]
         triangles = _triangles_met(corners, leaf, point, sun)
         if triangles:
@@ -161,8 +136,8 @@ def depth_in(window: Window, point: Point) -> float:
 
 @entry
 def look_to_sun(  # noqa: PLR0913, PLR0917
-    tree: RayTree, points: Floats, normals: Floats, chosen: Numbers, part: tuple[int, int], window: Window, sun: Floats,
-    radius_rad: float, hiding: Int64s, is_hidden: npt.NDArray[np.int8]
+    tree: TriangleTree, points: Floats, normals: Floats, chosen: Numbers, part: tuple[int, int], window: Window,
+    sun: Floats, radius_rad: float, hiding: Int64s, is_hidden: npt.NDArray[np.int8]
 ) -> None:  # fmt: skip
     """Write whether the Sun's middle is hidden from the chosen points that the camera may see: 0 or 1, else -1.
 
