@@ -245,7 +245,7 @@ class Frame(NamedTuple):
     w: Point
 
 
-DUST = 1e-9  # shares below that are rounding
+_DUST = 1e-9  # shares below that are rounding
 _NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are cut off
 
 
@@ -341,14 +341,13 @@ def inverse_of(x: float) -> float:
 
 
 @kernel
-def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m: float, enough: float) -> float:
-    """Return the covered share of a disc around a direction, each layer counted: above 1 where there are several.
+def _covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m: float) -> float:
+    """Return the covered share of a disc around a direction, each layer counted until it is the whole disc.
 
     Parameters
     ----------
     point, sun : m, and the unit direction of the disc's middle, in the tree's frame.
     tangent : of the disc's angular radius.
-    enough : the traversal may end at this share.
     """
     boxes, sizes, corners, _ = tree
     # Axes across the Sun that are longer by 1 / tangent: the disc has the radius 1.
@@ -369,8 +368,8 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
                 height = dot(outward, point) - dot(outward, vertex(triangle, 0))
                 if height > near_m * math.sqrt(dot(outward, outward)):
                     area += triangle_area(triangle, point, axes)
-            if area >= math.pi * enough:
-                return enough
+            if area >= math.pi * (1.0 - _DUST):
+                return 1.0
         node = after(node)
         if node == 1:
             return area / math.pi
@@ -381,8 +380,8 @@ def _hide(tree: TriangleTree, point: Point, moved: Floats, tangent: float, near_
     """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
     x, y, z = dot(row(moved, 0), point), dot(row(moved, 1), point), dot(row(moved, 2), point)
     place = x + moved[0, 3], y + moved[1, 3], z + moved[2, 3]
-    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m, 1.0 - DUST)
-    return 0.0 if hidden < DUST else hidden if hidden < 1.0 - DUST else 1.0
+    hidden = _covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m)
+    return 0.0 if hidden < _DUST else hidden
 
 
 @entry
@@ -398,7 +397,7 @@ def dim(
     chosen, count : numbers of points, (count,) used.
     moved : (2, 3, 5), now and an instant later: a rotation and a translation from the points' frame into the tree's,
         and in the last column the Sun's direction in the tree's frame.
-    tangent, near_m : of the Sun's radius, and of `covered`.
+    tangent, near_m : of the Sun's radius, and of `_covered`.
     shares : (2, count), now and an instant later.
     """
     for i in range(count):

@@ -78,9 +78,9 @@ def with_thirds(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
     """
     sides, number = middles_of(mesh, np.ones(mesh.faces.shape, np.bool_))
     bends_m = np.linalg.norm(_bends(mesh, sides), axis=1)
-    split = (bends_m > least_m)[number].reshape(mesh.faces.shape)
-    _, number = middles_of(mesh, split)
-    bends_m = bends_m[bends_m > least_m]
+    kept = bends_m > least_m
+    split = kept[number].reshape(mesh.faces.shape)
+    number, bends_m = (np.cumsum(kept) - 1)[number[split.ravel()]], bends_m[kept]
     # Two points a side, from its end with the lower number; then one within each facet whose sides are all cut.
     falls = (mesh.faces > np.roll(mesh.faces, -1, axis=1))[split]
     first = len(mesh.vertices)
