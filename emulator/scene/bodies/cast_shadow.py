@@ -215,10 +215,10 @@ def _fill(triangles: Floats, starts: Int32s, order: Int32s, boxes: Floats, corne
                     high = max(high, boxes[child >> 3, 3 + axis, child & 7])
             boxes[node >> 3, axis, node & 7], boxes[node >> 3, 3 + axis, node & 7] = low, high
     for node in range(1, 2 * leaves):
-        low, high = middle_of(boxes, node), half_of(boxes, node)
+        least, greatest = middle_of(boxes, node), half_of(boxes, node)
         for axis in range(3):
-            boxes[node >> 3, axis, node & 7] = (low[axis] + high[axis]) / 2
-            boxes[node >> 3, 3 + axis, node & 7] = (high[axis] - low[axis]) / 2
+            boxes[node >> 3, axis, node & 7] = (least[axis] + greatest[axis]) / 2
+            boxes[node >> 3, 3 + axis, node & 7] = (greatest[axis] - least[axis]) / 2
 
 
 @kernel
