@@ -93,7 +93,12 @@ def with_thirds(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
     cut = _with_points(mesh, between, split)
     uncut, fine = lit_surface(mesh, smooth=True), lit_surface(cut, smooth=True)
     fine.lean[:first] = np.maximum(fine.lean[:first], uncut.lean)
-    surface = dataclasses.replace(fine, faces=mesh.faces, shades=mesh.faces, between=between)
+    tints: dict[str, Any] = {}
+    for name in mesh.tints(np.ravel):
+        of_corners = getattr(uncut, name)
+        tints[name] = np.append(of_corners, np.empty(len(cut.vertices) - first))
+        tints[name][between[between >= 0]] = (of_corners[mesh.faces] @ _SHARES.T)[between >= 0]
+    surface = dataclasses.replace(fine, faces=mesh.faces, shades=mesh.faces, between=between, **tints)
     return surface, Sides(mesh.faces, between, np.append(np.repeat(bends_m, 2), np.zeros(len(inside)))), cut
 
 
@@ -102,20 +107,14 @@ _SHARES = np.array([(2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0
 
 
 def _with_points(mesh: Mesh, between: Numbers, split: Mask) -> Mesh:
-    """Return the mesh cut at the points of `between`, (m, 7), on the sides of `split`, (m, 3), and within facets."""
-    points = np.column_stack([mesh.faces, between])
-    cuts = split @ np.array([1, 2, 4])
+    """Return the mesh, without tints, cut at the points `between`, (m, 7), on the sides `split`, (m, 3), and within."""
+    points, cuts = np.column_stack([mesh.faces, between]), split @ np.array([1, 2, 4])
     vertices, upright = (
         np.concatenate([old, np.empty((points.max() + 1 - len(old), 3))]) for old in (mesh.vertices, mesh.normals)
     )
     _write_points(mesh.faces, between, _SHARES, vertices, upright)
-
-    def of_parts(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return values at the corners of parts, (n, 3), from those at the points of facets, (m, 10)."""
-        return np.concatenate([values[cuts == cut][:, parts].reshape(-1, 3) for cut, parts in PARTS.items()])
-
-    tints = mesh.tints(lambda values: of_parts(np.column_stack([values, values @ _SHARES.T])))
-    return dataclasses.replace(mesh, vertices=vertices, faces=of_parts(points), normals=upright, **tints)
+    faces = np.concatenate([points[cuts == cut][:, parts].reshape(-1, 3) for cut, parts in PARTS.items()])
+    return Mesh(vertices, faces, upright, open_edges=mesh.open_edges)
 
 
 @entry

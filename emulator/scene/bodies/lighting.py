@@ -220,7 +220,8 @@ class _Seen:
 def motion_at(t_ns: int, camera: Trajectory, bodies: Callable[[int], Mapping[int, Pose]], time: Timescale) -> Motion:
     """Return the motion at stream time `t_ns`; `bodies` gives their poses at a scene time, ns."""
     times_ns, between_s = moments(t_ns, time)
-    return Motion(*(Poses(camera.pose(t), bodies(t)) for t in times_ns), between_s)
+    now, before, after = (Poses(camera.pose(t), bodies(t)) for t in times_ns)
+    return Motion(now, before, after, between_s)
 
 
 class Lighting:
@@ -322,10 +323,9 @@ class Lighting:
         point = facet = 0
         for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True)):
             g, pose = where[k]
-            turn = pose.world_from_body.T
-            points, normals = surface.points, surface.normals
-            if pose.position_m.any() or (turn != np.eye(3)).any():  # else they need no memory of their own
-                points, normals = points @ turn + pose.position_m, normals @ turn
+            points, normals = _in_group(surface.points, pose), surface.normals
+            if points is not surface.points:
+                normals = normals @ pose.world_from_body.T
             low, high = points.min(axis=0), points.max(axis=0)
             tree, edges = self._trees[g], None
             if surface.smooth and tree is not None:
@@ -446,10 +446,16 @@ class Lighting:
             dim(tree, body.points, self._chosen, count, moved, tangent, _NEAR * tree.radius_m, self._shares)
 
 
+def _in_group(points: Floats, pose: Pose) -> Floats:
+    """Return points of a body, (n, 3) m, in the frame of its group: themselves where it is the body's own."""
+    is_same = not pose.position_m.any() and (pose.world_from_body == np.eye(3)).all()
+    return points if is_same else points @ pose.world_from_body.T + pose.position_m
+
+
 def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequence[Mesh]) -> TriangleTree | None:
     """Return the triangles that cast the shadows of a group, in its frame."""
     parts = [
-        shadow_triangles(replace(meshes[k], vertices=meshes[k].vertices @ pose.world_from_body.T + pose.position_m))
+        shadow_triangles(replace(meshes[k], vertices=_in_group(meshes[k].vertices, pose)))
         for k, pose in group.placed
         if parameters.shadows and parameters.bodies[k].throws_shadow
     ]
