@@ -16,19 +16,20 @@ from emulator.threads import ThreadPool
 from firmware_protocol.events import Float32s, Int32s
 
 _FIRST_PAIRS = 1 << 14
+_SPARE = 8  # a share of all rows: the parts of facets become a few more in each light frame of a body that comes nearer
 _RUNS_A_THREAD = 4  # of bands: with 6 a light frame took 3 % more processor time
 
 _NO_OWNERS = Owners.of(0, 0)
 
 
-def _new_scratch(screen: Screen, facets: int) -> Scratch:
+def _new_scratch(screen: Screen) -> Scratch:
     width, pixels = screen.width, BAND * screen.width
     return Scratch(
         acc=np.zeros((BAND, width + 1, 8)),
         depth=np.zeros((BAND + 2, width + 2)),
         nearest=np.full((BAND + 2, width + 2), -1, np.int32),
-        held=np.full(facets, -1, np.int32),
-        shows=np.full(facets, -1, np.int32),
+        held=np.zeros(0, np.int32),
+        shows=np.zeros(0, np.int32),
         slots=np.full((BAND, width), -1, np.int32),
         places=np.zeros((pixels, 2), np.int32),
         masks=np.zeros(width, np.int32),
@@ -61,9 +62,10 @@ class Renderer:
         self._starts = np.zeros(-(-screen.height // BAND) + 2, np.int32)
         self._listed = np.zeros(0, np.int32)
         self._touched = np.zeros(4, np.int32)
-        self._drawn = topology
-        self._make_room(topology)
-        self._scratches = [_new_scratch(screen, len(topology.faces)) for _ in range(threads)]
+        self._vertices, self._kinds = np.zeros((0, VERTEX_FIELDS)), np.zeros(0, np.uint8)
+        self.facets, self._spans = np.zeros((0, FACET_FIELDS)), np.zeros((0, 2), np.int32)
+        self._scratches = [_new_scratch(screen) for _ in range(threads)]
+        self._take(topology)
         self._pool = ThreadPool(threads)
 
     def draw(
@@ -132,21 +134,17 @@ class Renderer:
     def _lists(self) -> Lists:
         return Lists(self._starts, self._listed)
 
-    def _make_room(self, topology: Topology) -> None:
-        self._vertices = np.zeros((topology.vertices, VERTEX_FIELDS))
-        self.facets = np.zeros((len(topology.faces), FACET_FIELDS))
-        self._kinds = np.zeros(len(topology.faces), np.uint8)
-        self._spans = np.zeros((len(topology.faces), 2), np.int32)
-
     def _take(self, topology: Topology) -> None:
         """Select the topology to draw, with room for its vertices and facets."""
-        self._drawn = topology
-        if topology.vertices > len(self._vertices) or len(topology.faces) > len(self._kinds):
-            self._make_room(topology)
-        for k, scratch in enumerate(self._scratches):
-            if len(topology.faces) > len(scratch.shows):
-                shows, held = (np.full(len(topology.faces), -1, np.int32) for _ in range(2))
-                self._scratches[k] = scratch._replace(shows=shows, held=held)
+        self._drawn, facets = topology, len(topology.faces)
+        if topology.vertices > len(self._vertices):
+            self._vertices = np.zeros((topology.vertices + topology.vertices // _SPARE, VERTEX_FIELDS))
+        if facets > len(self._kinds):
+            rows = facets + facets // _SPARE
+            self.facets, self._kinds = np.zeros((rows, FACET_FIELDS)), np.zeros(rows, np.uint8)
+            self._spans = np.zeros((rows, 2), np.int32)
+            for k, scratch in enumerate(self._scratches):
+                self._scratches[k] = scratch._replace(held=np.zeros(rows, np.int32), shows=np.zeros(rows, np.int32))
 
     def _prepare(self, view: View) -> None:
         """Project, cut and sort into bands."""

@@ -58,18 +58,22 @@ class NearestSurface:
         view = View(vertices, np.zeros_like(vertices), self._dark, self._dark)
         self._renderer.nearest(view, self._nearest)
         of_vertex = np.searchsorted(self._last, self._renderer.corners(), side="right") + 1
-        nearest_along(self._nearest, self._renderer.facets, of_vertex.astype(np.uint16), rays, labels, inverse_depth)
+        label = of_vertex.astype(np.uint16)
+        nearest_along(
+            self._nearest, self._renderer.facets, label, rays.columns, rays.rows, labels, inverse_depth
+        )  # fmt: skip
 
     def close(self) -> None:
         """Give back what the renderer holds."""
         self._renderer.close()
 
 
+@entry
 def nearest_along(
-    nearest: Int32s, facets: Floats, label: UInt16s, rays: Rays, labels: UInt16s,
+    nearest: Int32s, facets: Floats, label: UInt16s, columns: Floats, rows: Floats, labels: UInt16s,
     inverse_depth: Floats
 ) -> None:  # fmt: skip
-    """Write `labels` and `inverse_depth`, 1 / depth, along `rays`.
+    """Write `labels` and `inverse_depth`, 1 / depth, along rays through `columns` and `rows`.
 
     Parameters
     ----------
@@ -77,14 +81,6 @@ def nearest_along(
     facets : of `Renderer.facets`.
     label : (m,), of each facet.
     """
-    _along(nearest, facets, label, rays.columns, rays.rows, labels, inverse_depth)
-
-
-@entry
-def _along(
-    nearest: Int32s, facets: Floats, label: UInt16s, columns: Floats, rows: Floats,
-    labels: UInt16s, inverse_depth: Floats
-) -> None:  # fmt: skip
     for r in range(labels.shape[0]):
         for c in range(labels.shape[1]):
             x, y = columns[r, c], rows[r, c]
@@ -103,15 +99,20 @@ Instants = tuple[Pose, Pose, Pose]
 _SIDE_NS = 1_000_000  # of scene time, from now to the moments before and after
 
 
-def instants(t_ns: int, paths: Sequence[Trajectory], time: Timescale) -> tuple[list[Instants], float]:
-    """Return the poses of `paths` around stream time `t_ns`, and the stream time from the second to the third, s.
+def moments(t_ns: int, time: Timescale) -> tuple[tuple[int, int, int], float]:
+    """Return scene times now, before and after stream time `t_ns`, ns; the stream time between the last two, s.
 
-    At the start, where paths may begin, the pose before is that of now.
+    At the start, where paths may begin, the moment before is now.
     """
     now_ns = time.scene_ns(t_ns)
     first_ns, last_ns = max(now_ns - _SIDE_NS, min(now_ns, time.scene_ns(0))), now_ns + _SIDE_NS
-    poses = [(path.pose(now_ns), path.pose(first_ns), path.pose(last_ns)) for path in paths]
-    return poses, (last_ns - first_ns) / (1e9 * time.factor)
+    return (now_ns, first_ns, last_ns), (last_ns - first_ns) / (1e9 * time.factor)
+
+
+def instants(t_ns: int, paths: Sequence[Trajectory], time: Timescale) -> tuple[list[Instants], float]:
+    """Return the poses of `paths` at `moments`, and the stream time from the second to the third, s."""
+    (now_ns, first_ns, last_ns), between_s = moments(t_ns, time)
+    return [(path.pose(now_ns), path.pose(first_ns), path.pose(last_ns)) for path in paths], between_s
 
 
 def motion_of(camera: Instants, body: Instants | None, between_s: float) -> Floats:

@@ -111,19 +111,14 @@ def _count(corners: Int32s) -> int:
 def _neighbours(corners: Int32s, shades: Int32s) -> tuple[Int32s, Bytes]:
     """Return `across`, `smooth`; sides that more than two facets share, or pass in one direction, have no neighbour."""
     start, end = corners.ravel().astype(np.int64), np.roll(corners, -1, axis=1).ravel().astype(np.int64)
-    base = _count(corners)
-    forward, backward = start * base + end, end * base + start
+    key = np.minimum(start, end) * _count(corners) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    differs = np.diff(key[order], prepend=-1, append=-1) != 0  # from the one before
+    pair = np.flatnonzero(differs[:-2] & ~differs[1:-1] & differs[2:])  # two facets, no more
+    side, other = np.concatenate([order[[pair, pair + 1]], order[[pair + 1, pair]]], axis=1)
+    opposite = start[side] == end[other]
+    side, other = side[opposite], other[opposite]
     across, smooth = np.full(start.size, -1, np.int32), np.zeros(start.size, np.uint8)
-    order = np.argsort(forward, kind="stable")
-    place = np.searchsorted(forward[order], backward)
-    matches = np.zeros(start.size, bool)
-    inside = place < start.size
-    matches[inside] = forward[order[place[inside]]] == backward[inside]
-    _, number, times = np.unique(forward, return_inverse=True, return_counts=True)
-    alone = times[number] == 1
-    side = np.flatnonzero(matches & alone)
-    other = order[place[side]]
-    side, other = side[alone[other]], other[alone[other]]
     across[side] = other // 3
     first, last = shades.ravel(), np.roll(shades, -1, axis=1).ravel()
     smooth[side] = (first[side] == last[other]) & (last[side] == first[other])

@@ -75,7 +75,7 @@ def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:
     """Return world_from_camera of a camera with its boresight along `sight` and `up` up in its picture."""
     z = unit(sight)
     x = cross(z, unit(up))
-    if np.linalg.norm(x) < _ALONG:
+    if x @ x < _ALONG**2:
         x = cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])  # any other axis
     x = unit(x)
     return np.column_stack([x, cross(z, x), z])

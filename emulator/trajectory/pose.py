@@ -157,14 +157,14 @@ class Pose:
 
     def __post_init__(self) -> None:
         position, q = np.array(self.position_m, np.float64), np.array(self.q_world_from_body, np.float64)
-        if position.shape != (3,) or not (np.abs(position) <= FARTHEST_M).all():  # NaN compares false
+        if position.shape != (3,) or not all(abs(x) <= FARTHEST_M for x in position.tolist()):  # NaN compares false
             raise ValueError(f"a position is three finite metres, at most {FARTHEST_M:g}, got {position}")
         length = math.hypot(*q) if q.shape == (4,) else math.nan
         if not abs(length - 1) < _UNIT_WITHIN:
             fault = f" of length {length:.4g}" if length < math.inf else ""
             advice = _FROM_MATRIX if q.shape in ((3, 3), (4, 4), (9,), (16,)) else ""
             raise ValueError(f"an attitude is a unit quaternion (w, x, y, z), got {q}{fault}{advice}")
-        q /= np.linalg.norm(q)
+        q /= math.sqrt(q @ q)
         position.flags.writeable = q.flags.writeable = False
         object.__setattr__(self, "position_m", position)
         object.__setattr__(self, "q_world_from_body", q)

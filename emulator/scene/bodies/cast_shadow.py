@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from emulator.scene.bodies.compiled import ZERO, Point, cross, dot, entry, kernel, minus, plus, row, vertex
-from firmware_protocol.events import Floats, Int32s, Int64s
+from firmware_protocol.events import Floats, Int32s
 
 
 @kernel
@@ -91,53 +91,73 @@ class TriangleTree(NamedTuple):
 
     Attributes
     ----------
-    boxes : (2 leaves, 6) float64, m, the middle and half the sides of each node; row 0 is not used.
+    boxes : (any, 6, 8) float64, m, the middle and half the sides of node k in column k % 8 of row k // 8; node 0 is not
+        used. So the nodes 8 k to 8 k + 7, three levels below node k, are vectors.
     sizes : (leaves,) int32, the number of triangles of each leaf.
     corners : (leaves, 9, most) float64, m, the corners of each triangle of a leaf, counter-clockwise as seen from
         outside; 0 where it has fewer than others. Triangle k is the one in column k % most of leaf k // most.
+    first : the number of nodes that a ray tests first, those of the highest level that has whole rows below it.
     """
 
     boxes: Floats
     sizes: Int32s
     corners: Floats
+    first: int
 
     @property
     def middle_m(self) -> Floats:
         """The middle of the box around all, (3,)."""
-        return self.boxes[1, :3]
+        return self.boxes[0, :3, 1]
 
     @property
     def radius_m(self) -> float:
         """Radius of a sphere around the middle that contains all triangles."""
-        return float(np.linalg.norm(self.boxes[1, 3:]))
+        return float(np.linalg.norm(self.boxes[0, 3:, 1]))
+
+
+@kernel
+def middle_of(boxes: Floats, node: int) -> Point:
+    """Return the middle of a node's box."""
+    k, j = node >> 3, node & 7
+    return boxes[k, 0, j], boxes[k, 1, j], boxes[k, 2, j]
+
+
+@kernel
+def half_of(boxes: Floats, node: int) -> Point:
+    """Return half the sides of a node's box."""
+    k, j = node >> 3, node & 7
+    return boxes[k, 3, j], boxes[k, 4, j], boxes[k, 5, j]
 
 
 def build_tree(triangles: Floats) -> TriangleTree:
     """Return the tree of (m, 3, 3) corners, m; at least one."""
     depth = max(0, math.ceil(math.log2(max(len(triangles) / LEAF, 1.0))))
     starts = np.rint(np.arange(2**depth + 1) * (len(triangles) / 2**depth)).astype(np.int32)
-    order = np.arange(len(triangles))
-    sort_by_leaves(triangles.mean(axis=1), starts, depth, order)
+    order = np.arange(len(triangles), dtype=np.int32)
+    middles = (triangles[:, 0] + triangles[:, 1] + triangles[:, 2]) / 3  # three times as fast as their mean
+    sort_by_leaves(middles, starts, depth, order)
     sizes = np.diff(starts)
-    boxes, corners = np.zeros((2 * len(sizes), 6)), np.zeros((len(sizes), 9, int(sizes.max())))
+    boxes, corners = np.zeros((-(-len(sizes) // 4), 6, 8)), np.zeros((len(sizes), 9, int(sizes.max())))
     _fill(triangles, starts, order, boxes, corners)
-    return TriangleTree(boxes, sizes, corners)
+    return TriangleTree(boxes, sizes, corners, 1 << (depth % 3 or min(depth, 3)))
 
 
 @kernel
-def _select(places: Floats, axis: int, order: Int64s, low: int, high: int, middle: int) -> None:
+def _select(places: Floats, axis: int, order: Int32s, low: int, high: int, middle: int) -> None:
     """Reorder entries low to high - 1 so that the lowest along an axis come before `middle`: Hoare's selection."""
     last = high - 1
     while low < last:
-        pivot = places[order[(low + last) // 2], axis]
+        pivot = places[(low + last) // 2, axis]
         i, j = low, last
         while i <= j:
-            while places[order[i], axis] < pivot:
+            while places[i, axis] < pivot:
                 i += 1
-            while places[order[j], axis] > pivot:
+            while places[j, axis] > pivot:
                 j -= 1
             if i <= j:
                 order[i], order[j] = order[j], order[i]
+                for k in range(3):
+                    places[i, k], places[j, k] = places[j, k], places[i, k]
                 i += 1
                 j -= 1
         if middle <= j:
@@ -149,12 +169,12 @@ def _select(places: Floats, axis: int, order: Int64s, low: int, high: int, middl
 
 
 @entry
-def sort_by_leaves(middles: Floats, starts: Int32s, depth: int, order: Int64s) -> None:
+def sort_by_leaves(places: Floats, starts: Int32s, depth: int, order: Int32s) -> None:
     """Sort triangles by the leaves of their tree: at each node the lower half along the longest side comes first.
 
     Parameters
     ----------
-    middles : (m, 3), of the triangles.
+    places : (m, 3), of the triangles, sorted in place.
     starts, depth : of the leaves, see `TriangleTree`; levels of nodes above them.
     order : (m,), the triangles, sorted in place.
     """
@@ -164,41 +184,41 @@ def sort_by_leaves(middles: Floats, starts: Int32s, depth: int, order: Int64s) -
             low: Any = np.int64(starts[first])
             split: Any = np.int64(starts[first + step // 2])
             high: Any = np.int64(starts[first + step])
-            widest, axis = -1.0, 0
-            for k in range(3):
-                first_m = last_m = middles[order[low], k]
-                for i in range(low + 1, high):
-                    first_m = min(first_m, middles[order[i], k])
-                    last_m = max(last_m, middles[order[i], k])
-                if last_m - first_m > widest:
-                    widest, axis = last_m - first_m, k
+            least = greatest = row(places, low)
+            for i in range(low + 1, high):
+                x, y, z = row(places, i)
+                least = min(least[0], x), min(least[1], y), min(least[2], z)
+                greatest = max(greatest[0], x), max(greatest[1], y), max(greatest[2], z)
+            x, y, z = minus(greatest, least)
+            axis = 0 if x >= y and x >= z else 1 if y >= z else 2
             if low < split < high:
-                _select(middles, axis, order, low, high, split)
+                _select(places, axis, order, low, high, split)
 
 
 @entry
-def _fill(triangles: Floats, starts: Int32s, order: Int64s, boxes: Floats, corners: Floats) -> None:
+def _fill(triangles: Floats, starts: Int32s, order: Int32s, boxes: Floats, corners: Floats) -> None:
     """Write `boxes` and `corners` of a `TriangleTree`, from the leaves upwards."""
     leaves = len(corners)
     for node in range(2 * leaves - 1, 0, -1):
-        box = boxes[node]  # the least coordinates and the greatest ones
-        box[:3], box[3:] = np.inf, -np.inf
-        if node >= leaves:
-            first = starts[node - leaves]
-            for k in range(first, starts[node - leaves + 1]):
-                for i in range(9):
-                    x = triangles[order[k], i // 3, i % 3]
-                    corners[node - leaves, i, k - first] = x
-                    box[i % 3], box[3 + i % 3] = min(box[i % 3], x), max(box[3 + i % 3], x)
-        else:
-            for child in (2 * node, 2 * node + 1):
-                for i in range(3):
-                    box[i], box[3 + i] = min(box[i], boxes[child, i]), max(box[3 + i], boxes[child, 3 + i])
+        for axis in range(3):
+            low, high = np.inf, -np.inf
+            if node >= leaves:
+                first = starts[node - leaves]
+                for k in range(first, starts[node - leaves + 1]):
+                    for corner in range(3):
+                        x = triangles[order[k], corner, axis]
+                        corners[node - leaves, 3 * corner + axis, k - first] = x
+                        low, high = min(low, x), max(high, x)
+            else:  # the least coordinates and the greatest ones of both nodes below it
+                for child in (2 * node, 2 * node + 1):
+                    low = min(low, boxes[child >> 3, axis, child & 7])
+                    high = max(high, boxes[child >> 3, 3 + axis, child & 7])
+            boxes[node >> 3, axis, node & 7], boxes[node >> 3, 3 + axis, node & 7] = low, high
     for node in range(1, 2 * leaves):
-        box = boxes[node]
-        for i in range(3):
-            low, high = box[i], box[3 + i]
-            box[i], box[3 + i] = (low + high) / 2, (high - low) / 2
+        least, greatest = middle_of(boxes, node), half_of(boxes, node)
+        for axis in range(3):
+            boxes[node >> 3, axis, node & 7] = (least[axis] + greatest[axis]) / 2
+            boxes[node >> 3, 3 + axis, node & 7] = (greatest[axis] - least[axis]) / 2
 
 
 @kernel
@@ -225,7 +245,7 @@ class Frame(NamedTuple):
     w: Point
 
 
-DUST = 1e-9  # shares below that are rounding
+_DUST = 1e-9  # shares below that are rounding
 _NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are cut off
 
 
@@ -301,8 +321,8 @@ def triangle_area(triangle: Floats, point: Point, axes: Frame) -> float:
 @kernel
 def _box_in_cone(boxes: Floats, node: int, point: Point, sun: Point, inverse: Point, tangent: float) -> bool:
     """Return whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
-    cx, cy, cz = minus(row(boxes, node), point)
-    hx, hy, hz = boxes[node, 3], boxes[node, 4], boxes[node, 5]
+    cx, cy, cz = minus(middle_of(boxes, node), point)
+    hx, hy, hz = half_of(boxes, node)
     depth = dot((cx, cy, cz), sun) + hx * abs(sun[0]) + hy * abs(sun[1]) + hz * abs(sun[2])
     if depth <= 0.0:  # of the far side
         return False
@@ -321,16 +341,15 @@ def inverse_of(x: float) -> float:
 
 
 @kernel
-def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m: float, enough: float) -> float:
-    """Return the covered share of a disc around a direction, each layer counted: above 1 where there are several.
+def _covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m: float) -> float:
+    """Return the covered share of a disc around a direction, each layer counted until it is the whole disc.
 
     Parameters
     ----------
     point, sun : m, and the unit direction of the disc's middle, in the tree's frame.
     tangent : of the disc's angular radius.
-    enough : the traversal may end at this share.
     """
-    boxes, sizes, corners = tree
+    boxes, sizes, corners, _ = tree
     # Axes across the Sun that are longer by 1 / tangent: the disc has the radius 1.
     u, v, _ = axes_around(sun)
     axes = Frame(plus(ZERO, 1.0 / tangent, u), plus(ZERO, 1.0 / tangent, v), sun)
@@ -349,8 +368,8 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
                 height = dot(outward, point) - dot(outward, vertex(triangle, 0))
                 if height > near_m * math.sqrt(dot(outward, outward)):
                     area += triangle_area(triangle, point, axes)
-            if area >= math.pi * enough:
-                return enough
+            if area >= math.pi * (1.0 - _DUST):
+                return 1.0
         node = after(node)
         if node == 1:
             return area / math.pi
@@ -361,8 +380,8 @@ def _hide(tree: TriangleTree, point: Point, moved: Floats, tangent: float, near_
     """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
     x, y, z = dot(row(moved, 0), point), dot(row(moved, 1), point), dot(row(moved, 2), point)
     place = x + moved[0, 3], y + moved[1, 3], z + moved[2, 3]
-    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m, 1.0 - DUST)
-    return 0.0 if hidden < DUST else hidden if hidden < 1.0 - DUST else 1.0
+    hidden = _covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m)
+    return 0.0 if hidden < _DUST else hidden
 
 
 @entry
@@ -378,7 +397,7 @@ def dim(
     chosen, count : numbers of points, (count,) used.
     moved : (2, 3, 5), now and an instant later: a rotation and a translation from the points' frame into the tree's,
         and in the last column the Sun's direction in the tree's frame.
-    tangent, near_m : of the Sun's radius, and of `covered`.
+    tangent, near_m : of the Sun's radius, and of `_covered`.
     shares : (2, count), now and an instant later.
     """
     for i in range(count):

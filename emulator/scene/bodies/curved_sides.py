@@ -32,7 +32,9 @@ from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.sun_rays import Window, depth_in
 from firmware_protocol.events import Bytes, Floats, Mask
 
-BEND_PX = 0.02  # of a side that is not seen; what casts shadows is cut from there on
+BEND_PX = 0.02  # of a side that is not seen at a shadow's edge; what casts shadows is cut from there on
+_TERMINATOR_PX, _OUTLINE_PX = 0.04, 0.06  # of one that is not seen there
+_UNEVEN = 0.5  # of the range of a facet's cosines: so near to 0, the terminator may pass through it
 _DARKEST = -0.1  # cosine of incidence: where no corner of a facet is above, its outline is black
 
 
@@ -76,9 +78,9 @@ def with_thirds(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
     """
     sides, number = middles_of(mesh, np.ones(mesh.faces.shape, np.bool_))
     bends_m = np.linalg.norm(_bends(mesh, sides), axis=1)
-    split = (bends_m > least_m)[number].reshape(mesh.faces.shape)
-    _, number = middles_of(mesh, split)
-    bends_m = bends_m[bends_m > least_m]
+    kept = bends_m > least_m
+    split = kept[number].reshape(mesh.faces.shape)
+    number, bends_m = (np.cumsum(kept) - 1)[number[split.ravel()]], bends_m[kept]
     # Two points a side, from its end with the lower number; then one within each facet whose sides are all cut.
     falls = (mesh.faces > np.roll(mesh.faces, -1, axis=1))[split]
     first = len(mesh.vertices)
@@ -91,7 +93,12 @@ def with_thirds(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
     cut = _with_points(mesh, between, split)
     uncut, fine = lit_surface(mesh, smooth=True), lit_surface(cut, smooth=True)
     fine.lean[:first] = np.maximum(fine.lean[:first], uncut.lean)
-    surface = dataclasses.replace(fine, faces=mesh.faces, shades=mesh.faces, between=between)
+    tints: dict[str, Any] = {}
+    for name in mesh.tints(np.ravel):
+        of_corners = getattr(uncut, name)
+        tints[name] = np.append(of_corners, np.empty(len(cut.vertices) - first))
+        tints[name][between[between >= 0]] = (of_corners[mesh.faces] @ _SHARES.T)[between >= 0]
+    surface = dataclasses.replace(fine, faces=mesh.faces, shades=mesh.faces, between=between, **tints)
     return surface, Sides(mesh.faces, between, np.append(np.repeat(bends_m, 2), np.zeros(len(inside)))), cut
 
 
@@ -100,20 +107,14 @@ _SHARES = np.array([(2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0
 
 
 def _with_points(mesh: Mesh, between: Numbers, split: Mask) -> Mesh:
-    """Return the mesh cut at the points of `between`, (m, 7), on the sides of `split`, (m, 3), and within facets."""
-    points = np.column_stack([mesh.faces, between])
-    cuts = split @ np.array([1, 2, 4])
+    """Return the mesh, without tints, cut at the points `between`, (m, 7), on the sides `split`, (m, 3), and within."""
+    points, cuts = np.column_stack([mesh.faces, between]), split @ np.array([1, 2, 4])
     vertices, upright = (
         np.concatenate([old, np.empty((points.max() + 1 - len(old), 3))]) for old in (mesh.vertices, mesh.normals)
     )
     _write_points(mesh.faces, between, _SHARES, vertices, upright)
-
-    def of_parts(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return values at the corners of parts, (n, 3), from those at the points of facets, (m, 10)."""
-        return np.concatenate([values[cuts == cut][:, parts].reshape(-1, 3) for cut, parts in PARTS.items()])
-
-    tints = mesh.tints(lambda values: of_parts(np.column_stack([values, values @ _SHARES.T])))
-    return dataclasses.replace(mesh, vertices=vertices, faces=of_parts(points), normals=upright, **tints)
+    faces = np.concatenate([points[cuts == cut][:, parts].reshape(-1, 3) for cut, parts in PARTS.items()])
+    return Mesh(vertices, faces, upright, open_edges=mesh.open_edges)
 
 
 @entry
@@ -149,9 +150,9 @@ def mark(  # noqa: PLR0913, PLR0917
 ) -> None:  # fmt: skip
     """Mark the sides that are to be cut: those of facets that a shadow's edge, terminator or outline may pass through.
 
-    The cosines of incidence at a facet's corners and of its plane then include 0, or are as near to it as they differ;
-    where none is above 0, the facet is dark. Those of emission at its corners include 0. Corners with and without the
-    Sun have an edge between them.
+    The cosines of incidence at a facet's corners and of its plane then include 0, or are nearer to it than half of what
+    they differ; where none is above 0, the facet is dark. Those of emission at its corners include 0; where none is
+    above 0, the facet is not seen. Corners with and without the Sun have an edge between them.
 
     Parameters
     ----------
@@ -178,17 +179,19 @@ def mark(  # noqa: PLR0913, PLR0917
         c = sides.faces[f, 2]
         depth = max(at[2, a], at[2, b], at[2, c])  # 0: out of the light frame
         away, towards = min(at[1, a], at[1, b], at[1, c]), max(at[1, a], at[1, b], at[1, c])
-        if depth == 0.0 or towards < away - towards:
+        if depth == 0.0 or towards < 0.0:
             continue
         plane = cross(minus(row(points, b), row(points, a)), minus(row(points, c), row(points, a)))
         of_plane = dot(plane, to_sun) / math.sqrt(max(dot(plane, plane), 1e-300))
         lowest = min(at[0, a], at[0, b], at[0, c], of_plane)
         highest = max(at[0, a], at[0, b], at[0, c], of_plane)
-        at_terminator = lowest < highest - lowest and highest > 0.0
+        at_terminator = lowest < _UNEVEN * (highest - lowest) and highest > 0.0
         on_outline = away < 0.0 and highest > _DARKEST
         lit, dark = min(is_hidden[a], is_hidden[b], is_hidden[c]), max(is_hidden[a], is_hidden[b], is_hidden[c])
-        if at_terminator or on_outline or (lit == 0 and dark == 1):
-            seen_m = BEND_PX * depth / window.focal_px
+        at_shadow = lit == 0 and dark == 1
+        if at_shadow or at_terminator or on_outline:
+            seen_px = BEND_PX if at_shadow else _TERMINATOR_PX if at_terminator else _OUTLINE_PX
+            seen_m = seen_px * depth / window.focal_px
             for k in range(3):
                 point = sides.between[f, 2 * k]
                 if point >= 0 and sides.bends_m[point - first] > seen_m:

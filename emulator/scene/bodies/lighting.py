@@ -33,7 +33,7 @@ from emulator.geometry.attitude import Vector, unit
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import PLANET_ALBEDO, Water, air_light
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
-from emulator.raster.surfaces import camera_from_body, motion_of
+from emulator.raster.surfaces import camera_from_body, moments, motion_of
 from emulator.raster.topology import Facets, join, prepare
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
 from emulator.scene.bodies.compiled import Numbers, dot, entry, minus, row
@@ -142,7 +142,6 @@ _BEYOND = -0.5  # least cosine of incidence of a corner whose facet an edge may 
 _ROUNDED = 1.001  # no less than light is rounded by to float32
 _NEAR = 1e-7  # of a tree's radius: points are above a plane from this height on
 _TURN_RAD = 1e-7  # rotation between the two instants of a rate
-_SIDE_NS = 1_000_000  # of scene time, between the poses for rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,22 +190,20 @@ class _Lit:
     `first_point` and `facets` are among those of all bodies, `marked` a view of theirs.
     """
 
+    surface: Surface
     points: Floats
     normals: Floats
-    lean: Floats
     law: Law
-    albedo: Floats | None
-    water: Floats | None
+    sea: Water | None
     group: int
     middle_m: Vector
     radius_m: float
     marked: Bytes
-    sea: Water | None = None
-    first_point: int = 0
-    facets: tuple[int, int] = (0, 0)
-    sharp: bool = False
-    edges: ShadowEdges | None = None
-    sides: Sides | None = None
+    first_point: int
+    facets: tuple[int, int]
+    sharp: bool
+    edges: ShadowEdges | None
+    sides: Sides | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,14 +218,10 @@ class _Seen:
 
 
 def motion_at(t_ns: int, camera: Trajectory, bodies: Callable[[int], Mapping[int, Pose]], time: Timescale) -> Motion:
-    """Return the motion at stream time `t_ns`; `bodies` gives their poses at a scene time, ns.
-
-    Poses for rates are a millisecond of scene time away; at the start, where paths may begin, only after it.
-    """
-    now_ns = time.scene_ns(t_ns)
-    first_ns, last_ns = max(now_ns - _SIDE_NS, min(now_ns, time.scene_ns(0))), now_ns + _SIDE_NS
-    now, before, after = (Poses(camera.pose(t), bodies(t)) for t in (now_ns, first_ns, last_ns))
-    return Motion(now, before, after, (last_ns - first_ns) / (1e9 * time.factor))
+    """Return the motion at stream time `t_ns`; `bodies` gives their poses at a scene time, ns."""
+    times_ns, between_s = moments(t_ns, time)
+    now, before, after = (Poses(camera.pose(t), bodies(t)) for t in times_ns)
+    return Motion(now, before, after, between_s)
 
 
 class Lighting:
@@ -271,16 +264,15 @@ class Lighting:
         """End the threads; a second call does nothing."""
         self._pool.close()
 
-    def grounds(self, grain: Sequence[Octaves | None], surfaces: Sequence[Surface]) -> dict[int, list[Ground]]:
+    def grounds(self, grain: Sequence[Octaves | None]) -> dict[int, list[Ground]]:
         """Return the bodies with grain, `grain` by body, by the number of the first body of their group."""
         grounds: dict[int, list[Ground]] = {}
-        for octaves, surface, body in zip(grain, surfaces, self._bodies, strict=True):
-            if octaves is not None and surface.rough is not None and (octaves.on_facets < 1).any():
-                brightest = (
-                    _ROUNDED * self._sun.irradiance_w_m2 * (1.0 if body.albedo is None else float(body.albedo.max()))
-                )
+        for octaves, body in zip(grain, self._bodies, strict=True):
+            rough, albedo = body.surface.rough, body.surface.albedo
+            if octaves is not None and rough is not None and (octaves.on_facets < 1).any():
+                brightest = _ROUNDED * self._sun.irradiance_w_m2 * (1.0 if albedo is None else float(albedo.max()))
                 normals = np.ascontiguousarray(body.normals)
-                ground = Ground(body.first_point, normals, surface.rough, octaves, body.law, brightest)
+                ground = Ground(body.first_point, normals, rough, octaves, body.law, brightest)
                 grounds.setdefault(self._groups[body.group].members[0], []).append(ground)
         return grounds
 
@@ -292,10 +284,6 @@ class Lighting:
             rates, sun = motion_of(cameras, poses, motion.between_s), self._towards @ poses[0].world_from_body
             places[k] = placed(*camera_from_body(cameras[0], poses[0]), rates, sun, self._pinhole)
         return places
-
-    def light(self, motion: Motion) -> list[Radiance]:
-        """Return the light of each body at its points."""
-        return self.light_and_polygons(motion)[0]
 
     def light_and_polygons(self, motion: Motion) -> tuple[list[Radiance], list[Polygons]]:
         """Return the light of each body, and the shadow polygons to draw over the bodies."""
@@ -334,17 +322,22 @@ class Lighting:
         lit = []
         point = facet = 0
         for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True)):
-            placed = _place(surface, law_of(body.reflectance), *where[k], self.marked[k])
-            tree, root = self._trees[placed.group], self._groups[placed.group].members[0]
-            edges = None
+            g, pose = where[k]
+            points, normals = _in_group(surface.points, pose), surface.normals
+            if points is not surface.points:
+                normals = normals @ pose.world_from_body.T
+            low, high = points.min(axis=0), points.max(axis=0)
+            tree, edges = self._trees[g], None
             if surface.smooth and tree is not None:
-                side_m = mean_side_m(placed.points, surface.faces)
-                edges = ShadowEdges(root, tree, placed.points, placed.normals, side_m, point, self._pool)
+                side_m, root = mean_side_m(points, surface.faces), self._groups[g].members[0]
+                edges = ShadowEdges(root, tree, points, normals, side_m, point, self._pool)
             facets = facet, facet + len(surface.faces)
             sea = Water(body.detail.wind_m_s) if isinstance(body.detail, Clouds) else None
-            placed = replace(placed, sea=sea, first_point=point, facets=facets, edges=edges, sides=sides.get(k))
-            lit.append(replace(placed, sharp=k in sharp))
-            point, facet = point + len(surface.points), facets[1]
+            lit.append(_Lit(
+                surface, points, normals, law_of(body.reflectance), sea, g, (low + high) / 2,
+                float(np.linalg.norm(high - low)) / 2, self.marked[k], point, facets, k in sharp, edges, sides.get(k),
+            ))  # fmt: skip
+            point, facet = point + len(points), facets[1]
         return lit
 
     def _sharp_shadows(self, surfaces: Sequence[Surface]) -> Iterator[tuple[int, SharpShadows]]:
@@ -399,23 +392,24 @@ class Lighting:
         write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
         if (body.sharp or body.edges is not None) and self._ambient > 0:
             write_radiance(body.law, 0.0, self._ambient, step_s, chosen, count, angles, shares, room, dark)
-        if body.albedo is not None:
-            out *= body.albedo
-            dark *= body.albedo
+        if body.surface.albedo is not None:
+            out *= body.surface.albedo
+            dark *= body.surface.albedo
         if planet is not None:
             out[:, chosen[:count]] += planet[0], (planet[1] - planet[0]) / step_s
         if body.edges is not None:
             facets = FrameFacets(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
             suns = Suns(row(group.suns, 0), row(group.suns, 1), step_s, radius)
             polygons.append(body.edges.cut(Lights(out, dark), suns, self._window(group), facets))
-            out = np.where(hidden == 1, dark, out)
+            in_shadow = chosen[:count][hidden[chosen[:count]] == 1]
+            out[:, in_shadow] = dark[:, in_shadow]
         return Radiance(*out, *dark)
 
     def _choose(self, body: _Lit, group: _Seen) -> tuple[int, npt.NDArray[np.int8]]:
         """Select points of a body; return their count and, for smooth bodies, whether each is hidden from the Sun."""
         lowest = -2.0 if self._ambient > 0 else -math.sin(self._sun.radius_rad) if body.edges is None else _BEYOND
         count = choose(
-            body.points, body.normals, body.lean, body.marked, group.suns, group.eyes_m, lowest, self._chosen,
+            body.points, body.normals, body.surface.lean, body.marked, group.suns, group.eyes_m, lowest, self._chosen,
             self._angles,
         )  # fmt: skip
         if body.edges is None:
@@ -424,12 +418,12 @@ class Lighting:
 
     def _sea_and_air(self, body: _Lit, count: int) -> Floats | None:
         """Return the light of a planet's water and air at the chosen points, now and an instant later, (2, count)."""
-        if body.sea is None or body.water is None or body.albedo is None:
+        if body.sea is None or body.surface.water is None or body.surface.albedo is None:
             return None
         chosen = self._chosen[:count]
         mu0, mu, chord2 = self._angles[:, :count].reshape(3, 2, -1)
-        phase, water = 2 * np.arcsin(np.sqrt(chord2) / 2), body.water[chosen]
-        out = air_light(mu0, mu, phase, PLANET_ALBEDO * body.albedo[chosen])
+        phase, water = 2 * np.arcsin(np.sqrt(chord2) / 2), body.surface.water[chosen]
+        out = air_light(mu0, mu, phase, PLANET_ALBEDO * body.surface.albedo[chosen])
         wet = np.flatnonzero(water)
         out[:, wet] += water[wet] * body.sea.reflect(mu0[:, wet], mu[:, wet], phase[:, wet])
         return self._sun.irradiance_w_m2 * self._shares[:, :count] * out
@@ -452,10 +446,16 @@ class Lighting:
             dim(tree, body.points, self._chosen, count, moved, tangent, _NEAR * tree.radius_m, self._shares)
 
 
+def _in_group(points: Floats, pose: Pose) -> Floats:
+    """Return points of a body, (n, 3) m, in the frame of its group: themselves where it is the body's own."""
+    is_same = not pose.position_m.any() and (pose.world_from_body == np.eye(3)).all()
+    return points if is_same else points @ pose.world_from_body.T + pose.position_m
+
+
 def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequence[Mesh]) -> TriangleTree | None:
     """Return the triangles that cast the shadows of a group, in its frame."""
     parts = [
-        shadow_triangles(replace(meshes[k], vertices=meshes[k].vertices @ pose.world_from_body.T + pose.position_m))
+        shadow_triangles(replace(meshes[k], vertices=_in_group(meshes[k].vertices, pose)))
         for k, pose in group.placed
         if parameters.shadows and parameters.bodies[k].throws_shadow
     ]
@@ -475,18 +475,6 @@ def facets_of(surfaces: Sequence[Surface], meshes: Sequence[Mesh]) -> Facets:
         between.append(uncut if surface.between is None else surface.between + first * (surface.between >= 0))
         first += len(surface.points)
     return Facets(join(parts), np.concatenate(between).astype(np.int32))
-
-
-def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) -> _Lit:
-    """Return a body's points in the frame of its group."""
-    turn = pose.world_from_body.T
-    points, normals = surface.points, surface.normals
-    if pose.position_m.any() or (turn != np.eye(3)).any():  # else they need no memory of their own
-        points, normals = points @ turn + pose.position_m, normals @ turn
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    albedo, water = surface.albedo, surface.water
-    return _Lit(points, normals, surface.lean, law, albedo, water, group, middle, radius_m, marked)
 
 
 def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after, outward_of
+from emulator.scene.bodies.cast_shadow import Frame, TriangleTree, after, half_of, middle_of, outward_of
 from emulator.scene.bodies.compiled import ZERO, Numbers, Point, cross, dot, kernel, minus, row, vertex
 from firmware_protocol.events import Floats
 
@@ -244,7 +244,7 @@ def may_cover(boxes: Floats, node: int, plane: Floats, above: float, seen: Seen,
     With a tangent above 0: or from a direction that is so far from the Sun's.
     """
     axes, extent = seen
-    middle = row(boxes, node)
+    middle = middle_of(boxes, node)
     normal = plane[0], plane[1], plane[2]
     if not dot(normal, middle) + _half(boxes, node, normal) > above:
         return False
@@ -259,7 +259,7 @@ def may_cover(boxes: Floats, node: int, plane: Floats, above: float, seen: Seen,
 @kernel
 def _half(boxes: Floats, node: int, axis: Point) -> float:
     """Return half the extent of a box along an axis."""
-    return float(boxes[node, 3] * abs(axis[0]) + boxes[node, 4] * abs(axis[1]) + boxes[node, 5] * abs(axis[2]))
+    return float(dot(half_of(boxes, node), (abs(axis[0]), abs(axis[1]), abs(axis[2]))))
 
 
 @kernel
@@ -294,7 +294,7 @@ def covers(triangle: Floats, plane: Floats, above: float, seen: Seen, sine: floa
 @kernel
 def list_near(tree: TriangleTree, plane: Floats, above: float, seen: Seen, wide_rad: float, listed: Numbers) -> int:
     """Write the triangles that may cover a part of a facet, as many as there is room for; return their number."""
-    boxes, sizes, triangles = tree
+    boxes, sizes, triangles, _ = tree
     sine, tangent = math.sin(wide_rad), math.tan(wide_rad)
     leaves, node, count = len(sizes), 1, 0
     while True:

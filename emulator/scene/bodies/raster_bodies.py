@@ -180,7 +180,7 @@ class LitBodies:
 
     def grounds(self) -> dict[int, list[Ground]]:
         """Return the bodies with grain, by the number of the body in whose frame they are."""
-        return self._lighting.grounds(self._world.grain, self.surfaces)
+        return self._lighting.grounds(self._world.grain)
 
     def placed(self, bodies: Collection[int]) -> dict[int, Placed]:
         """Return where bodies are in the last view, by number."""

@@ -35,7 +35,7 @@ import numpy.typing as npt
 from emulator.scene.bodies.cast_shadow import TriangleTree
 from emulator.scene.bodies.compiled import Numbers, Point, cross, dot, entry, kernel, minus, plus, row
 from emulator.scene.bodies.shadow_polygons import Polygons, Triangles, add_triangle
-from emulator.scene.bodies.sun_rays import RayTree, Verdicts, Window, corner, depth_in, first_met, look_to_sun, next_met
+from emulator.scene.bodies.sun_rays import SUNLIT, Window, corner, depth_in, first_met, look_to_sun, next_met
 from emulator.threads import ThreadPool
 from firmware_protocol.events import Floats, Int64s
 
@@ -205,7 +205,7 @@ def _terminator(receiver: Receiver, lit: int, dark: int, suns: Suns) -> tuple[fl
 
 
 @kernel
-def _cross(tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, narrow: float) -> _Crossing:
+def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Suns, narrow: float) -> _Crossing:
     """Return where a shadow's edge crosses the side from vertex `lit` to vertex `dark`."""
     q = row(receiver.lifted, lit)
     d = minus(row(receiver.lifted, dark), q)
@@ -219,14 +219,14 @@ def _cross(tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, n
     for _ in range(_MOST_TRIANGLES):
         if triangle < 0:
             break
-        s, edge = _leave(tree.binary.corners, triangle, q, d, at, suns.now)
+        s, edge = _leave(tree.corners, triangle, q, d, at, suns.now)
         at, rate = s - _PAST, 0.0
         if at <= 0.0:
             return _Crossing(_PAST, 0.0, _PAST, 0.0)
         before = triangle
         triangle = next_met(tree, before, plus(q, at, d), suns.now)
         if triangle < 0 and edge < 3:
-            return _rims(_forms(tree.binary.corners, before, edge, q, d), s, suns, narrow)
+            return _rims(_forms(tree.corners, before, edge, q, d), s, suns, narrow)
     return _Crossing(at, rate, at, rate)
 
 
@@ -283,7 +283,7 @@ def _area_px(receiver: Receiver, a: int, b: int, c: int, window: Window) -> floa
 
 @kernel
 def _cross_once(  # noqa: PLR0913, PLR0917
-    tree: RayTree, receiver: Receiver, lit: int, dark: int, suns: Suns, window: Window, sides: Sides
+    tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Suns, window: Window, sides: Sides
 ) -> _Crossing:
     """Return `_cross` of a side; the facet on its other side, which comes soon, finds it among the last ones."""
     k = (lit * 31 + dark) % _LAST_SIDES
@@ -321,7 +321,7 @@ def list_crossed(
 
 @entry
 def cut_facets(  # noqa: PLR0913, PLR0917
-    tree: RayTree, receiver: Receiver, corners: Numbers, crossed: Int64s, part: tuple[int, int],
+    tree: TriangleTree, receiver: Receiver, corners: Numbers, crossed: Int64s, part: tuple[int, int],
     is_hidden: npt.NDArray[np.int8], lights: Lights, suns: Suns, window: Window, sides: Sides, out: Triangles
 ) -> None:  # fmt: skip
     """Cut facets along the shadow edge that crosses them, and write the parts.
@@ -387,10 +387,9 @@ class ShadowEdges:
     ) -> None:  # fmt: skip
         lifted = np.ascontiguousarray(vertices + _LIFT * side_m * normals)
         self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, np.ascontiguousarray(normals), first)
-        self._body, self._tree, self._pool = body, RayTree.of(tree), pool
-        self._verdicts = Verdicts.unknown(len(vertices))
+        self._body, self._tree, self._pool = body, tree, pool
+        self._hiding = np.full(len(vertices), SUNLIT)
         self._is_hidden = np.full(len(vertices), -1, np.int8)
-        self._sun, self._moved_rad = np.zeros(3), 0.0
         self._sides = [
             Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
         ]
@@ -398,7 +397,6 @@ class ShadowEdges:
     def begin(self, sun: Floats, radius_rad: float) -> None:
         """Begin a light frame with the Sun in direction `sun`, (3,): no vertex is tested yet."""
         self._is_hidden.fill(-1)
-        self._moved_rad = float(np.linalg.norm(sun - self._sun))
         self._sun, self._radius_rad = sun, radius_rad
 
     def hidden_from_sun(self, chosen: Numbers, count: int, window: Window) -> npt.NDArray[np.int8]:
@@ -408,7 +406,7 @@ class ShadowEdges:
         def work(part: tuple[int, int], _: int) -> None:
             look_to_sun(
                 self._tree, receiver.lifted, receiver.normals, chosen, part, window, self._sun, self._radius_rad,
-                self._moved_rad, self._verdicts, self._is_hidden,
+                self._hiding, self._is_hidden,
             )  # fmt: skip
 
         self._share(work, count, _POINTS_A_PART)

@@ -312,18 +312,19 @@ def _lay(
 @entry
 def cast_polygons(
     tree: TriangleTree, receivers: Receivers, dark: Dark, around: Surroundings, near_m: float, memory: Memory,
-    room: Room, out: Triangles, first: tuple[int, int]
+    room: Room, out: Triangles
 ) -> tuple[int, int, int]:  # fmt: skip
     """Write the shadows on facets that face the Sun and the camera.
 
     Return the first free row and triangle, and the most shadows on one facet, including those beyond the room.
 
-    Triangles count that reach `near_m` above a facet's plane; `first` is the first row and triangle to write.
+    Triangles count that reach `near_m` above a facet's plane.
     """
     suns, listed = memory
     corners, sun, eye = receivers.corners, around.sun, around.eye
     towards = sun[0], sun[1], sun[2]
     axes, most_shadows = axes_around(towards), 0
+    first = 0, 0
     for f in range(len(corners)):
         plane = receivers.planes[f]
         normal = plane[0], plane[1], plane[2]
@@ -474,7 +475,7 @@ class _Share:
     def cast(self, tree: TriangleTree, dark: Dark, around: Surroundings, near_m: float, room: Room) -> bool:
         """Compute the shadows; return whether there was room for all of them."""
         self.rows, self._count, self.shadows = cast_polygons(
-            tree, self._receivers, dark, around, near_m, self._memory, room, self._out, (0, 0)
+            tree, self._receivers, dark, around, near_m, self._memory, room, self._out
         )
         rows, capacity = max(self.rows, self._count), len(self._out.places)
         if rows > capacity:

@@ -1,12 +1,8 @@
-"""Rays from the points of a rigid surface to the Sun: does any triangle hide its middle, and for how long is that so.
+"""Rays from the points of a rigid surface to the Sun: does any triangle hide its middle.
 
 A ray ends at the first triangle that it meets, whichever side that shows, so no light leaks where surfaces pass through
-each other. A result is used again while it is certain to be the same:
-
-    hidden     the leaf whose triangle hid the Sun is tested first: if one still does, no ray is needed
-    sunlit     no outside of a triangle shows in a cone around the Sun's direction: the Sun may move within that cone
-
-A result does not depend on those before it, only the time that it takes. Points near a shadow edge get a ray each time.
+each other. The leaf whose triangle hid the Sun in the last light frame is tested first: if one still does, no tree is
+searched. A result does not depend on those before it, only the time that it takes.
 """
 
 from __future__ import annotations
@@ -17,47 +13,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import DUST, TriangleTree, covered, inverse_of, seen_above
+from emulator.scene.bodies.cast_shadow import TriangleTree, inverse_of, seen_above
 from emulator.scene.bodies.compiled import Numbers, Point, cross, dot, entry, kernel, minus, plus, row, vertex
 from firmware_protocol.events import Floats, Int64s
 
-SUNLIT, UNKNOWN = -1, -2
-_WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
-_NO_CONE = 2.0  # a cosine that none exceeds
+SUNLIT = -1
 _ABOVE = (1 << 56) - 1  # a stack of eight levels without its lowest one
 _LOWEST = np.array([(bits & -bits).bit_length() - 1 for bits in range(256)])  # lowest bit that is set in eight
-_LASTS = 10  # light frames, at least, for which a cone is worth its search
 
 
 @kernel
 def corner(corners: Floats, k: int, number: int) -> Point:
     """Return corner 0, 1 or 2 of triangle k of a `TriangleTree`."""
     return vertex(corners[k // corners.shape[2], :, k % corners.shape[2]], number)
-
-
-class RayTree(NamedTuple):
-    """A tree for rays: three levels of a binary one are one, so that eight boxes, or a leaf's triangles, are a vector.
-
-    Node i of the binary tree has the boxes 8 i to 8 i + 7 below it.
-
-    Attributes
-    ----------
-    binary : the tree.
-    boxes : (any, 6, 8) m, middle and half the sides of its nodes 8 k to 8 k + 7.
-    first : the number of boxes that a ray tests first, those of the highest level that has whole nodes below it.
-    """
-
-    binary: TriangleTree
-    boxes: Floats
-    first: int
-
-    @classmethod
-    def of(cls, tree: TriangleTree) -> RayTree:
-        """Return the same tree for rays."""
-        boxes = np.zeros((-(-len(tree.boxes) // 8) * 8, 6))
-        boxes[: len(tree.boxes)] = tree.boxes
-        depth = len(tree.sizes).bit_length() - 1
-        return cls(tree, boxes.reshape(-1, 8, 6).transpose(0, 2, 1).copy(), 1 << (depth % 3 or min(depth, 3)))
 
 
 @kernel
@@ -101,7 +69,7 @@ def _triangles_met(corners: Floats, leaf: int, point: Point, sun: Point) -> Any:
 
 
 @kernel
-def first_met(tree: RayTree, point: Point, sun: Point) -> int:
+def first_met(tree: TriangleTree, point: Point, sun: Point) -> int:
     """Return the first triangle, in the order of the tree, between a point and the Sun's middle; SUNLIT for none."""
     inverse = inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2])
     size = abs(inverse[0]), abs(inverse[1]), abs(inverse[2])
@@ -115,42 +83,27 @@ def first_met(tree: RayTree, point: Point, sun: Point) -> int:
             continue
         node = 8 * k + _LOWEST[met & 255]
         met &= met - 1
-        leaf = node - len(tree.binary.sizes)
+        leaf = node - len(tree.sizes)
         if leaf < 0:
             k = node
             met = met << 8 | _boxes_met(tree.boxes, k, point, inverse, size)
             continue
-        triangles = _triangles_met(tree.binary.corners, leaf, point, sun)
+        triangles = _triangles_met(tree.corners, leaf, point, sun)
         if triangles:
-            return int(tree.binary.corners.shape[2] * leaf + _LOWEST[triangles])
+            return int(tree.corners.shape[2] * leaf + _LOWEST[triangles])
     return SUNLIT
 
 
 @kernel
-def next_met(tree: RayTree, before: int, point: Point, sun: Point) -> int:
+def next_met(tree: TriangleTree, before: int, point: Point, sun: Point) -> int:
     """Return `first_met`, or a triangle of the leaf of triangle `before` that is met, for which no tree is searched."""
-    corners = tree.binary.corners
-    leaf = before // corners.shape[2]
-    triangles = _triangles_met(corners, leaf, point, sun)
-    return int(corners.shape[2] * leaf + _LOWEST[triangles]) if triangles else first_met(tree, point, sun)
-
-
-class Verdicts(NamedTuple):
-    """Results for the points of a surface, and until when they are certain.
-
-    Attributes
-    ----------
-    hiding : (n,) int64, a triangle that hides the Sun, SUNLIT, or UNKNOWN where no light frame needed the point yet.
-    suns : (n, 4), the Sun's direction at the last ray of a sunlit point, and the cosine up to which it is sunlit.
-    """
-
-    hiding: Int64s
-    suns: Floats
-
-    @classmethod
-    def unknown(cls, points: int) -> Verdicts:
-        """Return room for the results of `points` points."""
-        return cls(np.full(points, UNKNOWN, np.int64), np.tile([0.0, 0.0, 0.0, _NO_CONE], (points, 1)))
+    if before >= 0:
+        corners = tree.corners
+        leaf = before // corners.shape[2]
+        triangles = _triangles_met(corners, leaf, point, sun)
+        if triangles:
+            return int(corners.shape[2] * leaf + _LOWEST[triangles])
+    return first_met(tree, point, sun)
 
 
 class Window(NamedTuple):
@@ -183,8 +136,8 @@ def depth_in(window: Window, point: Point) -> float:
 
 @entry
 def look_to_sun(  # noqa: PLR0913, PLR0917
-    tree: RayTree, points: Floats, normals: Floats, chosen: Numbers, part: tuple[int, int], window: Window, sun: Floats,
-    radius_rad: float, moved_rad: float, verdicts: Verdicts, is_hidden: npt.NDArray[np.int8]
+    tree: TriangleTree, points: Floats, normals: Floats, chosen: Numbers, part: tuple[int, int], window: Window,
+    sun: Floats, radius_rad: float, hiding: Int64s, is_hidden: npt.NDArray[np.int8]
 ) -> None:  # fmt: skip
     """Write whether the Sun's middle is hidden from the chosen points that the camera may see: 0 or 1, else -1.
 
@@ -195,11 +148,9 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
     points, normals : (n, 3) m, a little above the surface, in the tree's frame; unit.
     chosen, part : numbers of points, and the first of them to test and the one after the last.
     sun, radius_rad : (3,) unit, and the disc's.
-    moved_rad : angle of the Sun since the last light frame.
+    hiding : (n,), a triangle that hid the Sun in an earlier light frame, or SUNLIT.
     is_hidden : (n,); points of which it is known stay as they are.
     """
-    hiding, suns = verdicts
-    corners = tree.binary.corners
     towards = (sun[0], sun[1], sun[2])
     for i in range(part[0], part[1]):
         k: Any = np.int64(chosen[i])
@@ -215,25 +166,5 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
             middle = plus(towards, radius_rad * seen_above(height / radius_rad)[1], normal)
             is_hidden[k] = 1 if first_met(tree, point, middle) >= 0 else 0
             continue
-        if hiding[k] >= 0 and _triangles_met(corners, hiding[k] // corners.shape[2], point, towards):
-            is_hidden[k] = 1
-            continue
-        if hiding[k] == SUNLIT and dot(row(suns, k), towards) > suns[k, 3]:
-            is_hidden[k] = 0
-            continue
-        hiding[k] = first_met(tree, point, towards)
+        hiding[k] = next_met(tree, hiding[k], point, towards)
         is_hidden[k] = 1 if hiding[k] >= 0 else 0
-        suns[k, 3] = _NO_CONE
-        if hiding[k] >= 0:
-            continue
-        # Another angle for each, so that not all are tested again in the same light frame.
-        wide = _WIDE_RAD * (0.5 + 0.5 * ((k * 0.6180339887) % 1.0))
-        for _ in range(_CONES):
-            if wide < _LASTS * moved_rad:
-                break
-            if covered(tree.binary, point, towards, math.tan(wide), 0.0, DUST) < DUST:
-                for j in range(3):
-                    suns[k, j] = sun[j]
-                suns[k, 3] = math.cos(wide)
-                break
-            wide *= _NARROWER

@@ -69,7 +69,8 @@ class TerrainGeometry(SceneGeometry):
         """Write depth, flow and labels at `t_ns`."""
         world = self._world
         nearest, facets = self._facets_at(t_ns)
-        nearest_along(nearest, facets, np.ones(len(facets), np.uint16), self._rays, out.labels, self._inverse_depth)
+        label, rays = np.ones(len(facets), np.uint16), self._rays
+        nearest_along(nearest, facets, label, rays.columns, rays.rows, out.labels, self._inverse_depth)
         (camera,), between_s = instants(t_ns, [world.camera], world.time)
         motions = np.array([motion_of(camera, body, between_s) for body in (None, (STILL, STILL, STILL))])
         write_depth_and_flow(self._inverse_depth, motions, world.pinhole, self._rays, out)

@@ -36,10 +36,12 @@ def test_both_facets_of_a_side_have_its_points_in_order():
     assert len(np.unique(sides.between)) == len(sides.bends_m) == len(surface.points) - len(mesh.vertices)
 
 
-def test_facets_with_a_shadow_edge_are_cut():
+@pytest.mark.parametrize("bend_px", [0.03, 10.0])
+def test_facets_with_a_shadow_edge_are_cut(bend_px):
     mesh = ball()
     surface, sides, _ = with_thirds(mesh, 1e-4)
-    window = Window(np.eye(3), np.array([0.0, 0.0, -50.0]), 1.0, 1.0, 1e5)
+    eye = np.array([0.0, 0.0, -50.0])
+    window = Window(np.eye(3), eye, 1.0, 1.0, bend_px * 49.0 / np.median(sides.bends_m[sides.bends_m > 0]))
     hidden, marked = np.zeros(len(surface.points), np.int8), np.ones(len(surface.points), np.uint8)
     front = np.argmin(mesh.vertices[:, 2])
     for known in (0, -1):
@@ -71,7 +73,7 @@ def test_sides_are_cut_at_the_terminator_and_on_the_lit_outline(sun, eye):
     middles = surface.vertices[whole:]
     towards = (eye - middles) / np.linalg.norm(eye - middles, axis=1, keepdims=True)
     incidence, emission = middles @ sun, (middles * towards).sum(axis=1)
-    at_terminator = (incidence > 0) & (incidence < 0.05) & (emission > -0.05)
+    at_terminator = (incidence > 0) & (incidence < 0.05) & (emission > 0.0)
     towards = eye - surface.vertices[:whole]
     faces_camera = ((surface.vertices[:whole] * towards).sum(axis=1) > 0)[surface.faces]
     on_outline = faces_camera.any(axis=1) & ~faces_camera.all(axis=1)
@@ -84,7 +86,9 @@ def test_sides_are_cut_at_the_terminator_and_on_the_lit_outline(sun, eye):
     assert (marked[sides.between[on_outline]] == 1).all()
     assert far.sum() > 500
     assert not is_cut[far].any()
-    window = window._replace(focal_px=1e-2)  # so small that no bend is seen
+    seen = faces_camera.any(axis=1)
+    assert not marked[np.setdiff1d(sides.between[~seen], sides.between[seen])].any()
+    window = window._replace(focal_px=0.039 * 48.0 / sides.bends_m.max())  # no bend is seen, but at shadow edges
     mark(surface.points, surface.normals, sides, sun, window, unknown, room, marked)
     assert not marked[whole:].any()
 

@@ -100,7 +100,7 @@ def test_the_rate_of_the_glint_is_the_limit_of_finer_differences():
     body, eye = build_trajectory(path), build_trajectory(camera)
 
     def light(t_ns):
-        (found,) = lighting.light(motion_at(t_ns, eye, lambda t: [body.pose(t)], clock))
+        (found,), _ = lighting.light_and_polygons(motion_at(t_ns, eye, lambda t: [body.pose(t)], clock))
         return found.radiance, found.rate
 
     at, steps = 5_000_000_000, (8_000_000, 4_000_000)

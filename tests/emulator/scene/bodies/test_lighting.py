@@ -61,7 +61,7 @@ class World:
         return found
 
     def light(self, t_ns=0):
-        return self.lighting.light(motion_at(t_ns, self.camera, self.poses, self.clock))
+        return self.lighting.light_and_polygons(motion_at(t_ns, self.camera, self.poses, self.clock))[0]
 
 
 def test_a_lambert_ball_has_the_cosine_of_incidence():

@@ -14,7 +14,7 @@ from emulator.scene.bodies.lit_surface import mean_side_m, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.shadow_edges import FrameFacets, Lights, ShadowEdges, Suns
-from emulator.scene.bodies.sun_rays import SUNLIT, UNKNOWN, RayTree, Verdicts, Window, first_met, look_to_sun
+from emulator.scene.bodies.sun_rays import SUNLIT, Window, first_met, look_to_sun
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
 from emulator.trajectory.parameters import FixedPath, SpinPath
@@ -155,39 +155,39 @@ def eros():
 def test_verdicts_are_those_of_embree():
     pytest.importorskip("embreex", reason="the ray caster of the test group")
     mesh = eros()
-    tree = RayTree.of(build_tree(mesh.vertices[mesh.faces]))
+    tree = build_tree(mesh.vertices[mesh.faces])
     points = mesh.vertices + 0.02 * 100.0 * mesh.normals
     other = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     for sun in (unit([1.0, 0.2, 0.1]), unit([-0.1, 0.9, -0.5]), unit([0.3, 0.3, 1.0])):
-        hidden = look(tree, points, sun, Verdicts.unknown(len(points)))
+        hidden = look(tree, points, sun)
         truth = other.ray.intersects_any(points, np.tile(sun, (len(points), 1)))
         assert 0.2 < truth.mean() < 0.8
         assert (hidden != truth).sum() <= 2  # embree's rays are float32
 
 
-def look(tree, points, sun, verdicts, moved_rad=0.0, normals=None, radius_rad=0.0):
+def look(tree, points, sun, hiding=None, normals=None, radius_rad=0.0):
+    hiding = np.full(len(points), SUNLIT) if hiding is None else hiding
     chosen, hidden = np.arange(len(points), dtype=np.int32), np.full(len(points), -1, np.int8)
     all_around = Window(np.eye(3), np.array([0.0, 0.0, -1e9]), 10.0, 10.0, 1.0)
     normals = np.tile(sun, (len(points), 1)) if normals is None else normals  # turned to the Sun: each gets a ray
-    look_to_sun(
-        tree, points, normals, chosen, (0, len(points)), all_around, sun, radius_rad, moved_rad, verdicts, hidden
-    )
+    look_to_sun(tree, points, normals, chosen, (0, len(points)), all_around, sun, radius_rad, hiding, hidden)
     return hidden
 
 
 def test_earlier_results_change_nothing():
     """A Sun that wanders for a while by small and large steps: each result equals that of a fresh search."""
     mesh = eros()
-    tree, points = RayTree.of(build_tree(mesh.vertices[mesh.faces])), mesh.vertices + 2.0 * mesh.normals
-    verdicts, random, sun = Verdicts.unknown(len(points)), np.random.default_rng(5), unit([1.0, 0.1, 0.2])
-    used = 0
+    tree, points = build_tree(mesh.vertices[mesh.faces]), mesh.vertices + 2.0 * mesh.normals
+    hiding, random, sun = np.full(len(points), SUNLIT), np.random.default_rng(5), unit([1.0, 0.1, 0.2])
+    left = 0
     for step in (0.0, 1e-4, 1e-4, 1e-3, 1e-3, 0.02, 1e-4, 0.5, 1e-3, 1e-3):
         sun = unit(sun + step * random.normal(size=3))
-        used += int((verdicts.suns[:, 3] < verdicts.suns[:, :3] @ sun).sum())
-        found = look(tree, points, sun, verdicts, step)
-        np.testing.assert_array_equal(found, look(tree, points, sun, Verdicts.unknown(len(points))))
-    assert used > len(points)  # most results came from cones
-    assert (verdicts.hiding != UNKNOWN).all()
+        before = hiding.copy()
+        found = look(tree, points, sun, hiding)
+        np.testing.assert_array_equal(found, look(tree, points, sun))
+        np.testing.assert_array_equal(found, hiding >= 0)
+        left += int(((before >= 0) & (hiding == SUNLIT)).sum())
+    assert left > len(points) / 10  # the triangle of the step before hides the Sun no more
 
 
 @pytest.mark.parametrize("count", [1, 3, 5, 9, 17, 40, 100, 300, 600, 1100])
@@ -195,11 +195,11 @@ def test_trees_of_all_depths_have_the_triangles_that_rays_meet(count):
     """Beside the solution of point + t sun = first + a u + b v for each ray and triangle."""
     random, spread = np.random.default_rng(count), count ** (1 / 3)
     triangles = random.normal(size=(count, 1, 3)) * spread + random.normal(size=(count, 3, 3))
-    tree, middles = RayTree.of(build_tree(triangles)), triangles[random.integers(count, size=200)].mean(axis=1)
+    tree, middles = build_tree(triangles), triangles[random.integers(count, size=200)].mean(axis=1)
     for axis in (unit([0.3, -0.5, 0.8]), np.array([0.0, 0.0, 1.0])):
         points = middles + random.normal(size=(200, 3)) * 0.5 - random.normal(size=(200, 1)) * spread * axis
         found = np.array([first_met(tree, tuple(point), tuple(axis)) for point in points])
-        ordered = tree.binary.corners.transpose(0, 2, 1).reshape(-1, 3, 3)
+        ordered = tree.corners.transpose(0, 2, 1).reshape(-1, 3, 3)
         first, u, v = ordered[:, 0], ordered[:, 1] - ordered[:, 0], ordered[:, 2] - ordered[:, 0]
         is_one = np.linalg.norm(np.cross(u, v), axis=1) > 0
         system = np.stack([np.broadcast_to(-axis, u.shape), u, v], axis=2)[is_one]
@@ -271,7 +271,7 @@ def test_a_point_whose_horizon_cuts_the_sun_is_hidden_where_the_middle_of_the_re
     """The Sun's middle `height` of its radius above level ground; a wall as high as `wall` of what is seen of it."""
     ground = [[-99.0, -99.0, 0.0], [99.0, -99.0, 0.0], [0.0, 99.0, 0.0]]
     across = [[10.0, -99.0, -99.0], [10.0, 99.0, -99.0], [10.0, 0.0, 10.0 * RADIUS * (1 + height) * wall]]
-    tree = RayTree.of(build_tree(np.array([ground, across])))
+    tree = build_tree(np.array([ground, across]))
     sun = np.array([math.cos(RADIUS * height), 0.0, math.sin(RADIUS * height)])
     point, normal = np.array([[0.0, 0.0, 1e-6]]), np.array([[0.0, 0.0, 1.0]])
-    assert look(tree, point, sun, Verdicts.unknown(1), normals=normal, radius_rad=RADIUS) == [is_hidden]
+    assert look(tree, point, sun, normals=normal, radius_rad=RADIUS) == [is_hidden]
