@@ -29,6 +29,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import struct
+import weakref
 from bz2 import BZ2Decompressor
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
@@ -390,6 +391,7 @@ class BagReader:
             self._bag.readers = [bag]
             self._bag.open()
             self._damage = bag.damage
+        weakref.finalize(self, self._bag.close)  # also where it is left before its end
         counts: Counter[str] = Counter()
         for connection in self._bag.connections:
             if connection.msgtype in (_PACKET, *_ARRAYS):
@@ -451,7 +453,6 @@ class BagReader:
             if sound < len(part.events):
                 time_us = part.events["t"][sound]
                 raise RecordingError(f"it is damaged: an event at {time_us} us is before its first message")
-        self._bag.close()
         if self._damage:
             raise RecordingError(self._damage)
         if early:
