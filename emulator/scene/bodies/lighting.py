@@ -406,7 +406,7 @@ class Lighting:
             out[:, chosen[:count]] += planet[0], (planet[1] - planet[0]) / step_s
         if body.edges is not None:
             facets = FrameFacets(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
-            suns = Suns(row(group.suns, 0), row(group.suns, 1), step_s, radius)
+            suns = Suns(tuple(group.suns[0].tolist()), tuple(group.suns[1].tolist()), step_s, radius)
             polygons.append(body.edges.cut(Lights(out, dark), suns, self._window(group), facets))
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
