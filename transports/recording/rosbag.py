@@ -405,8 +405,7 @@ class BagReader:
             raise RecordingError(f"it has no events of the topic {topic}, but of {', '.join(counts)}")
         topic = topic or next(iter(counts))
         beside = {name: other for name, kind in _KINDS.items() if (other := self._beside(topic, kind))}
-        topics = {topic, *beside.values()}
-        self._connections = [c for c in self._bag.connections if c.topic in topics]
+        self._connections = [c for c in self._bag.connections if c.topic in {topic, *beside.values()}]
         self._is_array = any(c.topic == topic and c.msgtype in _ARRAYS for c in self._connections)
         self._seen_size: Size | None = None
         self._decoder = Evt3Decoder()
