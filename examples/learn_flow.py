@@ -67,7 +67,7 @@ def samples_of(sequence: evstim.TruthSequence, number: np.random.Generator) -> S
     """Return samples of the windows of events that end at each true flow but the first."""
     patches, flows = [], []
     times, truth = sequence.arrays["pictures/t"], sequence.arrays["pictures/flow"]
-    for t_us, flow in zip(times[1:].tolist(), truth[1:], strict=True):
+    for t_us, flow in zip(np.rint(times[1:]).astype(int).tolist(), truth[1:], strict=True):
         x, y = chosen(sequence.events, t_us, number)
         patch, answer = patches_at(sequence.events, SIZE, x, y, t_us), flow[y, x]
         on_body = np.isfinite(answer).all(axis=1) & answer.any(axis=1)

@@ -144,9 +144,9 @@ def test_a_package_index_takes_the_wheel_and_the_sdist_which_makes_the_same_whee
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """The Python of a fresh environment with the wheel and its base dependencies, and nothing else."""
+    """The Python of a fresh environment with pip, the wheel and its base dependencies, and nothing else."""
     folder = tmp_path_factory.mktemp("evstim") / ".venv"
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    subprocess.run([sys.executable, "-m", "venv", folder], check=True)
     pip("--python", folder, "install", "--no-compile", wheel)
     return folder / "bin" / "python"
 
@@ -277,7 +277,7 @@ def test_a_fresh_environment_has_no_optional_package(installed):
 
 PAGES = ("README.md", "docs/index.md", "docs/tutorial.md")
 LEFT_OUT = {  # commands that are not typed here, and the reason
-    r"make (demo|test)": "they install all packages, and `make test` runs this test",
+    r"make (demo|smoke|test)": "they install all packages; `make test` runs this test and tests/test_smoke.py",
     r"(sudo )?usbip|sudo modprobe": "root and a kernel module; tests/guest attaches cameras in a machine of its own",
     r"evstim demo": "seconds to minutes of real time each; tests/emulator/cli, tests/guest and tests/examples run them",
     r"evstim campaign": "64 runs; tests/emulator/campaign and tests/examples run campaigns",

@@ -93,7 +93,7 @@ class CanWay:
         self._csp = p.carriage == "cfp"
         addresses = Addresses(csp_node=p.csp_address, csp_peer=p.csp_peer)
         self._profile = Profile("csp", addresses) if self._csp else Profile("ccsds")
-        self._sender = IsoTpSender(p.peer_isotp)
+        self._sender = IsoTpSender(p.receiver.isotp)
         self._packets = self._now_ns = 0
         self.left = deque()
 

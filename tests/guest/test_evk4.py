@@ -175,9 +175,9 @@ def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(gue
     with RunningRig(tmp_path, text=RAMP) as rig:
         seen = streamed(guest, driver_pythons["nd"], rig, FEWER_EVENTS // 2)
     measured = [apart_us(seen.events, on=on) for on in (True, False)]
-    expected = [expected_us(0.2 * math.exp(20 * 0.0149), 4000.0), expected_us(0.2, 4000.0)]
+    expected = [expected_us(0.2 * math.exp(20 * 0.0143), 4000.0), expected_us(0.2, 4000.0)]
     assert np.allclose(measured, expected, rtol=0.01), (measured, expected)
-    assert "biases make threshold_on 0.2694" in rig.said
+    assert "biases make threshold_on 0.2662" in rig.said
     assert "no effect" not in rig.said  # what it writes when it opens are the factory's values
 
 

@@ -29,6 +29,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import struct
+import weakref
 from bz2 import BZ2Decompressor
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
@@ -390,6 +391,7 @@ class BagReader:
             self._bag.readers = [bag]
             self._bag.open()
             self._damage = bag.damage
+        weakref.finalize(self, self._bag.close)  # also where it is left before its end
         counts: Counter[str] = Counter()
         for connection in self._bag.connections:
             if connection.msgtype in (_PACKET, *_ARRAYS):
@@ -403,8 +405,7 @@ class BagReader:
             raise RecordingError(f"it has no events of the topic {topic}, but of {', '.join(counts)}")
         topic = topic or next(iter(counts))
         beside = {name: other for name, kind in _KINDS.items() if (other := self._beside(topic, kind))}
-        topics = {topic, *beside.values()}
-        self._connections = [c for c in self._bag.connections if c.topic in topics]
+        self._connections = [c for c in self._bag.connections if c.topic in {topic, *beside.values()}]
         self._is_array = any(c.topic == topic and c.msgtype in _ARRAYS for c in self._connections)
         self._seen_size: Size | None = None
         self._decoder = Evt3Decoder()
@@ -451,7 +452,6 @@ class BagReader:
             if sound < len(part.events):
                 time_us = part.events["t"][sound]
                 raise RecordingError(f"it is damaged: an event at {time_us} us is before its first message")
-        self._bag.close()
         if self._damage:
             raise RecordingError(self._damage)
         if early:

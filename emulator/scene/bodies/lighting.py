@@ -399,7 +399,7 @@ class Lighting:
             out[:, chosen[:count]] += planet[0], (planet[1] - planet[0]) / step_s
         if body.edges is not None:
             facets = FrameFacets(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
-            suns = Suns(row(group.suns, 0), row(group.suns, 1), step_s, radius)
+            suns = Suns(tuple(group.suns[0].tolist()), tuple(group.suns[1].tolist()), step_s, radius)
             polygons.append(body.edges.cut(Lights(out, dark), suns, self._window(group), facets))
             in_shadow = chosen[:count][hidden[chosen[:count]] == 1]
             out[:, in_shadow] = dark[:, in_shadow]

@@ -1,5 +1,7 @@
 """ROS bags of other programs: topics of several cameras, messages of Prophesee's driver, folders that lack a file."""
 
+import gc
+
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Bag1
@@ -12,7 +14,7 @@ from tests.transports.recording.samples import SIZE
 from transports.recording.files import OpenRecording, iter_events, read_events
 from transports.recording.format import FORMATS
 from transports.recording.part import RecordingError
-from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, event_array
+from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, BagReader, event_array
 
 pytestmark = pytest.mark.usefixtures("forked_readers")
 
@@ -122,3 +124,14 @@ def test_samples_that_come_later_than_events_and_are_earlier_are_counted(tmp_pat
     assert next(parts)["t"].tolist() == [400, 900]
     with pytest.raises(RecordingError, match="2 samples of its inertial unit are before its first events"):
         next(parts)
+
+
+def test_a_reader_that_is_left_has_closed_its_bag(bag, recwarn):
+    """Left with its facts alone, amid its parts, and by an error: python reports a file that is not closed."""
+    path = bag([(LEFT, events_at([5, 9])), (RIGHT, events_at([7])), (LEFT, events_at([20]))])
+    assert BagReader(path, None, LEFT).facts.camera == LEFT
+    assert len(next(BagReader(path, None, LEFT).parts()).events) == 2
+    with pytest.raises(RecordingError):
+        BagReader(path, None, "/up")
+    gc.collect()
+    assert not [warning for warning in recwarn if warning.category is ResourceWarning]
