@@ -252,10 +252,10 @@ class TerrainWorld:
         made_from = digest.hexdigest(), ground.unit_m, ground.heights_m.shape, levels, sun, code
 
         kinds = Kind(np.float32, 1), Kind(np.uint16, 1), Kind(np.uint16, 1)
-        arrays = cached_arrays(
+        heights, moments, shadows = cached_arrays(
             "light", made_from, lambda: build_pyramid(ground, self.sun_radii(), self.disc, levels)[:-1], kinds
         )
-        return Pyramid(*arrays, table_of(ground, levels))
+        return Pyramid(heights, moments, shadows, table_of(ground, levels))
 
     def planes(self, pose: Pose) -> Floats:
         """Return the inward normals of the four planes through the frame's edges and of the one behind, (5, 3)."""
