@@ -126,7 +126,7 @@ class Scene(Closing):
     """True: any instant can be drawn at any time, and `geometry` has the flow: no pose comes from outside."""
 
     refines: bool = False
-    """True: the light of single pixels is so cheap that undersampled steps are refined with it."""
+    """True: the light of single pixels is so cheap that undersampled steps are refined with it, where it is given."""
 
     has_rate: bool = False
     """True: `light_and_rate` gives the exact time derivative of the light.
@@ -172,7 +172,7 @@ class Scene(Closing):
     def pixel_light(self) -> PixelLight | None:
         """Function that gives the light of single pixels at any instant, equal to that of a frame but for rounding.
 
-        None, unless a scene can draw single pixels.
+        None, unless a scene can draw single pixels, and for the step to the last frame this is of use.
         """
         return None
 
@@ -267,8 +267,9 @@ class SceneFrames:
     def __init__(self, scene: Scene, *, with_rate: bool, with_pixel_light: bool = False) -> None:
         shape, with_rate = scene.size[::-1], with_rate and scene.has_rate
         rate = np.zeros(shape, np.float32) if with_rate else None
-        at = scene.pixel_light if with_rate and with_pixel_light else None
         self.scene = scene
+        self._has_pixel_light = with_rate and with_pixel_light
+        at = scene.pixel_light if self._has_pixel_light else None
         self.last = LightFrame(0, np.zeros(shape, np.float32), rate, at)
         self.count = 0
 
@@ -280,5 +281,6 @@ class SceneFrames:
         else:
             self.scene.light_and_rate(t_ns, last.light, last.rate)
         self.count += 1
-        self.last = LightFrame(t_ns, last.light, last.rate, last.at, self.scene.changed)
+        at = self.scene.pixel_light if self._has_pixel_light else None
+        self.last = LightFrame(t_ns, last.light, last.rate, at, self.scene.changed)
         return self.last

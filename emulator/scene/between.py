@@ -129,7 +129,9 @@ class LightBetween(OtherLight):
         self._aways, self._spare = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.float32)
         self._drawn: dict[int, Future[_Drawn]] = {}  # by stream time
         self._pairs: dict[_Slot, Pair] = {}  # the last two
-        self._periods_ns: dict[int, int] = {}  # of the last windows, by their begin
+        self._window_ns = period_ns or WINDOW * step_ns
+        self._fast: dict[int, bool] = {}  # of the last windows, by their begin
+        self._is_fast = False
         self._arrays, self._region = LastArrays(), NOTHING
 
     def light(self, t_ns: int, out: Light) -> None:
@@ -139,6 +141,7 @@ class LightBetween(OtherLight):
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write light and rate at `t_ns`: exact at a drawing, else moved."""
         slot = self._slot(t_ns)
+        self._is_fast = self._moves_fast(slot.begin_ns - slot.begin_ns % self._window_ns)
         if slot.begin_ns == t_ns and self.scene.has_rate:
             drawn = self._at(t_ns)
             self._request(slot.end_ns)
@@ -170,9 +173,9 @@ class LightBetween(OtherLight):
         return None if geometry is None else _WhereDrawn(geometry, self._submit)
 
     @property
-    def pixel_light(self) -> PixelLight:
-        """Light of single pixels, as moved."""
-        return self._pixels
+    def pixel_light(self) -> PixelLight | None:
+        """Light of single pixels, as moved, while the image moves fast; else a step needs none."""
+        return self.pixels if self._is_fast else None
 
     def wait(self) -> None:
         """Wait until all drawings are made that were begun; to measure."""
@@ -184,7 +187,8 @@ class LightBetween(OtherLight):
         self._pool.close()
         super().close()
 
-    def _pixels(self, t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
+    def pixels(self, t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
+        """Return light and rate of the pixels row * width + column at `t_ns`, (n,) each."""
         slot = self._slot(t_ns)
         pair = self._between(slot)
         light, rate = np.zeros((2, len(pixels)), np.float32)
@@ -204,14 +208,17 @@ class LightBetween(OtherLight):
 
     def _slot(self, t_ns: int) -> _Slot:
         """Return the times of the drawings around an instant: the last one up to it, and the next one."""
-        window_ns = t_ns - t_ns % (self._period_ns or WINDOW * self._step_ns)
-        period_ns = self._period_ns or self._periods_ns.get(window_ns, 0)
-        if not period_ns:
-            moved_px = self._at(window_ns).mean_px_s * self._step_ns * 1e-9
-            period_ns = (SELDOM if moved_px > FAST_PX else OFTEN) * self._step_ns
-            self._periods_ns = {**dict([*self._periods_ns.items()][-_LAST_WINDOWS:]), window_ns: period_ns}
+        window_ns = t_ns - t_ns % self._window_ns
+        period_ns = self._period_ns or (SELDOM if self._moves_fast(window_ns) else OFTEN) * self._step_ns
         begin_ns = t_ns - (t_ns - window_ns) % period_ns
         return _Slot(begin_ns, begin_ns + period_ns)
+
+    def _moves_fast(self, window_ns: int) -> bool:
+        """Return whether the image moves by more than FAST_PX a step in the drawing that begins a window."""
+        if window_ns not in self._fast:
+            moved_px = self._at(window_ns).mean_px_s * self._step_ns * 1e-9
+            self._fast = {**dict([*self._fast.items()][-_LAST_WINDOWS:]), window_ns: moved_px > FAST_PX}
+        return self._fast[window_ns]
 
     def _between(self, slot: _Slot) -> Pair | None:
         """Return the drawings of a slot, the one after them on its way; None where the later one cannot be drawn."""

@@ -29,7 +29,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import LightFrame, Scene, SceneFrames
+from emulator.light import LightFrame, PixelLight, Scene, SceneFrames
 from emulator.optics.glare import veiled
 from emulator.optics.through import Through
 from emulator.rig.kinds import CAMERA_MODELS
@@ -214,17 +214,21 @@ class Look:
         """Return the events of the stretch in steps of `step_ns`, and the mean CPU milliseconds a frame."""
         sensor = Sensor(quiet(self.rig.camera.sensor), self.rig.run.seed)
         frames = SceneFrames(scene, with_rate=with_rate, with_pixel_light=scene.refines)
-        first_ns, at = round(self.stretch.start_s * 1e9), frames.last.at
-        since = None if at is None else (lambda t_ns, pixels: at(first_ns + t_ns, pixels))
+        first_ns = round(self.stretch.start_s * 1e9)
         sensor.reset(LightFrame(0, frames.draw(first_ns).light))
         events, spent_s = [empty_events()], []
         for t_ns in range(step_ns, self.stretch.steps * self.step_ns + 1, step_ns):
             start_s = time.process_time()
             frame = frames.draw(first_ns + t_ns)
             spent_s.append(time.process_time() - start_s)
-            events.append(sensor.expose(LightFrame(t_ns, frame.light, frame.rate, since)))
+            events.append(sensor.expose(LightFrame(t_ns, frame.light, frame.rate, _since(first_ns, frame.at))))
         events.append(sensor.finish())
         return Stream.from_events(np.concatenate(events), *self.rig.camera.size), 1e3 * sum(spent_s) / len(spent_s)
+
+
+def _since(first_ns: int, at: PixelLight | None) -> PixelLight | None:
+    """Return the light of single pixels by the time since `first_ns`."""
+    return None if at is None else (lambda t_ns, pixels: at(first_ns + t_ns, pixels))
 
 
 def quiet(sensor: SensorParameters) -> SensorParameters:

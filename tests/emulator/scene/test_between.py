@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 from emulator.geometry.camera import Seen
 from emulator.light import SceneError
 from emulator.rig.loading import load_rig
-from emulator.run.assembly import build_frames, build_scene
+from emulator.run.assembly import build_scene
 from emulator.scene.between import FAST_PX, OFTEN, SELDOM, WINDOW, LightBetween
 from emulator.scene.kind import SizedScene
 from emulator.scene.moved_light import MARGIN, carry_into_sky, spline
@@ -174,7 +174,7 @@ def test_an_instant_has_the_same_bits_whatever_was_drawn_before_and_by_any_threa
             for got, expected in zip((light, rate), alone[t_ns], strict=True):
                 np.testing.assert_array_equal(got, expected)
             if t_ns % (SELDOM * STEP_NS):
-                for got, expected in zip(scene.pixel_light(t_ns, pixels), alone[t_ns], strict=True):
+                for got, expected in zip(scene.pixels(t_ns, pixels), alone[t_ns], strict=True):
                     np.testing.assert_array_equal(got, expected.reshape(-1)[pixels])
 
 
@@ -209,7 +209,7 @@ def test_frames_before_a_drawing_that_fails_are_drawn():
         for t_ns in (40_000_000, 60_000_000, 70_000_000):
             for got, expected in zip(drawn(scene, t_ns), drawn(exact, t_ns), strict=True):
                 np.testing.assert_array_equal(got, expected)
-        light, _ = scene.pixel_light(60_000_000, np.array([700]))
+        light, _ = scene.pixels(60_000_000, np.array([700]))
         assert light[0] == drawn(exact, 60_000_000)[0].reshape(-1)[700]
         with pytest.raises(SceneError, match="below the ground"):
             drawn(scene, 75_000_000)
@@ -237,7 +237,6 @@ def test_the_scenes_that_are_drawn_seldom(name, run, is_between):
     rig = rig_of(name, **run)
     with build_scene(rig, (48, 36)) as scene:
         assert isinstance(scene, LightBetween) == is_between
-        assert (build_frames(rig, scene).last.at is not None) >= is_between
 
 
 def test_where_poses_come_from_outside_each_frame_is_drawn():
