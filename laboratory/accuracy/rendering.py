@@ -253,9 +253,8 @@ def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None, *, as_sh
         for setting in _settings_of(rig)[: 1 if as_shipped else None]:
             own_ns = round(look.step_ns * setting.step_share)
             with look.scene(_builder(rig, setting)) as drawn:
-                scene = drawn
-                if setting.drawn_every != 1:
-                    scene = LightBetween(drawn, own_ns, setting.drawn_every * own_ns)
+                every_ns = setting.drawn_every * own_ns
+                scene = drawn if every_ns == own_ns else LightBetween(drawn, own_ns, every_ns)
                 stream, ms = look.events(scene, own_ns, with_rate=setting.with_rate)
                 scene.close()
             yield _compared((name, setting.name), stream, truth, ms, own_ns)

@@ -17,7 +17,7 @@ import numpy as np
 from cyclopts import App
 
 from emulator.geometry.camera import Pinhole, Seen
-from emulator.light import Light, Scene
+from emulator.light import Light, OtherLight
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters
@@ -38,21 +38,13 @@ RATES_HZ = (30, 100, 1000)
 LAYERS = ((), ("rate",), ("motion",), ("motion", "depth"), ("motion", "depth", "rate"))
 
 
-class Images(Scene):
+class Images(OtherLight):
     """The images of bodies every `period_ns` with some layers, joined as those of a renderer."""
 
-    has_rate = True
-
     def __init__(self, p: BodiesParameters, pinhole: Pinhole, period_ns: int, layers: tuple[str, ...]) -> None:
-        inner = self._inner = RasterBodies(p, pinhole)
-        self.size, self._period_ns = inner.size, period_ns
-        self._layers = layers
-        self._joined, self._drawn = Joined(inner.size), dict[int, TimedImage]()
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """That of the scene."""
-        return self._inner.motion_bound_px_s
+        super().__init__(RasterBodies(p, pinhole))
+        self._period_ns, self._layers = period_ns, layers
+        self._joined, self._drawn = Joined(self.size), dict[int, TimedImage]()
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the joined light."""
@@ -64,7 +56,7 @@ class Images(Scene):
 
     def close(self) -> None:
         """Close the scene."""
-        self._inner.close()
+        super().close()
         self._joined.close()
 
     def _pair(self, t_ns: int) -> Pair:
@@ -76,8 +68,8 @@ class Images(Scene):
         light = np.zeros(self.size[::-1], np.float32)
         rate = np.zeros_like(light)
         seen = Seen.of(*self.size)
-        self._inner.light_and_rate(t_ns, light, rate)
-        geometry = self._inner.geometry()
+        self.scene.light_and_rate(t_ns, light, rate)
+        geometry = self.scene.geometry()
         assert geometry is not None
         geometry.look(t_ns, seen)
         depth = seen.depth if "depth" in self._layers else None
