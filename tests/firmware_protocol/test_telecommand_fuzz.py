@@ -83,7 +83,7 @@ class SerialWay:
 
 
 class CanWay:
-    """The same over the frames of a CAN link; `add` is what a link's deliveries are told."""
+    """The same over the frames of a CAN link; `add_items` is what a link's deliveries are told."""
 
     def __init__(self, instrument, p):
         self._p = p
@@ -97,8 +97,8 @@ class CanWay:
         self._packets = self._now_ns = 0
         self.left = deque()
 
-    def add(self, events, epoch_us, edges):
-        self.left.append((events, epoch_us, edges))
+    def add_items(self, outgoing):
+        self.left.append((outgoing.events, outgoing.epoch_us, outgoing.edges))
 
     def tell(self, command):
         packet = self._profile.wrap_command(command)
