@@ -383,7 +383,7 @@ def dim(
     """
     for i in range(count):
         if shares[0, i] > 0.0 or shares[1, i] > 0.0:
-            point = row(points, np.int64(chosen[i]))
+            point = row(points, chosen[i])
             hidden = _hide(tree, point, moved[0], tangent, near_m)
             # Beyond penumbras it is the same later.
             later = _hide(tree, point, moved[1], tangent, near_m) if 0.0 < hidden < 1.0 else hidden

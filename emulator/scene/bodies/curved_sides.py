@@ -128,12 +128,12 @@ def _write_points(faces: Numbers, between: Numbers, shares: Floats, vertices: Fl
             # Weights of the corners, and of a control point on the way from each corner to each other one, in the
             # tangent plane there. The one within is the mean of these six and half of what they are above the corners.
             for i in range(3):
-                corner, upright = row(vertices, np.int64(faces[f, i])), row(normals, np.int64(faces[f, i]))
+                corner, upright = row(vertices, faces[f, i]), row(normals, faces[f, i])
                 share = shares[point, i]
                 normal = plus(normal, share, upright)
                 place = plus(place, share**3 - inside / 6.0, corner)
                 for j in (i - 2, i - 1):
-                    along = minus(row(vertices, np.int64(faces[f, j])), corner)
+                    along = minus(row(vertices, faces[f, j]), corner)
                     control = plus(corner, 1.0 / 3.0, plus(along, -dot(along, upright), upright))
                     place = plus(place, 3.0 * share * share * shares[point, j] + inside / 4.0, control)
             length = math.sqrt(max(dot(normal, normal), 1e-300))

@@ -76,12 +76,12 @@ def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:
 def _lower_to_facets(vertices: Floats, faces: Numbers, normals: Floats, least: Floats) -> None:
     """Lower `least`, (n,), to the cosine between a vertex's normal and that of each facet that meets there."""
     for f in range(len(faces)):
-        first = row(vertices, np.int64(faces[f, 0]))
-        side = minus(row(vertices, np.int64(faces[f, 1])), first)
-        plane = cross(side, minus(row(vertices, np.int64(faces[f, 2])), first))
+        first = row(vertices, faces[f, 0])
+        plane = cross(minus(row(vertices, faces[f, 1]), first), minus(row(vertices, faces[f, 2]), first))
         length = math.sqrt(max(dot(plane, plane), 1e-300))
-        for v in faces[f]:
-            least[v] = min(least[v], dot(plane, row(normals, np.int64(v))) / length)
+        for k in range(3):
+            v = faces[f, k]
+            least[v] = min(least[v], dot(plane, row(normals, v)) / length)
 
 
 def _flat(mesh: Mesh) -> Surface:
@@ -215,6 +215,6 @@ def mean_side_m(vertices: Floats, faces: Numbers) -> float:
     total = 0.0
     for f in range(len(faces)):
         for k in range(3):
-            side = minus(row(vertices, np.int64(faces[f, k])), row(vertices, np.int64(faces[f, k - 1])))
+            side = minus(row(vertices, faces[f, k]), row(vertices, faces[f, k - 1]))
             total += math.sqrt(dot(side, side))
     return total / (3 * len(faces))
