@@ -38,7 +38,7 @@ SHARES = 1 / (1 + np.exp(-np.arange(-LAST_LOGIT, LAST_LOGIT + 0.1, 1 / SHARES_A_
 _NODES = 5, 8  # of the sums and differences of a pixel's two thresholds; with an even number none are equal
 _FASTEST_HZ = 1e12
 _F0, _F1 = np.float32(0), np.float32(1)
-_NEEDED = True
+_NEEDED = np.bool_(True)
 _ENDLESS_HZ = 1e-25
 
 

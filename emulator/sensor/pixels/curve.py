@@ -153,7 +153,7 @@ _TWELFTH, _A_384TH = np.float32(1 / 12), np.float32(1 / 384)
 _K0, _K1, _K2, _K3 = (np.float32(x) for x in (0.16666658, -0.04166122, 0.00827807, -0.00120679))
 _SERIES_UP_TO = np.float32(0.5)  # beyond, the closed forms lose less than the series
 _SHORTEST = np.float32(0.01)  # below, the error of a cubic for an exponential is below the resolution of float32
-_FAST = np.float32(6)  # above, a cubic with the exponential's slope misses more than the exponential itself
+_FAST = np.float32(10)  # above, a cubic with the exponential's slope misses more than one with the steady slopes
 _LEAST_GAP = np.float32(1e-6)
 _LINEAR, _OFFSET = np.float32(0.16), np.float32(0.2)
 

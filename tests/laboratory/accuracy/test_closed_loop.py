@@ -4,9 +4,8 @@ import functools
 
 import pytest
 
-from emulator.plan.step_control import Limits
 from laboratory.accuracy.harness import CASES
-from laboratory.accuracy.sweeps import WRONG_SHARE, control
+from laboratory.accuracy.sweeps import control
 
 BY_NAME = {swept.case.name: swept.case for swept in CASES}
 WISH_US = 10.0
@@ -14,7 +13,7 @@ WISH_US = 10.0
 
 @functools.cache
 def run(name, *, with_rate=True, refined=False, wish_us=WISH_US):
-    return control(BY_NAME[name], Limits(wish_us, wrong_share=WRONG_SHARE), with_rate=with_rate, refined=refined)
+    return control(BY_NAME[name], wish_us, with_rate=with_rate, refined=refined)
 
 
 @pytest.mark.sampled

@@ -315,7 +315,7 @@ def _let_fire(  # noqa: PLR0913, PLR0917
     _draw(rows, columns.keys, whole_vectors(n))
     _leave(rows, tables, whole_vectors(n))
     for i in listed[:placed]:
-        late_s = _delay_s(rows, i, c)
+        late_s = _delay_s(rows, np.int64(i), c)
         switched_ns = columns.resets_ns[i] + int(late_s * 1e9)
         j, reset_ns = columns.visits[i], switched_ns + c.refractory_ns
         of_noise, on = int(rows[Column.OF_NOISE + i]), rows[Column.SIGN + i] > 0
@@ -323,7 +323,7 @@ def _let_fire(  # noqa: PLR0913, PLR0917
         n_keys += 1
         visits.rows[Visit.COUNT + j] += _ONE
         rows[Column.LATE + i] = np.float32(late_s) / rows[Column.SPAN + i]
-        rows[Column.OFFSET + i] = _offset(rows, i, columns.streams[i], reset_ns, c)
+        rows[Column.OFFSET + i] = _offset(rows, np.int64(i), columns.streams[i], reset_ns, c)
         rows[Column.POLARITY + i] = np.float32(polarity_of(columns.streams[i], reset_ns))
         columns.resets_ns[i] = reset_ns
     _reset(rows, whole_vectors(n))
@@ -335,7 +335,7 @@ def _let_fire(  # noqa: PLR0913, PLR0917
             end_ns = np.float64(visits.rows[Visit.BEGIN + j] + rows[Column.SPAN + i]) * 1e9
             lost += 1 + int(min(fired * (end_ns - passed_ns) / max(passed_ns, 1.0), _MOST_LOST))
             rows[Column.STATE + i] = DONE
-            rows[Column.REFERENCE + i] = value_at(curve_of(rows, i), _ONE)
+            rows[Column.REFERENCE + i] = value_at(curve_of(rows, np.int64(i)), _ONE)
     return n_keys, lost
 
 
