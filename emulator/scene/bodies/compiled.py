@@ -5,6 +5,7 @@ Kernels and most entries count no references and so cannot allocate: with it sha
 
 from __future__ import annotations
 
+from emulator.sensor.numerics.compiled import inlined
 from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.events import Floats, Int32s
 
@@ -21,7 +22,7 @@ Point = tuple[float, float, float]
 ZERO: Point = (0.0, 0.0, 0.0)
 
 
-@kernel
+@inlined
 def row(points: Floats, k: int) -> Point:
     """Return row k of an array, (n, 3)."""
     return points[k, 0], points[k, 1], points[k, 2]
