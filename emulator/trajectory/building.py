@@ -382,12 +382,7 @@ def _spinning(p: SpinPath) -> Spinning:
 
 @runtime_checkable
 class HasCameraPath(Protocol):
-    """A scene whose camera moves on a path."""
+    """A scene whose camera moves on `camera_path`, on the scene's time; `path_time` is stream time to that."""
 
-    @property
-    def camera_path(self) -> Trajectory:
-        """Path of the camera, on the scene's time."""
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
+    camera_path: Trajectory
+    path_time: Timescale
