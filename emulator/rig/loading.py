@@ -27,12 +27,7 @@ from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
-from emulator.tables.toml_text import (
-    TextFileError,
-    TomlError,
-    read_text,
-    read_toml,
-)
+from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
 from emulator.tables.typed_table import TableError, beside, convert
 from firmware_protocol.bounds import Bounded, unshared
 from transports.faults.kinds import Fault

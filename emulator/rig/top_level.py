@@ -205,10 +205,6 @@ def _run(table: object, rig: Mapping[str, Any]) -> Run:
     return run
 
 
-def _verdict(table: object, _: Mapping[str, Any]) -> Verdict:
-    return convert(table, Verdict, ("verdict",))
-
-
 def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]:
     if not isinstance(tables, list):
         raise TableError("expected [[links]] tables", ("links",))
@@ -280,19 +276,18 @@ TOP_LEVEL: Mapping[str, TopLevelKey] = {
     ),
     "trigger": TopLevelKey("Source of edges at the camera's external input; left out: none.", _trigger, _one(Trigger)),
     "run": TopLevelKey("Time and method of the run.", _run, _one(Run), absent={}),
-    "verdict": TopLevelKey("Limits of a good run.", _verdict, _one(Verdict), absent={}),
+    "verdict": TopLevelKey(
+        "Limits of a good run.", lambda table, _: convert(table, Verdict, ("verdict",)), _one(Verdict), absent={}
+    ),
     "links": TopLevelKey("Links that carry the events, any number of them.", _links, _parameters(LINKS), True, []),
     "faults": TopLevelKey("Faults of links, and their times.", _faults, FAULTS.usable, True, []),
 }
 """Top-level keys by name, in the order of the reference; each is a field of `emulator.rig.loading.Rig`."""
 
 
-_Definitions = dict[str, Any]
-
-
 def rig_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a rig file as a table."""
-    definitions: _Definitions = {}
+    definitions: dict[str, Any] = {}
     properties = {name: _top_level(key, definitions) for name, key in TOP_LEVEL.items()}
     definitions["SensorParameters"].pop("required", None)  # a rig gives the differences from the preset
     definitions["Camera"]["properties"]["model"]["enum"] = list(CAMERA_MODELS)
@@ -307,7 +302,7 @@ def rig_schema() -> dict[str, Any]:
     }
 
 
-def _top_level(key: TopLevelKey, definitions: _Definitions) -> dict[str, Any]:
+def _top_level(key: TopLevelKey, definitions: dict[str, Any]) -> dict[str, Any]:
     kinds = key.kinds()
     if not kinds:
         return {"type": "string", "description": key.meaning}
@@ -315,11 +310,11 @@ def _top_level(key: TopLevelKey, definitions: _Definitions) -> dict[str, Any]:
     return {"description": key.meaning, **({"type": "array", "items": table} if key.is_list else table)}
 
 
-def _one_of(kinds: Mapping[str, type], definitions: _Definitions) -> dict[str, Any]:
+def _one_of(kinds: Mapping[str, type], definitions: dict[str, Any]) -> dict[str, Any]:
     return {"oneOf": [_table(cls, definitions, kind) for kind, cls in kinds.items()]}
 
 
-def _table(cls: type, definitions: _Definitions, kind: str = "") -> dict[str, str]:
+def _table(cls: type, definitions: dict[str, Any], kind: str = "") -> dict[str, str]:
     """Define a table, once, and return the reference to it."""
     if cls.__name__ not in definitions:
         definitions[cls.__name__] = {}  # before its fields, so that a table within itself ends
@@ -327,7 +322,7 @@ def _table(cls: type, definitions: _Definitions, kind: str = "") -> dict[str, st
     return {"$ref": f"#/$defs/{cls.__name__}"}
 
 
-def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, Any]:
+def _definition(cls: type, definitions: dict[str, Any], kind: str) -> dict[str, Any]:
     types, bounds = field_types(cls), bounds_of(cls)
     bounded = {name: Annotated[types[name], limits] for name, limits in bounds.items()}
     properties = {f.name: _field(f, {**types, **bounded}[f.name], definitions) for f in dataclasses.fields(cls)}
@@ -344,7 +339,7 @@ def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, An
     }
 
 
-def _field(field: dataclasses.Field[Any], annotation: Any, definitions: _Definitions) -> dict[str, Any]:
+def _field(field: dataclasses.Field[Any], annotation: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     if item := item_type(annotation):
         return {"type": "array", "items": _value(item, definitions)}
     if kinds_of(annotation) or table_type(annotation):
@@ -353,7 +348,7 @@ def _field(field: dataclasses.Field[Any], annotation: Any, definitions: _Definit
     return plain if field.default is dataclasses.MISSING else {**plain, "default": field.default}
 
 
-def _value(annotation: Any, definitions: _Definitions) -> dict[str, Any]:
+def _value(annotation: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     if kinds := kinds_of(annotation):
         return _one_of(kinds, definitions)
     return _table(table_type(annotation), definitions)
