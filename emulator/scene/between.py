@@ -140,11 +140,11 @@ class LightBetween(OtherLight):
         """Write light and rate at `t_ns`: exact at a drawing, else moved."""
         slot = self._slot(t_ns)
         if slot.begin_ns == t_ns and self.scene.has_rate:
-            drawn = self._at(t_ns)
+            exact = self._at(t_ns)
             self._request(slot.end_ns)
-            window = self._window(drawn.blocks, light, rate)
+            window = self._window(exact.blocks, light, rate)
             part = slice(*window.bounds[:2]), slice(*window.bounds[2:])
-            light[part], rate[part] = drawn.drawing.light[part], drawn.drawing.rate[part]
+            light[part], rate[part] = exact.drawing.light[part], exact.drawing.rate[part]
             return
         pair = self._between(slot)
         if pair is None:
