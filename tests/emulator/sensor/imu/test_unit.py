@@ -14,7 +14,7 @@ from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Ca
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Orbit
-from emulator.trajectory.live import LivePoses
+from emulator.trajectory.live import LATE_PICTURES, LivePoses
 from emulator.trajectory.mounting import Looking, Spinning
 from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import STILL, Fixed, Pose, Timescale
@@ -100,7 +100,7 @@ def test_live_poses_are_felt_and_no_picture_is_counted_as_late():
     force = unit(path).between(20_000_000, 400_000_000)["force"]
     np.testing.assert_allclose(force[:30], np.broadcast_to([0, 0, 3.0], (30, 3)), atol=1e-7)
     np.testing.assert_array_equal(force[-1], 0)
-    assert path.counters.late_pictures == 0
+    assert path.counters[LATE_PICTURES] == 0
 
 
 @pytest.mark.parametrize("cuts", [[], [0.3], [0.0011, 0.0012, 0.5, 0.501]])
