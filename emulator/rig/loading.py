@@ -163,14 +163,11 @@ def second_rig(rig: Rig) -> Rig:
     """Return the rig as its second camera has it; raises RigError where its scene has no path to mount it on."""
     second = rig.second_camera
     assert second is not None
-    seed = rig.run.seed + 1
-    links = tuple(link for link in rig.links if carries_second(rig, link.name))
-    run = dataclasses.replace(rig.run, seed=seed)
     return dataclasses.replace(
         rig,
         camera=_second_model(rig.camera, second),
-        links=links,
-        run=run,
+        links=tuple(link for link in rig.links if carries_second(rig, link.name)),
+        run=dataclasses.replace(rig.run, seed=rig.run.seed + 1),
         scene=_moved(rig, second),
         trigger=None,
         second_camera=None,

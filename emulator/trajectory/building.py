@@ -140,62 +140,46 @@ def _read_row(samples: Samples, columns: dict[str, int], cells: list[str]) -> No
 
 @dataclass(eq=False)
 class Flight(Samples):
-    """Contents of a flight file.
+    """Contents of a flight file; `left_out` is how often each other command stood in it."""
 
-    Attributes
-    ----------
-    period_ns : time between two poses but for pauses.
-    left_out : how often each other command stood in it.
-    """
-
-    period_ns: int = field(kw_only=True)
     left_out: Counter[str] = field(default_factory=Counter)
-    _t_ns: int = 0
-    _angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
-
-    def read(self, words: list[str]) -> None:
-        """Read the words of a line; raises ValueError."""
-        match words:
-            case ["start", *numbers]:
-                self._place(_flight_numbers(numbers, 6))
-            case ["quaternion", *numbers]:
-                values = _flight_numbers(numbers, 7)
-                self._angles = None
-                self._add(Pose(values[:3], values[3:]))
-            case ["pause", *numbers]:
-                (seconds,) = _flight_numbers(numbers, 1)
-                if seconds < 0 or not self.poses:
-                    raise ValueError("a pause needs a pose before it, and time that does not go back")
-                if seconds:
-                    self._t_ns += round(seconds * 1e9) - self.period_ns
-                    self._add(self.poses[-1])
-            case [command, *_] if command[0].isalpha():
-                self.left_out[command] += 1
-            case numbers:
-                if self._angles is None:
-                    raise ValueError("increments need a `start` line before them")
-                self._place(self._angles + _flight_numbers(numbers, 6))
-
-    def _place(self, angles: npt.NDArray[np.float64]) -> None:
-        self._angles = angles
-        self._add(Pose(angles[:3], _flight_attitude(*(math.radians(a) for a in angles[3:]))))
-
-    def _add(self, pose: Pose) -> None:
-        self.times_ns.append(self._t_ns)
-        self.poses.append(pose)
-        self._t_ns += self.period_ns
 
 
 def parse_flight(text: str, period_s: float) -> Flight:
     """Read a flight file whose poses are `period_s` apart; raises TrajectoryError with the line."""
-    flight = Flight(period_ns=round(period_s * 1e9))
+    flight, period_ns, t_ns = Flight(), round(period_s * 1e9), 0
+    angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].split()
         try:
-            if words:
-                flight.read(words)
+            match line.partition("#")[0].split():
+                case []:
+                    continue
+                case ["quaternion", *words]:
+                    values = _flight_numbers(words, 7)
+                    angles, pose = None, Pose(values[:3], values[3:])
+                case ["pause", *words]:
+                    (seconds,) = _flight_numbers(words, 1)
+                    if seconds < 0 or not flight.poses:
+                        raise ValueError("a pause needs a pose before it, and time that does not go back")
+                    if not seconds:
+                        continue
+                    t_ns += round(seconds * 1e9) - period_ns
+                    pose = flight.poses[-1]
+                case [command, *_] if command != "start" and command[0].isalpha():
+                    flight.left_out[command] += 1
+                    continue
+                case [command, *words]:
+                    is_start = command == "start"
+                    if angles is None and not is_start:
+                        raise ValueError("increments need a `start` line before them")
+                    values = _flight_numbers(words if is_start else [command, *words], 6)
+                    angles = values if is_start or angles is None else angles + values
+                    pose = Pose(angles[:3], _flight_attitude(*(math.radians(a) for a in angles[3:])))
         except ValueError as error:
             raise TrajectoryError(f"line {number}: {error}") from error
+        flight.times_ns.append(t_ns)
+        flight.poses.append(pose)
+        t_ns += period_ns
     return flight
 
 
