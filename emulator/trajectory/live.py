@@ -426,9 +426,10 @@ def close_receivers(*paths: Trajectory) -> None:
 def live_counts(*paths: Trajectory) -> dict[str, int]:
     """Return the counts of all paths with poses from outside, added up; empty where there is none."""
     received = [path for path in paths if isinstance(path, ReceivedPath)]
+    receivers = dict.fromkeys(path.receiver for path in received)
     counts = Counter[str]()
-    for counted in (*received, *dict.fromkeys(path.receiver for path in received)):
-        counts.update(counted.counters)
+    for counters in (*(path.counters for path in received), *(receiver.counters for receiver in receivers)):
+        counts.update(counters)
     return dict(counts)
 
 
