@@ -106,9 +106,15 @@ def parse_table(text: str) -> Samples:
     if missing:
         raise TrajectoryError(f"line {lines[0][0]}: column {', '.join(missing)} is missing among {', '.join(columns)}")
     samples = Samples()
+    has_attitude = all(name in columns for name in _ATTITUDE)
     for number, cells in lines[1:]:
         try:
-            _read_row(samples, columns, cells)
+            t_s, *place = (float(cells[columns[name]]) for name in ("t_s", *_PLACE))
+            if not math.isfinite(t_s):
+                raise ValueError(f"time {t_s} s: must be finite")
+            attitude = [float(cells[columns[name]]) for name in _ATTITUDE] if has_attitude else STILL.q_world_from_body
+            samples.poses.append(Pose(np.array(place), np.array(attitude)))
+            samples.times_ns.append(round(t_s * 1e9))
         except (ValueError, IndexError, OverflowError) as error:
             raise TrajectoryError(f"line {number}: {error}") from error
     return samples
@@ -122,20 +128,6 @@ def _table_lines(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
                 yield number, [cell.strip() for cell in next(csv.reader([line]))]
             except csv.Error as error:
                 raise TrajectoryError(f"line {number}: {error}") from error
-
-
-def _read_row(samples: Samples, columns: dict[str, int], cells: list[str]) -> None:
-    def numbers(names: Iterable[str]) -> list[float]:
-        return [float(cells[columns[name]]) for name in names]
-
-    place = np.array(numbers(_PLACE))
-    has_attitude = all(name in columns for name in _ATTITUDE)
-    attitude = np.array(numbers(_ATTITUDE)) if has_attitude else STILL.q_world_from_body
-    (t_s,) = numbers(["t_s"])
-    if not math.isfinite(t_s):
-        raise ValueError(f"time {t_s} s: must be finite")
-    samples.poses.append(Pose(place, attitude))
-    samples.times_ns.append(round(t_s * 1e9))
 
 
 @dataclass(eq=False)
