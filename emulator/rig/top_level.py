@@ -19,7 +19,6 @@ from emulator.rig.kinds import (
     LINKS,
     SCENES,
     CameraModel,
-    UsbModel,
     UsbSettings,
     convert_fault,
     gige_models,
@@ -130,7 +129,10 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
         able = " or ".join(name for name, other in CAMERA_MODELS.usable().items() if other.bias_slopes is not None)
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
     if record.usb is not None:
-        _check_imu(camera, record.usb)
+        imu_units = record.usb.imu_units
+        if camera.imu is not None and imu_units is not None and camera.imu.unit not in imu_units:
+            able = " or ".join(f'"{unit}"' for unit in imu_units)
+            raise TableError(f"a {camera.model} has unit = {able}, got {camera.imu.unit!r}", (*path, "imu", "unit"))
         try:
             record.usb.device(camera, UsbSettings(camera.start_delay_ms))
         except ValueError as error:
@@ -144,14 +146,6 @@ def _with_slopes(table: dict[str, Any], model: CameraModel) -> dict[str, Any]:
     if model.bias_slopes in (None, BiasSlopes()) or not isinstance(slopes, dict):
         return table
     return {**table, "bias_slopes": dataclasses.asdict(model.bias_slopes) | slopes}
-
-
-def _check_imu(camera: Camera, usb: UsbModel) -> None:
-    """Raise TableError for an inertial unit that the camera's USB device cannot have."""
-    if camera.imu is None or usb.imu_units is None or camera.imu.unit in usb.imu_units:
-        return
-    able = " or ".join(f'"{unit}"' for unit in usb.imu_units)
-    raise TableError(f"a {camera.model} has unit = {able}, got {camera.imu.unit!r}", ("camera", "imu", "unit"))
 
 
 def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
