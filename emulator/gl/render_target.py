@@ -85,7 +85,11 @@ class RenderTarget:
         try:
             with self.context as gl:
                 fine_size = (size[0] * samples, size[1] * samples)
-                _require_fits(gl, size, fine_size)
+                if max(fine_size) > (largest := int(gl.info["GL_MAX_TEXTURE_SIZE"])):
+                    raise SceneError(
+                        f"{fine_size[0]} x {fine_size[1]} samples are needed and this GL draws at most {largest} in a "
+                        "row: use fewer samples"
+                    )
                 self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
                 self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
                 self._light = gl.framebuffer([gl.texture(size, 1, dtype="f4")])
@@ -116,19 +120,17 @@ class RenderTarget:
             gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
             gl.front_face, gl.cull_face = "cw", "back"
             render(gl)
-            self._average(gl, region or Rectangle(0, 0, *self.size))
+            self._light.use()
+            self._light.clear()
+            part = region or Rectangle(0, 0, *self.size)
+            self._light.viewport = (part.left, part.top, part.width, part.height)
+            gl.enable_only(gl.NOTHING)
+            self._samples_texture.use(0)
+            self._cover.render(gl.TRIANGLES, vertices=3)
+            self._light.viewport = (0, 0, *self.size)
             self._light.read_into(contiguous, components=1, dtype="f4")
         if contiguous is not out:
             out[:] = contiguous
-
-    def _average(self, gl: moderngl.Context, region: Rectangle) -> None:
-        self._light.use()
-        self._light.clear()
-        self._light.viewport = (region.left, region.top, region.width, region.height)
-        gl.enable_only(gl.NOTHING)
-        self._samples_texture.use(0)
-        self._cover.render(gl.TRIANGLES, vertices=3)
-        self._light.viewport = (0, 0, *self.size)
 
 
 def depth_terms(near_m: float, far_m: float) -> tuple[float, float]:
@@ -141,13 +143,3 @@ def depth_terms(near_m: float, far_m: float) -> tuple[float, float]:
         raise ValueError(f"near_m = {near_m:g}, far_m = {far_m:g}: must be above 0 and in this order")
     apart = far_m - near_m
     return (far_m + near_m) / apart, -2 * far_m * near_m / apart
-
-
-def _require_fits(context: moderngl.Context, *sizes: tuple[int, int]) -> None:
-    largest = int(context.info["GL_MAX_TEXTURE_SIZE"])
-    for size in sizes:
-        if max(size) > largest:
-            raise SceneError(
-                f"{size[0]} x {size[1]} samples are needed and this GL draws at most {largest} in a row: use fewer "
-                "samples"
-            )

@@ -41,7 +41,8 @@ from firmware_protocol.bounds import Bounded
 from firmware_protocol.events import Floats
 
 _WAVELENGTH_M = 555e-9
-_ELECTRON_C, _PLANCK_J_S, _LIGHT_M_S = 1.602176634e-19, 6.62607015e-34, 299_792_458.0
+_ELECTRON_C = 1.602176634e-19
+_PLANCK_J_S, _LIGHT_M_S = 6.62607015e-34, 299_792_458.0
 _AIRY = 0.42
 
 
@@ -65,6 +66,13 @@ class Chip:
         area_m2 = (self.pitch_um * 1e-6) ** 2
         photons_s = irradiance_w_m2 * area_m2 * self.fill_factor * _WAVELENGTH_M / (_PLANCK_J_S * _LIGHT_M_S)
         return photons_s * self.quantum_efficiency * _ELECTRON_C
+
+
+_STEPS = 30
+
+
+class DistortionError(ValueError):
+    """The coefficients of a lens fold the image over itself."""
 
 
 _Coefficient = Annotated[float, Meta(ge=-10, le=10)]
@@ -142,29 +150,6 @@ class LensParameters(Bounded):
         spread = abs(away - focus) / max(1 - focal_m * focus, 1e-9)
         return focal_m * focal_m / self.f_number * spread / (chip.pitch_um * 1e-6)
 
-
-_STEPS = 30
-
-
-class DistortionError(ValueError):
-    """The coefficients of a lens fold the image over itself."""
-
-
-@dataclass(frozen=True)
-class Distortion:
-    """Distortion coefficients of one lens."""
-
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-
-    @classmethod
-    def of(cls, lens: LensParameters) -> Distortion:
-        """Return the distortion of a rig's lens."""
-        return cls(lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)
-
     def bend(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Return the images of directions with tangents `x`, `y`, as tangents again."""
         rr = x * x + y * y
@@ -211,17 +196,17 @@ class Distortion:
             )
 
 
-def straight_columns_and_rows(distortion: Distortion, camera: Pinhole) -> tuple[Floats, Floats]:
+def straight_columns_and_rows(lens: LensParameters, camera: Pinhole) -> tuple[Floats, Floats]:
     """Return pixel centres in an undistorted image of the same scale: (height, width) each, pixels from its middle."""
     x, y = np.meshgrid(
         (np.arange(camera.width) + 0.5 - camera.width / 2) / camera.focal_px,
         (np.arange(camera.height) + 0.5 - camera.height / 2) / camera.focal_px,
     )
-    u, v = distortion.straighten(x, y)
+    u, v = lens.straighten(x, y)
     return u * camera.focal_px, v * camera.focal_px
 
 
-def bent_rays(distortion: Distortion, columns: Floats, rows: Floats, camera: Pinhole) -> Rays:
+def bent_rays(lens: LensParameters, columns: Floats, rows: Floats, camera: Pinhole) -> Rays:
     """Return the rays of pixels whose middles `straight_columns_and_rows` gives."""
-    bend = np.stack(distortion.stretch(columns / camera.focal_px, rows / camera.focal_px), axis=-1)
+    bend = np.stack(lens.stretch(columns / camera.focal_px, rows / camera.focal_px), axis=-1)
     return Rays(columns + camera.width / 2, rows + camera.height / 2, bend)

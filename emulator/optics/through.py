@@ -28,7 +28,7 @@ from numba import njit
 
 from emulator.geometry.camera import Pinhole, Rays, SceneGeometry, Seen
 from emulator.light import LastArrays, Light, OtherLight, Region, Scene, SceneError
-from emulator.optics.lens import Chip, Distortion, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
+from emulator.optics.lens import Chip, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import KernelCompiler, entry_of
 from firmware_protocol.events import Float32s, Floats, Int32s
@@ -214,7 +214,7 @@ class Through(OtherLight):
         self.size = size
         middle = inner.width / 2, inner.height / 2
         self._bent = None if places is None else Bilinear(places[0] + middle[0], places[1] + middle[1], inner.size)
-        self._rays = None if places is None else bent_rays(Distortion.of(lens), places[0], places[1], inner)
+        self._rays = None if places is None else bent_rays(lens, places[0], places[1], inner)
         self._factor = _factor(lens, camera, places)
         sigma_px = lens.blur_sigma_px(chip, camera.focal_px, self.scene.distance_m)
         self._taps = gaussian_taps(sigma_px) if sigma_px >= _LEAST_BLUR_PX else None
@@ -280,7 +280,7 @@ def _places(lens: LensParameters, camera: Pinhole) -> Floats | None:
     if not any((lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)):
         return None
     try:
-        return np.array(straight_columns_and_rows(Distortion.of(lens), camera))
+        return np.array(straight_columns_and_rows(lens, camera))
     except DistortionError as error:
         raise SceneError(f"camera.lens: {error}") from error
 

@@ -27,12 +27,7 @@ from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
-from emulator.tables.toml_text import (
-    TextFileError,
-    TomlError,
-    read_text,
-    read_toml,
-)
+from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
 from emulator.tables.typed_table import TableError, beside, convert
 from firmware_protocol.bounds import Bounded, unshared
 from transports.faults.kinds import Fault
@@ -168,14 +163,11 @@ def second_rig(rig: Rig) -> Rig:
     """Return the rig as its second camera has it; raises RigError where its scene has no path to mount it on."""
     second = rig.second_camera
     assert second is not None
-    seed = rig.run.seed + 1
-    links = tuple(link for link in rig.links if carries_second(rig, link.name))
-    run = dataclasses.replace(rig.run, seed=seed)
     return dataclasses.replace(
         rig,
         camera=_second_model(rig.camera, second),
-        links=links,
-        run=run,
+        links=tuple(link for link in rig.links if carries_second(rig, link.name)),
+        run=dataclasses.replace(rig.run, seed=rig.run.seed + 1),
         scene=_moved(rig, second),
         trigger=None,
         second_camera=None,

@@ -19,7 +19,6 @@ from emulator.rig.kinds import (
     LINKS,
     SCENES,
     CameraModel,
-    UsbModel,
     UsbSettings,
     convert_fault,
     gige_models,
@@ -130,7 +129,10 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
         able = " or ".join(name for name, other in CAMERA_MODELS.usable().items() if other.bias_slopes is not None)
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
     if record.usb is not None:
-        _check_imu(camera, record.usb)
+        imu_units = record.usb.imu_units
+        if camera.imu is not None and imu_units is not None and camera.imu.unit not in imu_units:
+            able = " or ".join(f'"{unit}"' for unit in imu_units)
+            raise TableError(f"a {camera.model} has unit = {able}, got {camera.imu.unit!r}", (*path, "imu", "unit"))
         try:
             record.usb.device(camera, UsbSettings(camera.start_delay_ms))
         except ValueError as error:
@@ -144,14 +146,6 @@ def _with_slopes(table: dict[str, Any], model: CameraModel) -> dict[str, Any]:
     if model.bias_slopes in (None, BiasSlopes()) or not isinstance(slopes, dict):
         return table
     return {**table, "bias_slopes": dataclasses.asdict(model.bias_slopes) | slopes}
-
-
-def _check_imu(camera: Camera, usb: UsbModel) -> None:
-    """Raise TableError for an inertial unit that the camera's USB device cannot have."""
-    if camera.imu is None or usb.imu_units is None or camera.imu.unit in usb.imu_units:
-        return
-    able = " or ".join(f'"{unit}"' for unit in usb.imu_units)
-    raise TableError(f"a {camera.model} has unit = {able}, got {camera.imu.unit!r}", ("camera", "imu", "unit"))
 
 
 def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
@@ -203,10 +197,6 @@ def _run(table: object, rig: Mapping[str, Any]) -> Run:
             "lockstep needs a bus that drives it: give [trigger] source = the name of a CAN link", ("run", "pace")
         )
     return run
-
-
-def _verdict(table: object, _: Mapping[str, Any]) -> Verdict:
-    return convert(table, Verdict, ("verdict",))
 
 
 def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]:
@@ -280,19 +270,18 @@ TOP_LEVEL: Mapping[str, TopLevelKey] = {
     ),
     "trigger": TopLevelKey("Source of edges at the camera's external input; left out: none.", _trigger, _one(Trigger)),
     "run": TopLevelKey("Time and method of the run.", _run, _one(Run), absent={}),
-    "verdict": TopLevelKey("Limits of a good run.", _verdict, _one(Verdict), absent={}),
+    "verdict": TopLevelKey(
+        "Limits of a good run.", lambda table, _: convert(table, Verdict, ("verdict",)), _one(Verdict), absent={}
+    ),
     "links": TopLevelKey("Links that carry the events, any number of them.", _links, _parameters(LINKS), True, []),
     "faults": TopLevelKey("Faults of links, and their times.", _faults, FAULTS.usable, True, []),
 }
 """Top-level keys by name, in the order of the reference; each is a field of `emulator.rig.loading.Rig`."""
 
 
-_Definitions = dict[str, Any]
-
-
 def rig_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a rig file as a table."""
-    definitions: _Definitions = {}
+    definitions: dict[str, Any] = {}
     properties = {name: _top_level(key, definitions) for name, key in TOP_LEVEL.items()}
     definitions["SensorParameters"].pop("required", None)  # a rig gives the differences from the preset
     definitions["Camera"]["properties"]["model"]["enum"] = list(CAMERA_MODELS)
@@ -307,7 +296,7 @@ def rig_schema() -> dict[str, Any]:
     }
 
 
-def _top_level(key: TopLevelKey, definitions: _Definitions) -> dict[str, Any]:
+def _top_level(key: TopLevelKey, definitions: dict[str, Any]) -> dict[str, Any]:
     kinds = key.kinds()
     if not kinds:
         return {"type": "string", "description": key.meaning}
@@ -315,11 +304,11 @@ def _top_level(key: TopLevelKey, definitions: _Definitions) -> dict[str, Any]:
     return {"description": key.meaning, **({"type": "array", "items": table} if key.is_list else table)}
 
 
-def _one_of(kinds: Mapping[str, type], definitions: _Definitions) -> dict[str, Any]:
+def _one_of(kinds: Mapping[str, type], definitions: dict[str, Any]) -> dict[str, Any]:
     return {"oneOf": [_table(cls, definitions, kind) for kind, cls in kinds.items()]}
 
 
-def _table(cls: type, definitions: _Definitions, kind: str = "") -> dict[str, str]:
+def _table(cls: type, definitions: dict[str, Any], kind: str = "") -> dict[str, str]:
     """Define a table, once, and return the reference to it."""
     if cls.__name__ not in definitions:
         definitions[cls.__name__] = {}  # before its fields, so that a table within itself ends
@@ -327,7 +316,7 @@ def _table(cls: type, definitions: _Definitions, kind: str = "") -> dict[str, st
     return {"$ref": f"#/$defs/{cls.__name__}"}
 
 
-def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, Any]:
+def _definition(cls: type, definitions: dict[str, Any], kind: str) -> dict[str, Any]:
     types, bounds = field_types(cls), bounds_of(cls)
     bounded = {name: Annotated[types[name], limits] for name, limits in bounds.items()}
     properties = {f.name: _field(f, {**types, **bounded}[f.name], definitions) for f in dataclasses.fields(cls)}
@@ -344,7 +333,7 @@ def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, An
     }
 
 
-def _field(field: dataclasses.Field[Any], annotation: Any, definitions: _Definitions) -> dict[str, Any]:
+def _field(field: dataclasses.Field[Any], annotation: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     if item := item_type(annotation):
         return {"type": "array", "items": _value(item, definitions)}
     if kinds_of(annotation) or table_type(annotation):
@@ -353,7 +342,7 @@ def _field(field: dataclasses.Field[Any], annotation: Any, definitions: _Definit
     return plain if field.default is dataclasses.MISSING else {**plain, "default": field.default}
 
 
-def _value(annotation: Any, definitions: _Definitions) -> dict[str, Any]:
+def _value(annotation: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     if kinds := kinds_of(annotation):
         return _one_of(kinds, definitions)
     return _table(table_type(annotation), definitions)

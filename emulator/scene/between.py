@@ -143,11 +143,11 @@ class LightBetween(OtherLight):
         slot = self._slot(t_ns)
         self._is_fast = self._moves_fast(slot.begin_ns - slot.begin_ns % self._window_ns)
         if slot.begin_ns == t_ns and self.scene.has_rate:
-            drawn = self._at(t_ns)
+            exact = self._at(t_ns)
             self._request(slot.end_ns)
-            window = self._window(drawn.blocks, light, rate)
+            window = self._window(exact.blocks, light, rate)
             part = slice(*window.bounds[:2]), slice(*window.bounds[2:])
-            light[part], rate[part] = drawn.drawing.light[part], drawn.drawing.rate[part]
+            light[part], rate[part] = exact.drawing.light[part], exact.drawing.rate[part]
             return
         pair = self._between(slot)
         if pair is None:

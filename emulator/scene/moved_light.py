@@ -32,12 +32,9 @@ entry = entry_of("emulator.scene.moved_light", "emulator.sensor.numerics", _nrt=
 CHUNK = 1024
 """Pixels that are computed together: their rows fit the first-level cache."""
 
-_Row, _Column, _Before, _After = (
-    0,
-    1,
-    2,
-    5,
-)  # rows of a thread's room: of each drawing light, rate, and whether it is inside
+# Rows of a thread's room: of each drawing light, rate, and whether it is inside.
+_Row, _Column = 0, 1
+_Before, _After = 2, 5
 ROOM = 8 * CHUNK
 
 BLOCK = 8  # pixels a side: a block without light in both drawings, and around, is dark in between
@@ -167,11 +164,13 @@ def carry_into_sky(labels: UInt16s, flow: Float32s, aways: Float32s, reach_px: f
     height, width = labels.shape
     farthest, reach = reach_px * reach_px, int(reach_px) + 1
     # The part of the frame with surfaces, and with the reach around them.
-    top, bottom, left, right = height, 0, width, 0
+    top, bottom = height, 0
+    left, right = width, 0
     for r in range(height):
         for c in range(width):
             if labels[r, c]:
-                top, bottom, left, right = min(top, r), max(bottom, r + 1), min(left, c), max(right, c + 1)
+                top, bottom = min(top, r), max(bottom, r + 1)
+                left, right = min(left, c), max(right, c + 1)
     top, bottom = max(top - reach, 0), min(bottom + reach, height)
     left, right = max(left - reach, 0), min(right + reach, width)
     for r in range(top, bottom):
@@ -206,15 +205,16 @@ def carry_into_sky(labels: UInt16s, flow: Float32s, aways: Float32s, reach_px: f
 @entry
 def speeds(flow: Float32s, light: Light) -> tuple[float, float]:
     """Return the mean and the greatest speed of lit pixels, px/s."""
-    total, most, count = 0.0, 0.0, 0
+    total, count = 0.0, 0
+    fastest2 = 0.0
     for r in range(light.shape[0]):
         for c in range(light.shape[1]):
             if light[r, c] > _ZERO:
                 squared = flow[r, c, 0] ** 2 + flow[r, c, 1] ** 2
                 total += math.sqrt(squared)
-                most = max(most, squared)
+                fastest2 = max(fastest2, squared)
                 count += 1
-    return total / max(count, 1), math.sqrt(most)
+    return total / max(count, 1), math.sqrt(fastest2)
 
 
 @entry
@@ -232,17 +232,17 @@ def lit_blocks(light: Light, blocks: Bytes) -> None:
 @lane
 def _weights(t: Real) -> tuple[Real, Real, Real, Real]:
     """Return the weights of the four coefficients around a place, a share t behind the second."""
-    rest = _ONE - t
+    left = _ONE - t
     before = (_FOUR - _THREE * t * t * (_TWO - t)) / _SIX
-    after = (_FOUR - _THREE * rest * rest * (_TWO - rest)) / _SIX
-    return rest * rest * rest / _SIX, before, after, t * t * t / _SIX
+    after = (_FOUR - _THREE * left * left * (_TWO - left)) / _SIX
+    return left * left * left / _SIX, before, after, t * t * t / _SIX
 
 
 @lane
 def _slopes(t: Real) -> tuple[Real, Real, Real, Real]:
     """Return the derivatives of `_weights`."""
-    rest = _ONE - t
-    return -_HALF * rest * rest, _HALF * t * (_THREE * t - _FOUR), _HALF * rest * (_FOUR - _THREE * rest), _HALF * t * t
+    left = _ONE - t
+    return -_HALF * left * left, _HALF * t * (_THREE * t - _FOUR), _HALF * left * (_FOUR - _THREE * left), _HALF * t * t
 
 
 @lane
@@ -279,14 +279,14 @@ def _move(drawing: Drawing, elapsed_s: Real, n: int, room: Float32s, to: int) ->
         # The spline there and its gradient, from four rows and columns, the first one before the place.
         i, j = np.int32(y), np.int32(x)
         a, b = x - np.float32(j), y - np.float32(i)
-        weights, slopes, down_weights, down_slopes = _weights(a), _slopes(a), _weights(b), _slopes(b)
+        weights, slopes = _weights(a), _slopes(a)
         at = i * np.int32(wide) + j
         first = (MARGIN - 1) * (wide + 1)
         light0, along0 = _line(coefficients, first, at, weights, slopes)
         light1, along1 = _line(coefficients, first + wide, at, weights, slopes)
         light2, along2 = _line(coefficients, first + 2 * wide, at, weights, slopes)
         light3, along3 = _line(coefficients, first + 3 * wide, at, weights, slopes)
-        w, s = down_weights, down_slopes
+        w, s = _weights(b), _slopes(b)
         along = w[0] * along0 + w[1] * along1 + w[2] * along2 + w[3] * along3
         across = s[0] * light0 + s[1] * light1 + s[2] * light2 + s[3] * light3
         put(room, to * CHUNK + k, w[0] * light0 + w[1] * light1 + w[2] * light2 + w[3] * light3)
@@ -298,7 +298,8 @@ def _move(drawing: Drawing, elapsed_s: Real, n: int, room: Float32s, to: int) ->
 def _weigh(pair: Pair, u: Real, n: int, room: Float32s) -> None:
     """Write light and rate of n pixels, a share u of the period after the first drawing, from both moved ones."""
     use_widest_vectors()
-    period, width, rest = np.float32(pair.period_s), pair.before.light.shape[1], _ONE - u
+    period, width = np.float32(pair.period_s), pair.before.light.shape[1]
+    left = _ONE - u
     has_lacking = pair.lacking.size > 0
     for k in range(n):
         light0, light1 = take(room, _Before * CHUNK + k), take(room, _After * CHUNK + k)
@@ -312,8 +313,8 @@ def _weigh(pair: Pair, u: Real, n: int, room: Float32s) -> None:
             row, column = take(room, _Row * CHUNK + k), take(room, _Column * CHUNK + k)
             at = np.int32(row) * np.int32(width) + np.int32(column)
             e0, e1 = pick(pair.lacking, 0, at), pick(pair.lacking, pair.before.light.size, at)
-            light += period * u * rest * (e0 * rest - e1 * u)
-            rate += e0 * rest * (_ONE - _THREE * u) + e1 * u * (_THREE * u - _TWO)
+            light += period * u * left * (e0 * left - e1 * u)
+            rate += e0 * left * (_ONE - _THREE * u) + e1 * u * (_THREE * u - _TWO)
         put(room, _Before * CHUNK + k, light if light > _DARK else _ZERO)
         put(room, (_Before + 1) * CHUNK + k, rate if light > _DARK else _ZERO)
 
@@ -383,12 +384,12 @@ def _find_lacking(pair: Pair, n: int, room: Float32s, out: Float32s) -> None:
         exact = pair.before.rate if end == 0 else pair.after.rate
         _move(pair.before, np.float32(end) * period, n, room, _Before)
         _move(pair.after, np.float32(end - 1) * period, n, room, _After)
-        here, there = (_Before, _After) if end == 0 else (_After, _Before)
+        this_row, other_row = (_Before, _After) if end == 0 else (_After, _Before)
         for k in range(n):
             r, c = int(room[_Row * CHUNK + k]), int(room[_Column * CHUNK + k])
             change = (room[_After * CHUNK + k] - room[_Before * CHUNK + k]) / period
-            if room[(there + 2) * CHUNK + k] > _ZERO:
-                lacks = exact[r, c] - room[(here + 1) * CHUNK + k] - change
+            if room[(other_row + 2) * CHUNK + k] > _ZERO:
+                lacks = exact[r, c] - room[(this_row + 1) * CHUNK + k] - change
                 out[(end * height + r) * width + c] = lacks * _weight_of_rates(pair, r * width + c)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
@@ -26,23 +27,19 @@ class World(Protocol):
     ----------
     camera : the camera's path, on the scene's time.
     time : stream time to scene time.
+    motion_bound_px_s : upper bound of the speed of all points in the light frame.
+    distance_m : distance of the nearest object.
     """
 
     pinhole: Pinhole
     camera: Trajectory
     time: Timescale
+    motion_bound_px_s: float
+    distance_m: float
 
     @property
     def paths(self) -> Sequence[Trajectory]:
         """Paths of the bodies."""
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Upper bound of the speed of all points in the light frame."""
-
-    @property
-    def distance_m(self) -> float:
-        """Distance of the nearest object."""
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -62,17 +59,14 @@ class WorldScene(Scene, Generic[W]):
     """A scene of `world`, drawn by the CPU unless a subclass draws by GL."""
 
     renderer: str | None = "the CPU, exact coverage"
+    motion_bound_px_s = math.inf
 
     def __init__(self, world: W) -> None:
         self._world = world
         self.camera_path, self.path_time = world.camera, world.time
         self.size, self.distance_m = world.pinhole.size, world.distance_m
+        self.motion_bound_px_s = world.motion_bound_px_s
         self.is_known_ahead = not any(isinstance(path, ComingPoses) for path in (world.camera, *world.paths))
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Bound from paths, sampled in advance."""
-        return self._world.motion_bound_px_s
 
     @property
     def notes(self) -> tuple[str, ...]:

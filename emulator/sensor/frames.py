@@ -43,8 +43,6 @@ from firmware_protocol.frames import FrameSettings, LineKind, line_record
 
 _MOST = 1023
 
-Samples = UInt16s
-
 
 class Converter:
     """The converter of a chip.
@@ -74,11 +72,11 @@ class Converter:
     def _lines(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.ascontiguousarray(picture.T if self._by_column else picture)
 
-    def reset(self, lines: slice, samples: slice, frame: int) -> Samples:
+    def reset(self, lines: slice, samples: slice, frame: int) -> UInt16s:
         """Return the reset reads of a part of the array, (lines, samples), of the frame whose number is `frame`."""
         return _converted(self._parameters.reset_dn + self._read_noise(Purpose.APS_RESET_NOISE, lines, samples, frame))
 
-    def signal(self, light_ms: Float32s, lines: slice, samples: slice, frame: int) -> Samples:
+    def signal(self, light_ms: Float32s, lines: slice, samples: slice, frame: int) -> UInt16s:
         """Return the signal reads of a part after the exposure `light_ms`, (lines, samples) float32."""
         p = self._parameters
         brightness = light_ms * self._gain[lines, samples] * np.float32(p.sensitivity_dn_ms)
@@ -115,43 +113,8 @@ class Converter:
         return (along[:, None] + across).astype(np.float32)
 
 
-def _converted(level: Float32s) -> Samples:
+def _converted(level: Float32s) -> UInt16s:
     return np.asarray(np.clip(np.floor(level + np.float32(0.5)), 0, _MOST).astype(np.uint16))
-
-
-Times = Int64s
-
-
-class Exposure:
-    """Integrates light over the exposure of each line of a frame.
-
-    Parameters
-    ----------
-    open_ns, shut_ns : of each line, (lines,).
-    samples : of a line.
-
-    Attributes
-    ----------
-    light_ms : light times milliseconds so far, (lines, samples) float32.
-    """
-
-    def __init__(self, open_ns: Times, shut_ns: Times, samples: int) -> None:
-        self._open, self._shut = open_ns, shut_ns
-        self.light_ms = np.zeros((len(open_ns), samples), np.float32)
-
-    def add(self, before: Light, t0_ns: int, after: Light, t1_ns: int) -> None:
-        """Add the time from `t0_ns` to `t1_ns`, with the light at both, (lines, samples) float32."""
-        if t1_ns <= t0_ns:
-            return
-        begin, end = np.maximum(self._open, t0_ns), np.minimum(self._shut, t1_ns)
-        lit = np.flatnonzero(begin < end)
-        if not len(lit):
-            return
-        part = slice(int(lit[0]), int(lit[-1]) + 1)  # lines open and shut in order, so there is no gap
-        length_ms = (end[part] - begin[part]) * 1e-6
-        middle = ((begin[part] + end[part]) / 2 - t0_ns) / (t1_ns - t0_ns)
-        first, second = (1 - middle) * length_ms, middle * length_ms
-        self.light_ms[part] += _weighed(first, before[part]) + _weighed(second, after[part])
 
 
 def _weighed(weights: Floats, light: Light) -> Light:
@@ -174,10 +137,10 @@ class FrameTimes:
 
     start_ns: int
     line_ns: int
-    reset_ns: Times
-    open_ns: Times
-    shut_ns: Times
-    signal_ns: Times
+    reset_ns: Int64s
+    open_ns: Int64s
+    shut_ns: Int64s
+    signal_ns: Int64s
 
     @property
     def end_ns(self) -> int:
@@ -189,9 +152,9 @@ class FrameTimes:
 class Schedule:
     """A frame's lines and moments in the order of their readings: times (n,) us, `LineKind` (n,), line (n,)."""
 
-    t_us: Times
+    t_us: Int64s
     kind: Bytes
-    line: Times
+    line: Int64s
 
     @classmethod
     def of(cls, times: FrameTimes) -> Schedule:
@@ -249,7 +212,8 @@ class _Frame:
         left, top, right, bottom = settings.roi
         rows, columns = slice(top, bottom + 1), slice(left, right + 1)
         self.lines, self.samples = (columns, rows) if settings.by_column else (rows, columns)
-        self.exposure = Exposure(self.times.open_ns, self.times.shut_ns, self.samples.stop - self.samples.start)
+        shape = len(self.times.open_ns), self.samples.stop - self.samples.start
+        self._light_ms = np.zeros(shape, np.float32)  # light times milliseconds so far
         self._converter = converter
         self._number = start_ns // 1000
 
@@ -271,10 +235,18 @@ class _Frame:
         return LineReads(t_ns, np.tile(lines, 2), signal, frame, self.settings.by_column)
 
     def expose(self, before: Light, t0_ns: int, after: Light, t1_ns: int) -> None:
-        """Add the light from `t0_ns` to `t1_ns`."""
+        """Add the light of each line's exposure from `t0_ns` to `t1_ns`, with the light of the chip at both."""
+        begin, end = np.maximum(self.times.open_ns, t0_ns), np.minimum(self.times.shut_ns, t1_ns)
+        lit = np.flatnonzero(begin < end)
+        if not len(lit):
+            return
+        part = slice(int(lit[0]), int(lit[-1]) + 1)  # lines open and shut in order, so there is no gap
+        length_ms = (end[part] - begin[part]) * 1e-6
+        middle = ((begin[part] + end[part]) / 2 - t0_ns) / (t1_ns - t0_ns)
         first, second = (light.T if self.settings.by_column else light for light in (before, after))
-        part = self.lines, self.samples
-        self.exposure.add(first[part], t0_ns, second[part], t1_ns)
+        lines = slice(self.lines.start + part.start, self.lines.start + part.stop), self.samples
+        early, late = (1 - middle) * length_ms, middle * length_ms
+        self._light_ms[part] += _weighed(early, first[lines]) + _weighed(late, second[lines])
 
     def read(self, until_us: int, record: np.dtype[Any]) -> Readings:
         """Return the readings until `until_us` that were not returned before."""
@@ -298,7 +270,7 @@ class _Frame:
             values = self._converter.reset(lines, self.samples, self._number)
         else:
             exposed = slice(lines.start - self.lines.start, lines.stop - self.lines.start)
-            values = self._converter.signal(self.exposure.light_ms[exposed], lines, self.samples, self._number)
+            values = self._converter.signal(self._light_ms[exposed], lines, self.samples, self._number)
         records["samples"][at, : values.shape[1]] = values
         records["length"][at] = values.shape[1]
 
@@ -341,15 +313,14 @@ class FrameSource:
         """Move to the time of `frame` and return the lines that were read until then."""
         light, t_ns = frame.light, frame.t_ns
         requested = FrameSettings.of(settings)
-        records = np.zeros(0, self.record)
         self._begun = []
         if not requested.run:
             self._frame = self._next_ns = None
             self._t_ns = t_ns
-            return records
+            return np.zeros(0, self.record)
         if self._next_ns is None:
             self._next_ns = self._t_ns if self._before_ns == self._t_ns else t_ns
-        records = np.concatenate([records, *self._frames(light, t_ns, requested)])
+        records = np.concatenate([np.zeros(0, self.record), *self._frames(light, t_ns, requested)])
         self._before[:] = light
         self._report_reads(t_ns)
         self._t_ns = self._before_ns = t_ns

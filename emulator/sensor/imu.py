@@ -226,10 +226,6 @@ class Converter:
     def __init__(self) -> None:
         self._filter: _LowPass | None = None
 
-    def stop(self) -> None:
-        """Forget what the filter holds."""
-        self._filter = None
-
     def samples(self, motion: ImuMotion, settings: ImuSettings) -> ImuSamples:
         """Return the samples of `motion`, (n,) IMU_MOTION in order: (m <= n,) IMU_SAMPLE."""
         samples = no_samples(len(motion))
@@ -311,6 +307,6 @@ class ImuSource:
         requested = ImuSettings(bool(settings[0]), *settings[1:]) if settings else ImuSettings()
         since_ns, self._t_ns = self._t_ns, frame.t_ns
         if not requested.run:
-            self._converter.stop()
+            self._converter = Converter()
             return no_samples()
         return self._converter.samples(self._unit.between(since_ns, frame.t_ns), requested)

@@ -175,7 +175,7 @@ class TracedSensor(Sensor):
             codes = self._codes_behind_delay(codes, pixels, crossings.pixel)
         bits = _bits(crossings, codes)
         for source in self._sources:
-            raised = source.step(seen.reshape(-1), settled_ns)
+            raised = source.step(settled_ns)
             codes = np.full(len(raised), _OF_SOURCES.get(type(source), Origin.UNKNOWN), np.uint8)
             crossings = merged(crossings, raised)
             bits = [merged(a, b) for a, b in zip(bits, _bits(raised, codes), strict=True)]

@@ -25,32 +25,19 @@ from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperatur
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
-from emulator.sensor.chip.sources import BackgroundEvents, Particles, hits_per_second
+from emulator.sensor.chip.sources import BackgroundEvents, Particles, SlottedEvents, hits_per_second
 from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, rms, still_hz
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, merged
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import Events, Float32s, Mask
+from firmware_protocol.events import Events, Float32s
 from transports.registry import imported
 
 if TYPE_CHECKING:
     from emulator.sensor.row_kicks import LineReads, RowKicks
-
-
-class Source(Protocol):
-    """A source of events beside the pixels: background, particles."""
-
-    def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`."""
-
-    def add_to(self, crossings: Crossings, light: Float32s, t_ns: int) -> Crossings:
-        """Return a step's crossings with the source's events up to `t_ns`; `light`, (pixels,), is the step's last."""
-
-    def step(self, light: Float32s, t_ns: int) -> Crossings:
-        """Return the source's events up to `t_ns` alone."""
 
 
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
@@ -76,18 +63,9 @@ def finished(readout: ReadOut, late: Crossings) -> Events:
     return np.concatenate([*sent, readout.finish()])
 
 
-def dead_pixels(p: SensorParameters, defects: Defects) -> Mask | None:
-    """Return which pixels are dead, (pixels,); None if none is."""
-    if not defects.dead.size:
-        return None
-    dead = np.zeros(p.width * p.height, np.bool_)
-    dead[defects.dead] = True
-    return dead
-
-
-def make_sources(p: SensorParameters, seed: int, defects: Defects) -> list[Source]:
+def make_sources(p: SensorParameters, seed: int, defects: Defects) -> list[SlottedEvents]:
     """Return the sources of events beside the pixels; dead pixels have none."""
-    sources: list[Source] = []
+    sources: list[SlottedEvents] = []
     if p.background.hz or p.background.hot_share * p.background.hot_hz:
         sources.append(BackgroundEvents(p, seed, defects.dead))
     if p.radiation.hits_per_cm2_s:
@@ -227,7 +205,7 @@ class Sensor:
         self.pixels = make_pixels(p, seed)
         self.pixels.capabilities.check(p)
         defects = draw_defects(p, seed)
-        self._dead = dead_pixels(p, defects)
+        self._dead = np.isin(np.arange(p.width * p.height), defects.dead) if defects.dead.size else None
         self._leaks = _leaks(self.pixels, p, seed, defects)
         self._sources = make_sources(p, seed, defects)
         self._jitter = Jitter(p.jitter, seed, p.width * p.height) if p.jitter.latency_us else None
@@ -417,7 +395,7 @@ class Sensor:
         if self._jitter is not None:
             crossings = self._jitter.step(crossings, settled_ns)
         for source in self._sources:
-            crossings = source.add_to(crossings, seen.reshape(-1), settled_ns)
+            crossings = merged(crossings, source.step(settled_ns))
         return crossings
 
     def _send(self, crossings: Crossings, settled_ns: int) -> Events:

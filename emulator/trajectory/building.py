@@ -106,9 +106,15 @@ def parse_table(text: str) -> Samples:
     if missing:
         raise TrajectoryError(f"line {lines[0][0]}: column {', '.join(missing)} is missing among {', '.join(columns)}")
     samples = Samples()
+    has_attitude = all(name in columns for name in _ATTITUDE)
     for number, cells in lines[1:]:
         try:
-            _read_row(samples, columns, cells)
+            t_s, *place = (float(cells[columns[name]]) for name in ("t_s", *_PLACE))
+            if not math.isfinite(t_s):
+                raise ValueError(f"time {t_s} s: must be finite")
+            attitude = [float(cells[columns[name]]) for name in _ATTITUDE] if has_attitude else STILL.q_world_from_body
+            samples.poses.append(Pose(np.array(place), np.array(attitude)))
+            samples.times_ns.append(round(t_s * 1e9))
         except (ValueError, IndexError, OverflowError) as error:
             raise TrajectoryError(f"line {number}: {error}") from error
     return samples
@@ -124,78 +130,48 @@ def _table_lines(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
                 raise TrajectoryError(f"line {number}: {error}") from error
 
 
-def _read_row(samples: Samples, columns: dict[str, int], cells: list[str]) -> None:
-    def numbers(names: Iterable[str]) -> list[float]:
-        return [float(cells[columns[name]]) for name in names]
-
-    place = np.array(numbers(_PLACE))
-    has_attitude = all(name in columns for name in _ATTITUDE)
-    attitude = np.array(numbers(_ATTITUDE)) if has_attitude else STILL.q_world_from_body
-    (t_s,) = numbers(["t_s"])
-    if not math.isfinite(t_s):
-        raise ValueError(f"time {t_s} s: must be finite")
-    samples.poses.append(Pose(place, attitude))
-    samples.times_ns.append(round(t_s * 1e9))
-
-
 @dataclass(eq=False)
 class Flight(Samples):
-    """Contents of a flight file.
+    """Contents of a flight file; `left_out` is how often each other command stood in it."""
 
-    Attributes
-    ----------
-    period_ns : time between two poses but for pauses.
-    left_out : how often each other command stood in it.
-    """
-
-    period_ns: int = field(kw_only=True)
     left_out: Counter[str] = field(default_factory=Counter)
-    _t_ns: int = 0
-    _angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
-
-    def read(self, words: list[str]) -> None:
-        """Read the words of a line; raises ValueError."""
-        match words:
-            case ["start", *numbers]:
-                self._place(_flight_numbers(numbers, 6))
-            case ["quaternion", *numbers]:
-                values = _flight_numbers(numbers, 7)
-                self._angles = None
-                self._add(Pose(values[:3], values[3:]))
-            case ["pause", *numbers]:
-                (seconds,) = _flight_numbers(numbers, 1)
-                if seconds < 0 or not self.poses:
-                    raise ValueError("a pause needs a pose before it, and time that does not go back")
-                if seconds:
-                    self._t_ns += round(seconds * 1e9) - self.period_ns
-                    self._add(self.poses[-1])
-            case [command, *_] if command[0].isalpha():
-                self.left_out[command] += 1
-            case numbers:
-                if self._angles is None:
-                    raise ValueError("increments need a `start` line before them")
-                self._place(self._angles + _flight_numbers(numbers, 6))
-
-    def _place(self, angles: npt.NDArray[np.float64]) -> None:
-        self._angles = angles
-        self._add(Pose(angles[:3], _flight_attitude(*(math.radians(a) for a in angles[3:]))))
-
-    def _add(self, pose: Pose) -> None:
-        self.times_ns.append(self._t_ns)
-        self.poses.append(pose)
-        self._t_ns += self.period_ns
 
 
 def parse_flight(text: str, period_s: float) -> Flight:
     """Read a flight file whose poses are `period_s` apart; raises TrajectoryError with the line."""
-    flight = Flight(period_ns=round(period_s * 1e9))
+    flight, period_ns, t_ns = Flight(), round(period_s * 1e9), 0
+    angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].split()
         try:
-            if words:
-                flight.read(words)
+            match line.partition("#")[0].split():
+                case []:
+                    continue
+                case ["quaternion", *words]:
+                    values = _flight_numbers(words, 7)
+                    angles, pose = None, Pose(values[:3], values[3:])
+                case ["pause", *words]:
+                    (seconds,) = _flight_numbers(words, 1)
+                    if seconds < 0 or not flight.poses:
+                        raise ValueError("a pause needs a pose before it, and time that does not go back")
+                    if not seconds:
+                        continue
+                    t_ns += round(seconds * 1e9) - period_ns
+                    pose = flight.poses[-1]
+                case [command, *_] if command != "start" and command[0].isalpha():
+                    flight.left_out[command] += 1
+                    continue
+                case [command, *words]:
+                    is_start = command == "start"
+                    if angles is None and not is_start:
+                        raise ValueError("increments need a `start` line before them")
+                    values = _flight_numbers(words if is_start else [command, *words], 6)
+                    angles = values if is_start or angles is None else angles + values
+                    pose = Pose(angles[:3], _flight_attitude(*(math.radians(a) for a in angles[3:])))
         except ValueError as error:
             raise TrajectoryError(f"line {number}: {error}") from error
+        flight.times_ns.append(t_ns)
+        flight.poses.append(pose)
+        t_ns += period_ns
     return flight
 
 
@@ -382,12 +358,7 @@ def _spinning(p: SpinPath) -> Spinning:
 
 @runtime_checkable
 class HasCameraPath(Protocol):
-    """A scene whose camera moves on a path."""
+    """A scene whose camera moves on `camera_path`, on the scene's time; `path_time` is stream time to that."""
 
-    @property
-    def camera_path(self) -> Trajectory:
-        """Path of the camera, on the scene's time."""
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
+    camera_path: Trajectory
+    path_time: Timescale

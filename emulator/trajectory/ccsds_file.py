@@ -46,7 +46,7 @@ from __future__ import annotations
 import itertools
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from fractions import Fraction
@@ -276,8 +276,6 @@ _MARKS = re.compile(r"(META|DATA|COVARIANCE)_(START|STOP)$")
 _SAME = ("REF_FRAME", "REF_FRAME_A", "REF_FRAME_B", "CENTER_NAME", "TIME_SYSTEM")
 _INTERPOLATIONS = ("", "LINEAR", "LAGRANGE", "HERMITE")
 
-_Line = tuple[int, dict[str, str], list[str]]
-
 
 @dataclass(frozen=True, eq=False)
 class CcsdsPath:
@@ -337,7 +335,7 @@ def parse_aem(text: str) -> CcsdsPath:
 def _parse(
     text: str, read: Callable[[dict[str, str], list[str]], Floats], build: Callable[[_Samples], Trajectory]
 ) -> CcsdsPath:
-    segments = list(_segments(text, read))
+    segments = _segments(text, read)
     if not segments:
         raise TrajectoryError("an empty trajectory: the file holds no samples")
     _require_same(segments)
@@ -357,24 +355,9 @@ def _parse(
     return CcsdsPath(Segmented(built), scale, axes_of(frame), notes)
 
 
-def _segments(text: str, read: Callable[[dict[str, str], list[str]], Floats]) -> Iterator[_Samples]:
-    samples: _Samples | None = None
-    for number, meta, cells in _data_lines(text):
-        if samples is None or samples.meta is not meta:
-            if samples is not None:
-                yield samples
-            samples = _Samples(meta, number)
-        try:
-            samples.times_ns.append(epoch_ns(cells[0], samples.time_system))
-            samples.values.append(read(meta, cells[1:]))
-        except ValueError as error:
-            raise TrajectoryError(f"line {number}: {error}") from error
-    if samples is not None:
-        yield samples
-
-
-def _data_lines(text: str) -> Iterator[_Line]:
-    """Yield the number, the segment's metadata and the cells of each data line."""
+def _segments(text: str, read: Callable[[dict[str, str], list[str]], Floats]) -> list[_Samples]:
+    """Return the segments that have data lines; raises TrajectoryError with the line."""
+    segments: list[_Samples] = []
     meta: dict[str, str] = {}
     inside = ""
     for number, raw in enumerate(text.splitlines(), start=1):
@@ -385,7 +368,15 @@ def _data_lines(text: str) -> Iterator[_Line]:
         elif keyword := _KEYWORD.match(line):
             meta[keyword.group(1)] = keyword.group(2).strip()
         elif line and not line.startswith("COMMENT") and inside in ("", "DATA"):
-            yield number, meta, line.split()
+            if not segments or segments[-1].meta is not meta:
+                segments.append(_Samples(meta, number))
+            epoch, *cells = line.split()
+            try:
+                segments[-1].times_ns.append(epoch_ns(epoch, segments[-1].time_system))
+                segments[-1].values.append(read(meta, cells))
+            except ValueError as error:
+                raise TrajectoryError(f"line {number}: {error}") from error
+    return segments
 
 
 def _require_same(segments: list[_Samples]) -> None:

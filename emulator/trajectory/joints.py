@@ -16,11 +16,11 @@ A joint's pose is that of all before it, a fixed pose, and then its translation 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.trajectory.pose import Bounds, Pose, Trajectory, instants_between, measured_bounds
+from emulator.trajectory.pose import STILL, Bounds, Pose, Trajectory, instants_between, measured_bounds
 from firmware_protocol.events import Floats
 
 _ALMOST_EQUAL = 1 - 1e-12
@@ -108,7 +108,7 @@ class JointPath:
 
     joints: tuple[Joint, ...]
     period_s: float = 0.0
-    base: Pose = field(default_factory=lambda: Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+    base: Pose = STILL
 
 
 class Jointed(Trajectory):

@@ -36,7 +36,7 @@ import math
 import socket
 import struct
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -63,28 +63,20 @@ _MOST_LOST = 1 << 16
 _MOST_OVERTAKEN = 64
 
 
-@dataclass
-class LiveCounters:
-    """Counts of the poses of one body.
+TAKEN = "poses taken"
+STALE = "poses stale"  # not newer than one that was there
+TOO_FAR_AHEAD = "poses too far ahead"  # stamped too far beyond their arrival, refused
+REPEATED = "poses repeated"  # duplicates and poses that others overtook, refused
+LOST = "poses lost"  # missing by the sender's counter
+RESTARTS = "restarts of a pose sender"  # jumps of the counter that are neither a loss nor a repetition
+LATE_PICTURES = "pictures with a late pose"  # drawn with a pose that had stood still for want of a newer one
+REFUSED = "poses refused"  # datagrams that are no pose
+NOT_ALLOWED = "poses from addresses not allowed"
+UNKNOWN_BODY = "poses of unknown bodies"  # that are not registered
+DROPPED_BY_SYSTEM = "poses dropped by the system"  # which had no room for them
 
-    Attributes
-    ----------
-    taken : poses used.
-    stale : poses not newer than one that was there.
-    too_far_ahead : poses stamped too far beyond their arrival, refused.
-    repeated : duplicates and poses that others overtook, refused.
-    lost : poses missing by the sender's counter.
-    restarts : jumps of the counter that are neither a loss nor a repetition.
-    late_pictures : pictures drawn with a pose that had stood still for want of a newer one.
-    """
-
-    taken: int = 0
-    stale: int = 0
-    too_far_ahead: int = 0
-    repeated: int = 0
-    lost: int = 0
-    restarts: int = 0
-    late_pictures: int = 0
+_OF_BODY = (TAKEN, STALE, TOO_FAR_AHEAD, REPEATED, LOST, RESTARTS, LATE_PICTURES)
+_OF_PORT = (REFUSED, NOT_ALLOWED, UNKNOWN_BODY, DROPPED_BY_SYSTEM)
 
 
 class TimedPose(NamedTuple):
@@ -117,14 +109,14 @@ class LivePoses(ComingPoses):
         self._ahead_ns = ahead_ns
         self._known: deque[TimedPose] = deque(maxlen=_KNOWN)
         self._last: PoseMessage | None = None
-        self.counters = LiveCounters()
+        self.counters = Counter(dict.fromkeys(_OF_BODY, 0))
 
     def add(self, message: PoseMessage, arrival_ns: int) -> None:
         """Add a pose that arrived at the scene's time `arrival_ns`, or refuse it; either is counted."""
         if message.t_ns > arrival_ns + self._ahead_ns:
-            self.counters.too_far_ahead += 1
+            self.counters[TOO_FAR_AHEAD] += 1
         elif self._is_repetition(message):
-            self.counters.repeated += 1
+            self.counters[REPEATED] += 1
         else:
             self._last = message
             self._insert(message, arrival_ns)
@@ -152,9 +144,9 @@ class LivePoses(ComingPoses):
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
         """Return both from the poses known now; no light frame is counted as late."""
-        late = self.counters.late_pictures
+        late = self.counters[LATE_PICTURES]
         pose = self.pose(t_ns)
-        self.counters.late_pictures = late
+        self.counters[LATE_PICTURES] = late
         return pose, self.motion(t_ns)
 
     def motion(self, t_ns: int) -> Motion:
@@ -172,9 +164,9 @@ class LivePoses(ComingPoses):
         if -_MOST_OVERTAKEN <= ahead < 0 or message == self._last:
             return True
         if 0 <= ahead <= _MOST_LOST:
-            self.counters.lost += max(0, ahead - 1)
+            self.counters[LOST] += max(0, ahead - 1)
         else:
-            self.counters.restarts += 1
+            self.counters[RESTARTS] += 1
         return False
 
     def _insert(self, message: PoseMessage, arrival_ns: int) -> None:
@@ -184,15 +176,15 @@ class LivePoses(ComingPoses):
         while on_arrival and self._known and self._known[-1].t_ns >= t_ns:
             self._known.pop()
         if self._known and t_ns <= self._known[-1].t_ns:
-            self.counters.stale += 1
+            self.counters[STALE] += 1
             return
         self._known.append(TimedPose(t_ns, pose, on_arrival))
-        self.counters.taken += 1
+        self.counters[TAKEN] += 1
 
     def _beyond(self, t_ns: int) -> Pose:
         newest = self._known[-1]
         if t_ns - newest.t_ns > self._hold_ns:
-            self.counters.late_pictures += 1
+            self.counters[LATE_PICTURES] += 1
         if len(self._known) < 2:
             return newest.pose
         return between(self._known[-2], newest, min(t_ns, newest.t_ns + self._hold_ns))
@@ -239,39 +231,31 @@ class SimulatedPath(ComingPoses):
     """A path whose poses come step by step from a program that waits for each step.
 
     It follows `start` until the first pose has come. Between two poses it is a straight line and a great circle. After
-    the newest one the last motion goes on, as rates of change are taken a moment around a light frame.
+    the newest one the last motion goes on, as rates of change are taken a moment around a light frame. `known` are the
+    poses that have come, at most the last 64; a program that goes back sets those of the earlier time.
     """
 
     def __init__(self, start: Trajectory) -> None:
         self._start = start
         self.span_ns = start.span_ns
-        self._known: deque[TimedPose] = deque(maxlen=_KNOWN)
-
-    @property
-    def known(self) -> tuple[TimedPose, ...]:
-        """The poses that have come, at most the last 64; they can be set."""
-        return tuple(self._known)
-
-    @known.setter
-    def known(self, poses: Iterable[TimedPose]) -> None:
-        self._known = deque(poses, maxlen=_KNOWN)
+        self.known: deque[TimedPose] = deque(maxlen=_KNOWN)
 
     def add(self, t_ns: int, pose: Pose) -> None:
         """Add the pose at `t_ns`, later than all before; raises TrajectoryError where it is not."""
-        if self._known and t_ns <= self._known[-1].t_ns:
-            raise TrajectoryError(f"a pose at {t_ns} ns came after the one at {self._known[-1].t_ns} ns")
-        self._known.append(TimedPose(t_ns, pose))
+        if self.known and t_ns <= self.known[-1].t_ns:
+            raise TrajectoryError(f"a pose at {t_ns} ns came after the one at {self.known[-1].t_ns} ns")
+        self.known.append(TimedPose(t_ns, pose))
 
     def go_on(self, t0_ns: int, t1_ns: int, pose: Pose | None) -> None:
         """Go from `t0_ns`, where the path is now, to a pose at `t1_ns`; without one rest, or go on with `start`."""
-        if pose is not None and not self._known:
+        if pose is not None and not self.known:
             self.add(t0_ns, self._start.pose(t0_ns))
-        if self._known:
-            self.add(t1_ns, self._known[-1].pose if pose is None else pose)
+        if self.known:
+            self.add(t1_ns, self.known[-1].pose if pose is None else pose)
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`, as far as it is known by now."""
-        poses = self._known
+        poses = self.known
         if not poses:
             return self._start.pose(t_ns)
         if t_ns <= poses[0].t_ns or len(poses) == 1:
@@ -281,11 +265,11 @@ class SimulatedPath(ComingPoses):
 
     def motion(self, t_ns: int) -> Motion:
         """Return the motion at `t_ns` from the poses known now, see `known_motion`."""
-        if not self._known:
+        if not self.known:
             return self._start.motion(t_ns)
-        if len(self._known) < 2 or t_ns < self._known[0].t_ns:
+        if len(self.known) < 2 or t_ns < self.known[0].t_ns:
             return AT_REST
-        return known_motion(list(self._known), t_ns)
+        return known_motion(list(self.known), t_ns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,24 +287,6 @@ _RESTART_NS = 1_000_000_000  # scenes use instants a few milliseconds before and
 _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 35, 40  # not named in Python's socket module
 _TIMESPEC, _COUNT = struct.Struct("@qq"), struct.Struct("@I")
 _ROOM = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size)
-
-
-@dataclass
-class ReceiverCounters:
-    """Counts of the datagrams at one port that no body took.
-
-    Attributes
-    ----------
-    refused : datagrams that are no pose.
-    not_allowed : datagrams of senders that are not allowed.
-    unknown_body : poses of bodies that are not registered.
-    dropped_by_system : datagrams that the system had no room for.
-    """
-
-    refused: int = 0
-    not_allowed: int = 0
-    unknown_body: int = 0
-    dropped_by_system: int = 0
 
 
 class SceneClock:
@@ -368,7 +334,7 @@ class PoseReceiver:
         self._bodies: dict[int, LivePoses] = {}
         self._scene = SceneClock()
         self._picture_ns, self._left = -1, 0
-        self.counters = ReceiverCounters()
+        self.counters = Counter(dict.fromkeys(_OF_PORT, 0))
         self._socket = _listening(host, port)
 
     @property
@@ -396,17 +362,17 @@ class PoseReceiver:
     def take(self, data: bytes, sender: str, arrival_ns: int) -> None:
         """Use one datagram that arrived at the wall's time `arrival_ns`, or count the reason; after `receive`."""
         if self.allow and sender not in self.allow:
-            self.counters.not_allowed += 1
+            self.counters[NOT_ALLOWED] += 1
             return
         try:
             message = PoseMessage.parse(data)
         except PoseMessageError:
-            self.counters.refused += 1
+            self.counters[REFUSED] += 1
             return
         if message.body in self._bodies:
             self._bodies[message.body].add(message, self._scene.scene_ns(arrival_ns))
         else:
-            self.counters.unknown_body += 1
+            self.counters[UNKNOWN_BODY] += 1
 
     def close(self) -> None:
         """Stop listening; a second call does nothing."""
@@ -423,7 +389,7 @@ class PoseReceiver:
                 seconds, ns = _TIMESPEC.unpack(note)
                 arrival_ns = seconds * 1_000_000_000 + ns
             elif kind == _SO_RXQ_OVFL:
-                (self.counters.dropped_by_system,) = _COUNT.unpack(note)
+                (self.counters[DROPPED_BY_SYSTEM],) = _COUNT.unpack(note)
         self.take(data, sender[0], arrival_ns)
         return True
 
@@ -457,27 +423,14 @@ def close_receivers(*paths: Trajectory) -> None:
             path.receiver.close()
 
 
-_NAMES = {
-    "late_pictures": "pictures with a late pose",
-    "restarts": "restarts of a pose sender",
-    "too_far_ahead": "poses too far ahead",
-    "not_allowed": "poses from addresses not allowed",
-    "unknown_body": "poses of unknown bodies",
-    "dropped_by_system": "poses dropped by the system",
-}
-
-
 def live_counts(*paths: Trajectory) -> dict[str, int]:
     """Return the counts of all paths with poses from outside, added up; empty where there is none."""
     received = [path for path in paths if isinstance(path, ReceivedPath)]
-    counters = [*(path.counters for path in received), *{path.receiver: None for path in received}]
-    counts: dict[str, int] = {}
-    for counter in counters:
-        values = vars(counter.counters if isinstance(counter, PoseReceiver) else counter)
-        for name, value in values.items():
-            label = _NAMES.get(name, f"poses {name}")
-            counts[label] = counts.get(label, 0) + int(value)
-    return counts
+    receivers = dict.fromkeys(path.receiver for path in received)
+    counts = Counter[str]()
+    for counters in (*(path.counters for path in received), *(receiver.counters for receiver in receivers)):
+        counts.update(counters)
+    return dict(counts)
 
 
 def _listening(host: str, port: int) -> socket.socket:

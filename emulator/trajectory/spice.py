@@ -61,44 +61,35 @@ def read_kernels(_: Path, parameters: Mapping[str, Any]) -> dict[str, npt.NDArra
     p = SpicePath(**parameters)
     try:
         spiceypy.furnsh(list(p.kernels))
-        return _followed(_Query(spiceypy, p))
+        return _followed(spiceypy, p)
     except spiceypy.SpiceyError as error:
         reason = " ".join(f"{error.short} {error.explain} {error.long}".split())
         raise TrajectoryError(f"SPICE: {reason or type(error).__name__}{_coverage(spiceypy, p)}") from error
 
 
-class _Query:
-    """Poses and velocities of the camera by SPICE, whose kernels are loaded."""
+def _followed(spice: Any, p: SpicePath) -> dict[str, npt.NDArray[Any]]:
+    """Return the keyframes of a path as near to SPICE, whose kernels are loaded, as it must be; see `read_kernels`."""
+    start_s = float(spice.str2et(p.start_utc))
 
-    def __init__(self, spice: Any, p: SpicePath) -> None:
-        self._spice, self._p = spice, p
-        self._start_s = float(spice.str2et(p.start_utc))
-        self.last_ns = round(p.duration_s * 1e9)
-
-    def at(self, t_ns: int) -> tuple[Pose, Floats]:
-        """Return the pose and the velocity, m/s, (3,)."""
-        p, et = self._p, self._start_s + t_ns * 1e-9
-        state, light_s = self._spice.spkezr(p.target, et, p.frame, p.aberration, p.observer)
+    def sample(t_ns: int) -> tuple[Pose, Floats]:
+        """Return the camera's pose and velocity, m/s, (3,)."""
+        et = start_s + t_ns * 1e-9
+        state, light_s = spice.spkezr(p.target, et, p.frame, p.aberration, p.observer)
         place, velocity = -_KM * np.asarray(state[:3]), -_KM * np.asarray(state[3:])
         if not p.camera_frame:
             return Pose(place, STILL.q_world_from_body), velocity
         left_s = et if p.aberration == "NONE" else et - light_s
-        turn = self._spice.pxfrm2(p.camera_frame, p.frame, et, left_s)
+        turn = spice.pxfrm2(p.camera_frame, p.frame, et, left_s)
         return Pose(place, quaternion_of(np.asarray(turn))), velocity
 
-
-def _followed(query: _Query) -> dict[str, npt.NDArray[Any]]:
-    """Return the keyframes of a path as near to SPICE as it must be; see `read_kernels`."""
-    times_ns = np.linspace(0, query.last_ns, _FEWEST + 1).astype(np.int64)
-    samples = [query.at(int(t)) for t in times_ns]
+    times_ns = np.linspace(0, round(p.duration_s * 1e9), _FEWEST + 1).astype(np.int64)
+    samples = [sample(int(t)) for t in times_ns]
     while True:
         poses, velocities = [pose for pose, _ in samples], np.array([velocity for _, velocity in samples])
         path = Keyframes(times_ns.tolist(), poses, velocities)
         half_ns = (times_ns[:-1] + times_ns[1:]) // 2
-        between = [query.at(int(t)) for t in half_ns]
-        off = np.max(
-            [_distance(path.pose(int(t)), *sample) for t, sample in zip(half_ns, between, strict=True)], axis=0
-        )
+        between = [sample(int(t)) for t in half_ns]
+        off = np.max([_distance(path.pose(int(t)), *exact) for t, exact in zip(half_ns, between, strict=True)], axis=0)
         if off.max() <= 1:
             places = np.array([pose.position_m for pose in poses])
             turns = np.array([pose.q_world_from_body for pose in poses])
@@ -110,9 +101,7 @@ def _followed(query: _Query) -> dict[str, npt.NDArray[Any]]:
                 "an aberration or a camera_frame that does not jump"
             )
         times_ns = np.insert(times_ns, np.arange(1, times_ns.size), half_ns)
-        samples = [
-            sample for pair in zip(samples, [*between, None], strict=True) for sample in pair if sample is not None
-        ]
+        samples = [of for pair in zip(samples, [*between, None], strict=True) for of in pair if of is not None]
 
 
 def _distance(pose: Pose, expected: Pose, velocity: Floats) -> tuple[float, float]:

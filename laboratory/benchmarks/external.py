@@ -21,7 +21,7 @@ from emulator.light import Light, OtherLight
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters
-from emulator.scene.external.external import External, ImageQueue, compile_kernels
+from emulator.scene.external.external import External, compile_kernels
 from emulator.scene.external.joining import Joined, Pair, TimedImage, front_motion
 from emulator.scene.external.table import ExternalParameters
 from evstim.renderer import Renderer
@@ -144,22 +144,21 @@ def draw(port: int, *, shared: bool) -> None:
 
 def images_a_second(count: int, *, shared: bool, lit: bool) -> float:
     """Return the rate of `count` images."""
-    p = ExternalParameters(period_ms=PERIOD_NS * 1e-6)
+    p = ExternalParameters(period_ms=PERIOD_NS * 1e-6, white_w_m2_sr=1.0)
     server = RendererServer("127.0.0.1", 0)
     spawning = multiprocessing.get_context("spawn")
     drawing = spawning.Process(target=draw, args=(server.address[1],), kwargs={"shared": shared})
     drawing.start()
     connection = server.accept(Camera(SIZE, 1000.0, PERIOD_NS, p.slots, 0), 60.0)
     assert connection is not None
-    queue = ImageQueue(connection, p)
-    scene, out = External(queue, Pinhole(*SIZE, 1000.0), 1.0), np.zeros(SIZE[::-1], np.float32)
-    queue.around(0)
+    scene, out = External(connection, p, Pinhole(*SIZE, 1000.0)), np.zeros(SIZE[::-1], np.float32)
+    scene.around(0)
     start_s = time.perf_counter()
     for k in range(1, count + 1):
         if lit:
             scene.light(k * PERIOD_NS - PERIOD_NS // 2, out)
         else:
-            queue.around(k * PERIOD_NS)
+            scene.around(k * PERIOD_NS)
     spent_s = time.perf_counter() - start_s
     scene.close()
     drawing.join()

@@ -72,31 +72,57 @@ def _light_table(hello: Hello) -> npt.NDArray[np.float32] | None:
     return share.astype(np.float32)
 
 
-class ImageQueue:
-    """The images of a connection, which has `p.slots` slots, in the order of their times.
+class External(SizedScene):
+    """The images of a renderer through `pinhole`, in units of radiance, by the order of their times.
 
-    Attributes
-    ----------
-    path, time : the camera's path, None where the renderer moves it, and the time on that path.
-    taken : number of images received.
-    bound_px_s : bound on motion of the newest one; infinite where it has none.
+    `connection` has `p.slots` slots. `path` is the camera's, None where the renderer moves it. `threads` is the number
+    of threads that draw, 0: by the machine.
     """
 
-    def __init__(self, connection: RendererConnection, p: ExternalParameters, path: Trajectory | None = None) -> None:
-        self._connection, self._p = connection, p
+    def __init__(
+        self,
+        connection: RendererConnection,
+        p: ExternalParameters,
+        pinhole: Pinhole,
+        path: Trajectory | None = None,
+        threads: int = 0,
+    ) -> None:
+        super().__init__(pinhole.size)
+        self._connection, self._p, self._path = connection, p, path
+        self.renderer = connection.hello.name or None
+        self._time = Timescale(p.time_scale)
+        if path is not None:  # which an inertial unit follows too
+            self.camera_path, self.path_time = path, self._time
         self._pushed = p.images == "pushed"
-        self.path, self.time = path, Timescale(p.time_scale)
         self._table = _light_table(connection.hello)
         self._images: deque[TimedImage] = deque(maxlen=2)  # those around the last light frame
         self._next_ns = 0
         self._zero_ns = None if self._pushed else 0  # the renderer's time at stream time 0
-        self.taken = 0
-        self.bound_px_s = math.inf
+        self._taken = 0
+        self._bound_px_s = math.inf
+        self._joined = Joined(pinhole.size, p.white_w_m2_sr, threads)
 
     @property
-    def name(self) -> str:
-        """Name that the renderer gave."""
-        return self._connection.hello.name
+    def motion_bound_px_s(self) -> float:
+        """The bound of the newest image; infinite where the renderer gives none."""
+        return self._bound_px_s
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Images received, and poses where the path of the camera is live."""
+        return {"images": self._taken, **live_counts(*self._paths)}
+
+    @property
+    def _paths(self) -> list[Trajectory]:
+        return [] if self._path is None else [self._path]
+
+    def stop(self) -> None:
+        """Limit the wait for images of the present light frame."""
+        self._connection.limit_wait(_STOP_S)
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light at `t_ns` and its time derivative; raises SceneError."""
+        self._joined.write(self.around(t_ns), t_ns, light, rate)
 
     def around(self, t_ns: int) -> Pair:
         """Return the images around `t_ns`, or a single one twice, and receive the missing ones; raises SceneError."""
@@ -105,16 +131,17 @@ class ImageQueue:
         except RendererEnded as error:
             raise SceneEnded(str(error)) from error
         except (RendererError, MessageError) as error:
-            self.close(str(error))
-            raise SceneError(f"renderer {self.name!r}: {error}") from error
+            self._end(str(error))
+            raise SceneError(f"renderer {self._connection.hello.name!r}: {error}") from error
         return self._images[0], self._images[-1]
 
-    def stop(self) -> None:
-        """Limit the wait for further images."""
-        self._connection.limit_wait(_STOP_S)
+    def close(self) -> None:
+        """End the connection and the threads, and close the port of a live path."""
+        self._end()
+        self._joined.close()
+        close_receivers(*self._paths)
 
-    def close(self, reason: str = "") -> None:
-        """End the connection; a second call does nothing."""
+    def _end(self, reason: str = "") -> None:
         self._images.clear()
         self._connection.close(reason)
 
@@ -123,9 +150,9 @@ class ImageQueue:
             self._restart(t_ns)
         if not self._images and not self._pushed:
             self._next_ns = t_ns // self._p.period_ns * self._p.period_ns
-        before = self.taken
+        before = self._taken
         while not self._images or self._images[-1].t_ns < t_ns:
-            if self.taken - before == _MOST_A_FRAME:
+            if self._taken - before == _MOST_A_FRAME:
                 raise RendererError(f"more than {_MOST_A_FRAME} images came for one light frame: give fewer")
             self._receive()
         self._request(self._p.ahead)
@@ -133,7 +160,7 @@ class ImageQueue:
     def _restart(self, t_ns: int) -> None:
         """Leave all images, to begin again at `t_ns`."""
         if self._pushed:
-            if self.taken == len(self._images):  # none came before: the first image stands before its time
+            if self._taken == len(self._images):  # none came before: the first image stands before its time
                 return
             raise RendererError(
                 f"time {t_ns} ns was needed again, which pushed images cannot give: set no tolerance_us"
@@ -147,9 +174,9 @@ class ImageQueue:
         self._request(self._p.slots)
         image = self._connection.receive(self._p.timeout_s)
         self._images.append(self._checked(image))
-        self.taken += 1
+        self._taken += 1
         bound = image.head.motion_bound_px_s
-        self.bound_px_s = math.inf if math.isnan(bound) else bound
+        self._bound_px_s = math.inf if math.isnan(bound) else bound
 
     def _request(self, count: int) -> None:
         """Have `count` images requested."""
@@ -161,9 +188,9 @@ class ImageQueue:
             self._next_ns += self._p.period_ns
 
     def _pose(self, t_ns: int) -> tuple[float, ...] | None:
-        if self.path is None:
+        if self._path is None:
             return None
-        pose = self.path.pose(self.time.scene_ns(t_ns))
+        pose = self._path.pose(self._time.scene_ns(t_ns))
         return (*pose.position_m.tolist(), *pose.q_world_from_body.tolist())
 
     def _checked(self, image: Drawn) -> TimedImage:
@@ -196,45 +223,6 @@ class ImageQueue:
         return TimedImage(t_ns, **planes)
 
 
-class External(SizedScene):
-    """The images of a renderer through `pinhole`, in units of radiance; made by `open_external`.
-
-    `white_w_m2_sr` is the radiance of the value 1, `threads` the number of threads that draw, 0: by the machine.
-    """
-
-    def __init__(self, images: ImageQueue, pinhole: Pinhole, white_w_m2_sr: float, threads: int = 0) -> None:
-        super().__init__(pinhole.size)
-        self.renderer = images.name or None
-        self._images, self._paths = images, [] if images.path is None else [images.path]
-        if images.path is not None:  # which an inertial unit follows too
-            self.camera_path, self.path_time = images.path, images.time
-        self._joined = Joined(pinhole.size, white_w_m2_sr, threads)
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """The bound of the newest image; infinite where the renderer gives none."""
-        return self._images.bound_px_s
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Images received, and poses where the path of the camera is live."""
-        return {"images": self._images.taken, **live_counts(*self._paths)}
-
-    def stop(self) -> None:
-        """Limit the wait for images of the present light frame."""
-        self._images.stop()
-
-    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write the light at `t_ns` and its time derivative; raises SceneError."""
-        self._joined.write(self._images.around(t_ns), t_ns, light, rate)
-
-    def close(self) -> None:
-        """End the connection and the threads, and close the port of a live path."""
-        self._images.close()
-        self._joined.close()
-        close_receivers(*self._paths)
-
-
 def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> External:
     """Return the scene, once its renderer has connected; raises SceneError."""
     compile_kernels()
@@ -243,11 +231,10 @@ def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> 
     except (TrajectoryError, OSError) as error:
         raise SceneError(f"scene.camera: {error}") from error
     try:
-        images = ImageQueue(_connected(p, pinhole), p, path)
+        return External(_connected(p, pinhole), p, pinhole, path, threads)
     except BaseException:
         close_receivers(*([] if path is None else [path]))
         raise
-    return External(images, pinhole, p.white_w_m2_sr, threads)
 
 
 def _connected(p: ExternalParameters, pinhole: Pinhole) -> RendererConnection:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Region, SceneError
-from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
+from emulator.optics.lens import Chip, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
 from emulator.scene.kind import SizedScene
 from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, irradiance_w_m2, load_stars, splat
@@ -100,7 +100,6 @@ class StarField(SizedScene):
         self._p, self._lens = parameters, lens
         self._pinhole = lens.pinhole(size)
         self._sigma_px = max(_SHARPEST_PX, lens.blur_sigma_px(chip, self._pinhole.focal_px))
-        self._bend = Distortion.of(lens)
         self.path_time = Timescale(parameters.time_scale)
         try:
             self.camera_path, *self._paths = build_trajectories(
@@ -131,8 +130,8 @@ class StarField(SizedScene):
     def geometry(self, rays: Rays | None = None) -> StarsGeometry:
         """Return the flow of the sky, with the positions of the moving points."""
         if rays is None:
-            columns, rows = straight_columns_and_rows(self._bend, self._pinhole)
-            rays = bent_rays(self._bend, columns, rows, self._pinhole)
+            columns, rows = straight_columns_and_rows(self._lens, self._pinhole)
+            rays = bent_rays(self._lens, columns, rows, self._pinhole)
         paths = self.camera_path, *self._paths
         return StarsGeometry(paths, self.path_time, self._pinhole, self._sigma_px, rays)
 
@@ -187,7 +186,7 @@ class StarField(SizedScene):
     def _seen(self, directions: Floats, camera: Pose) -> Floats:
         """Return the image of directions in the world, (n, 3): two tangents and the cosine off the axis, (n, 3)."""
         rays = directions @ camera.world_from_body
-        x, y = self._bend.bend(rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2])
+        x, y = self._lens.bend(rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2])
         return np.column_stack([x, y, rays[:, 2]])
 
     def _moving(self, scene_ns: int, camera: Pose) -> tuple[Floats, Floats]:

@@ -33,7 +33,7 @@ from emulator.trajectory.live import SceneClock
 from firmware_protocol.bounds import check_bounds
 from firmware_protocol.events import Float32s
 from firmware_protocol.ros2 import IMAGE, CdrError, ImageError, levels_of, parse_image
-from transports.needs import Need, install_command, package
+from transports.needs import install_command, package
 from transports.ros2.kind import DdsNetwork, check_topic
 
 if TYPE_CHECKING:
@@ -48,65 +48,6 @@ _USED = "images"
 _REPEATED = "images at the time of the one before"  # refused
 _CLOCK_JUMPS = "jumps of the images' clock"  # stamps that did not continue those before
 _LATE = "pictures without a new image"  # light frames drawn with an old image because no newer one was received
-
-
-class LiveImages:
-    """The images received so far, and `counts` of them.
-
-    Parameters
-    ----------
-    grey : log light until the first one, (height, width).
-    delay_ns : delay from an image's time until it is shown.
-    by_stamp : True: times follow the stamps; False: the arrival.
-    """
-
-    def __init__(self, grey: Float32s, delay_ns: int, *, by_stamp: bool) -> None:
-        self._grey = grey
-        self._delay_ns, self._by_stamp = delay_ns, by_stamp
-        self._known: deque[tuple[int, Float32s]] = deque(maxlen=_KNOWN)
-        self._ahead_ns: int | None = None  # of the stamps, beyond the scene's time
-        self.counts = Counter({_USED: 0, _REPEATED: 0, _CLOCK_JUMPS: 0, _LATE: 0})
-
-    def add(self, log_light: Float32s, stamp_ns: int, arrival_ns: int) -> None:
-        """Add an image, (height, width) log light, that arrived at the scene's time `arrival_ns`."""
-        t_ns = self._time_ns(stamp_ns, arrival_ns)
-        if self._known and t_ns < self._known[-1][0] + _LEAST_APART_NS:
-            self.counts[_REPEATED] += 1
-            return
-        self._known.append((t_ns, log_light))
-        self.counts[_USED] += 1
-
-    def restart(self, t_ns: int) -> None:
-        """Go back to time `t_ns`: the newest image stays from there."""
-        self._ahead_ns = None
-        if self._known:
-            newest = self._known[-1][1]
-            self._known.clear()
-            self._known.append((t_ns - self._delay_ns, newest))
-
-    def around(self, t_ns: int) -> Around:
-        """Return the images around `t_ns`."""
-        shown_ns, images = t_ns - self._delay_ns, self._known
-        if not images or shown_ns <= images[0][0]:
-            return Around.still(images[0][1] if images else self._grey)
-        if shown_ns >= images[-1][0]:
-            self.counts[_LATE] += shown_ns > images[-1][0]
-            return Around.still(images[-1][1])
-        after = next(k for k, (time_ns, _) in enumerate(images) if time_ns > shown_ns)
-        (start_ns, before), (end_ns, end) = images[after - 1], images[after]
-        share = np.float32((shown_ns - start_ns) / (end_ns - start_ns))
-        return Around(before, end, share, (end_ns - start_ns) * 1e-9)
-
-    def _time_ns(self, stamp_ns: int, arrival_ns: int) -> int:
-        if not self._by_stamp:
-            return arrival_ns
-        if self._ahead_ns is not None:
-            t_ns = stamp_ns - self._ahead_ns
-            if abs(t_ns - arrival_ns) <= _MOST_ASTRAY_NS and not (self._known and t_ns < self._known[-1][0]):
-                return t_ns
-            self.counts[_CLOCK_JUMPS] += 1
-        self._ahead_ns = stamp_ns - arrival_ns
-        return arrival_ns
 
 
 _DEPTH = 16
@@ -164,12 +105,11 @@ class Ros2ImageParameters:
         return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
 
 
-def _needs(_: Ros2ImageParameters) -> tuple[Need, ...]:
-    return (package("cyclonedds"),)
-
-
 ROS2_IMAGES = SceneKind(
-    Ros2ImageParameters, "emulator.scene.video.ros2_images:open_ros2_images", kernels=False, needs=_needs
+    Ros2ImageParameters,
+    "emulator.scene.video.ros2_images:open_ros2_images",
+    kernels=False,
+    needs=lambda _: (package("cyclonedds"),),
 )
 
 
@@ -187,27 +127,39 @@ class Ros2Images(JoinedFrames):
         self._p = parameters
         self._source, self._participant = source, participant
         self._clock, self._scene_clock = clock, SceneClock()
-        grey = np.full(size[::-1], self._log_light(np.float32(_GREY)), np.float32)
-        self._images = LiveImages(grey, round(parameters.delay_ms * 1e6), by_stamp=parameters.stamps == "header")
+        self._grey = np.full(size[::-1], self._log_light(np.float32(_GREY)), np.float32)
+        self._delay_ns = round(parameters.delay_ms * 1e6)
+        self._known: deque[tuple[int, Float32s]] = deque(maxlen=_KNOWN)  # with their times on the scene's clock
+        self._ahead_ns: int | None = None  # of the stamps, beyond the scene's time
+        self._counts = Counter({_USED: 0, _REPEATED: 0, _CLOCK_JUMPS: 0, _LATE: 0})
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Images that were used and refused, and light frames without a new one."""
-        return {name: count for name, count in self._images.counts.items() if count}
+        return {name: count for name, count in self._counts.items() if count}
 
     def _around(self, t_ns: int) -> Around:
         """Read the received images, and return those around `t_ns`."""
         self._receive(t_ns)
-        return self._images.around(t_ns)
+        shown_ns, images = t_ns - self._delay_ns, self._known
+        if not images or shown_ns <= images[0][0]:
+            return Around.still(images[0][1] if images else self._grey)
+        if shown_ns >= images[-1][0]:
+            self._counts[_LATE] += shown_ns > images[-1][0]
+            return Around.still(images[-1][1])
+        after = next(k for k, (time_ns, _) in enumerate(images) if time_ns > shown_ns)
+        (start_ns, before), (end_ns, end) = images[after - 1], images[after]
+        share = np.float32((shown_ns - start_ns) / (end_ns - start_ns))
+        return Around(before, end, share, (end_ns - start_ns) * 1e-9)
 
     def wait(self, seconds: float) -> bool:
         """Wait for the first image; False where none has come."""
         until = time.monotonic() + seconds
         self._receive(0)
-        while not self._images.counts[_USED] and time.monotonic() < until:
+        while not self._counts[_USED] and time.monotonic() < until:
             time.sleep(_LOOK_S)
             self._receive(0)
-        return self._images.counts[_USED] > 0
+        return self._counts[_USED] > 0
 
     def close(self) -> None:
         """Leave the topic."""
@@ -217,7 +169,12 @@ class Ros2Images(JoinedFrames):
 
     def _receive(self, t_ns: int) -> None:
         if self._scene_clock.draw(t_ns, self._clock()):
-            self._images.restart(t_ns)
+            # The newest image stays from there.
+            self._ahead_ns = None
+            if self._known:
+                newest = self._known[-1][1]
+                self._known.clear()
+                self._known.append((t_ns - self._delay_ns, newest))
         for message in self._source.take():
             self._use(message)
 
@@ -226,12 +183,28 @@ class Ros2Images(JoinedFrames):
             image = parse_image(message.data)
             levels = levels_of(image)
         except (CdrError, ImageError) as error:
-            self._images.counts[f"images refused: {error}"] += 1
+            self._counts[f"images refused: {error}"] += 1
             return
         is_float = levels.dtype.kind == "f"
         light = linear_light(levels, Frames(levels).full_scale, is_linear=is_float or self._p.levels == "linear")
         arrival_ns = self._scene_clock.scene_ns(message.written_ns)  # never after now
-        self._images.add(self._log_light(resampled(light, self.size)), image.header.stamp_ns, arrival_ns)
+        t_ns = self._time_ns(image.header.stamp_ns, arrival_ns)
+        if self._known and t_ns < self._known[-1][0] + _LEAST_APART_NS:
+            self._counts[_REPEATED] += 1
+            return
+        self._known.append((t_ns, self._log_light(resampled(light, self.size))))
+        self._counts[_USED] += 1
+
+    def _time_ns(self, stamp_ns: int, arrival_ns: int) -> int:
+        if self._p.stamps == "arrival":
+            return arrival_ns
+        if self._ahead_ns is not None:
+            t_ns = stamp_ns - self._ahead_ns
+            if abs(t_ns - arrival_ns) <= _MOST_ASTRAY_NS and not (self._known and t_ns < self._known[-1][0]):
+                return t_ns
+            self._counts[_CLOCK_JUMPS] += 1
+        self._ahead_ns = stamp_ns - arrival_ns
+        return arrival_ns
 
     def _log_light(self, light: Float32s | np.float32) -> Float32s:
         return np.asarray(np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white)), np.float32)

@@ -28,9 +28,9 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, root_of, stream, uniform, unit, word
-from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, merged, unpacked
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import Float32s, Floats, Int64s, Mask
+from firmware_protocol.events import Floats, Int64s, Mask
 
 SLOT_NS = 1_024_000
 """Length of a slot, in which events are drawn."""
@@ -99,27 +99,23 @@ class SlottedEvents(ABC):
         self._pending, self._waiting = new_pending(), 0
         self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
 
-    def add_to(self, crossings: Crossings, light: Float32s, t_ns: int) -> Crossings:
-        """Return a step's `crossings` with the events up to, and without, `t_ns` among them."""
-        return merged(crossings, self.step(light, t_ns))
-
-    def step(self, light: Float32s, t_ns: int) -> Crossings:
-        """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
+    def step(self, t_ns: int) -> Crossings:
+        """Return the events from the last time up to, and without, `t_ns`."""
         parts = []
         while self._t_ns < t_ns:
-            parts.append(self._events_until(light, min(t_ns, self._t_ns + LONGEST_NS)))
+            parts.append(self._events_until(min(t_ns, self._t_ns + LONGEST_NS)))
         return joined(parts) if parts else NO_CROSSINGS
 
-    def _events_until(self, light: Float32s, t_ns: int) -> Crossings:
+    def _events_until(self, t_ns: int) -> Crossings:
         window = Window(self._slot, self._t_ns, t_ns, self._pixel_bits)
-        pending, self._waiting, keys = self._advance(window, light, self._pending, self._waiting)
+        pending, self._waiting, keys = self._advance(window, self._pending, self._waiting)
         self._pending = Pending(*pending)
         self._slot = -(-t_ns // SLOT_NS)
         self._t_ns = t_ns
         return unpacked(keys, window.t0_ns, self._pixel_bits)
 
     @abstractmethod
-    def _advance(self, window: Window, light: Float32s, pending: Pending, n: int) -> _Advanced:
+    def _advance(self, window: Window, pending: Pending, n: int) -> _Advanced:
         """Draw the slots that begin before the window's end; return the pending and the packed events."""
 
 
@@ -248,9 +244,9 @@ class BackgroundEvents(SlottedEvents):
         """Start at `t_ns`, with the events to come that follow events before."""
         super().reset(t_ns)
         self._slot = (t_ns - self._before_ns) // SLOT_NS
-        self._events_until(np.empty(0, np.float32), t_ns)
+        self._events_until(t_ns)
 
-    def _advance(self, window: Window, light: Float32s, pending: Pending, n: int) -> _Advanced:
+    def _advance(self, window: Window, pending: Pending, n: int) -> _Advanced:
         result: _Advanced = _advance(window, self._constants, self._rates, pending, n)
         return result
 
@@ -397,6 +393,6 @@ class Particles(SlottedEvents):
         depth_px, recovery_ns = r.depth_um / r.pixel_pitch_um, r.recovery_us * 1000
         self._chip = _Chip(root, gap, p.width, p.height, depth_px, r.off_share, recovery_ns)
 
-    def _advance(self, window: Window, light: Float32s, pending: Pending, n: int) -> _Advanced:
+    def _advance(self, window: Window, pending: Pending, n: int) -> _Advanced:
         result: _Advanced = _advance_particles(window, self._chip, self._dead, pending, n)
         return result

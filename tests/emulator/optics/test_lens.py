@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import correlate1d, gaussian_filter1d
 
 from emulator.light import Scene, SceneError
-from emulator.optics.lens import Distortion, DistortionError, LensParameters
+from emulator.optics.lens import DistortionError, LensParameters
 from emulator.optics.through import Bilinear, BlurWorkers, Through, bend, gaussian_taps
 from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
 from emulator.rig.kinds import CAMERA_MODELS
@@ -100,7 +100,7 @@ def test_a_rate_goes_the_same_way_as_the_light():
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_straightening_undoes_bending(k1, p1, p2, x, y):
-    distortion = Distortion(k1, 0.01, 0.0, p1, p2)
+    distortion = LensParameters(k1=k1, k2=0.01, p1=p1, p2=p2)
     at = distortion.bend(np.array([x]), np.array([y]))
     back = distortion.straighten(*at)
     np.testing.assert_allclose(np.array(back).ravel(), [x, y], atol=1e-9)
@@ -108,7 +108,7 @@ def test_straightening_undoes_bending(k1, p1, p2, x, y):
 
 def test_bending_is_opencv_s_formula():
     """x = .3, y = .2 by hand: r^2 = .13, radial 1.013171197."""
-    (x,), (y,) = Distortion(0.1, 0.01, 0.001, 0.02, -0.03).bend(np.array([0.3]), np.array([0.2]))
+    (x,), (y,) = LensParameters(k1=0.1, k2=0.01, k3=0.001, p1=0.02, p2=-0.03).bend(np.array([0.3]), np.array([0.2]))
     assert (x, y) == pytest.approx((0.2970513591, 0.2032342394))
 
 
@@ -118,14 +118,14 @@ def test_a_bent_picture_shows_each_direction_where_the_model_says():
     camera = lens.pinhole((64, 48))
     column, row = 50, 7
     seen = np.array([(column + 0.5 - 32) / camera.focal_px]), np.array([(row + 0.5 - 24) / camera.focal_px])
-    (x,), _ = Distortion.of(lens).straighten(*seen)
+    (x,), _ = lens.straighten(*seen)
     assert light[row, column] == pytest.approx(lens.light_per_radiance * (2 + x), rel=1e-5)
     assert abs(x - seen[0][0]) * camera.focal_px > 0.3
 
 
 def test_a_lens_that_folds_the_picture_is_refused():
     with pytest.raises(DistortionError, match="degrees off the axis"):
-        Distortion(k1=-0.5).straighten(np.array([0.2, 0.7]), np.array([0.0, 0.0]))
+        LensParameters(k1=-0.5).straighten(np.array([0.2, 0.7]), np.array([0.0, 0.0]))
     with pytest.raises(SceneError, match=r"camera\.lens: k1"):
         look(LensParameters(field_of_view_deg=120.0, k1=-0.5), lambda x, y, t: x)
 

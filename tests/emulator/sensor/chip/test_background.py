@@ -12,7 +12,6 @@ from emulator.sensor.presets import SensorParameters
 
 WIDTH, HEIGHT = 400, 250
 NONE = np.zeros(0, np.int64)
-LIGHT = np.zeros(1, np.float32)
 PARAMETERS = BackgroundParameters(
     hz=0.05, off_share=0.8, pair_share=0.2, on_pair_factor=3.0, again_share=0.4, pair_us=200_000.0, on_wait_factor=2.0
 )
@@ -28,7 +27,7 @@ def drawn(background, seconds, steps=1, begin_s=0.0):
     events = source(background)
     events.reset(round(begin_s * 1e9))
     ends = begin_s + seconds * np.arange(1, steps + 1) / steps
-    parts = [events.step(LIGHT, round(end * 1e9)) for end in ends]
+    parts = [events.step(round(end * 1e9)) for end in ends]
     t, pixel, on = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_ns", "pixel", "on"))
     order = np.lexsort([t, pixel])
     return t[order] * 1e-9, pixel[order].astype(np.int64), on[order]

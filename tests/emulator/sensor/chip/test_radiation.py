@@ -22,7 +22,6 @@ PLAIN = SensorParameters(
     width=W, height=H, threshold_on=0.2, threshold_off=0.2,
     radiation=RadiationParameters(hits_per_cm2_s=1e4, pixel_pitch_um=20.0, depth_um=10.0, off_share=0.0),
 )  # fmt: skip
-NO_LIGHT = np.zeros(W * H, np.float32)
 NONE_DEAD = np.empty(0, np.int64)
 
 
@@ -33,7 +32,7 @@ def with_(**figures):
 def run(p=PLAIN, seed=1, step_ns=MS, end_ns=S, start_ns=0, dead=NONE_DEAD):
     particles = Particles(p, seed, dead)
     particles.reset(start_ns)
-    return joined([particles.step(NO_LIGHT, t) for t in range(start_ns + step_ns, start_ns + end_ns + 1, step_ns)])
+    return joined([particles.step(t) for t in range(start_ns + step_ns, start_ns + end_ns + 1, step_ns)])
 
 
 def tracks(found):

@@ -13,9 +13,10 @@ from emulator.geometry.camera import Cycle
 from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.laws import Elements, Orbit
-from emulator.trajectory.live import LivePoses
+from emulator.trajectory.laws import Orbit
+from emulator.trajectory.live import LATE_PICTURES, LivePoses
 from emulator.trajectory.mounting import Looking, Spinning
+from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import STILL, Fixed, Pose, Timescale
 from firmware_protocol.pose_message import PoseMessage
 
@@ -52,7 +53,7 @@ def test_on_the_ground_it_feels_what_holds_it_up():
 
 
 def test_in_orbit_it_feels_nothing():
-    elements = Elements(4.4628e5, 35e3, 0.4)
+    elements = OrbitPath(4.4628e5, 35e3, 0.4)
     path = Looking(Orbit(elements), (0, 0, 0), (0, 0, 1), [0, SECOND])
     motion = unit(path, Gravity(gm_m3_s2=elements.gm_m3_s2)).between(5000 * SECOND, 5000 * SECOND + 3_000_000)
     np.testing.assert_allclose(motion["force"], 0, atol=1e-17)
@@ -60,7 +61,7 @@ def test_in_orbit_it_feels_nothing():
 
 
 def test_in_fast_motion_free_fall_stays_free_and_turning_is_faster():
-    elements = Elements(4.4628e5, 35e3)
+    elements = OrbitPath(4.4628e5, 35e3)
     path = Looking(Orbit(elements), (0, 0, 0), (0, 0, 1), [0, SECOND])
     motion = unit(path, Gravity(gm_m3_s2=elements.gm_m3_s2), factor=1000.0).between(0, 1_000_000)
     np.testing.assert_allclose(motion["force"], 0, atol=1e-11)
@@ -69,7 +70,7 @@ def test_in_fast_motion_free_fall_stays_free_and_turning_is_faster():
 
 def test_on_a_circle_it_feels_the_centripetal_force_along_its_axes():
     """Looking at the middle, the force is w^2 r along the boresight."""
-    elements = Elements(4.4628e5, 35e3)
+    elements = OrbitPath(4.4628e5, 35e3)
     path = Looking(Orbit(elements), (0, 0, 0), (0, 0, 1), [0, SECOND])
     force = unit(path).between(0, 1_000_000)["force"][0]
     np.testing.assert_allclose(force, [0, 0, elements.mean_motion_rad_s**2 * 35e3], atol=1e-12)
@@ -99,7 +100,7 @@ def test_live_poses_are_felt_and_no_picture_is_counted_as_late():
     force = unit(path).between(20_000_000, 400_000_000)["force"]
     np.testing.assert_allclose(force[:30], np.broadcast_to([0, 0, 3.0], (30, 3)), atol=1e-7)
     np.testing.assert_array_equal(force[-1], 0)
-    assert path.counters.late_pictures == 0
+    assert path.counters[LATE_PICTURES] == 0
 
 
 @pytest.mark.parametrize("cuts", [[], [0.3], [0.0011, 0.0012, 0.5, 0.501]])
