@@ -82,8 +82,8 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     from emulator.optics.glare import veiled
     from emulator.optics.through import Through
 
-    drawn = veiled(build(size, lens, chip) if kind.lens == "own" else Through(lens, chip, size, build, threads), lens)
-    return _drawn_seldom(drawn, rig.run)
+    seen = veiled(build(size, lens, chip) if kind.lens == "own" else Through(lens, chip, size, build, threads), lens)
+    return _drawn_seldom(seen, rig.run)
 
 
 _LEAST_PX = 16  # a side: smaller frames are drawn in no time

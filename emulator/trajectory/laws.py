@@ -57,9 +57,7 @@ from firmware_protocol.bounds import check_bounds
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-    from emulator.trajectory.parameters import OrbitPath
-
-Positive = Annotated[float, Meta(gt=0)]
+_Positive = Annotated[float, Meta(gt=0)]
 _NEWTON_STEPS = 50
 
 
@@ -79,10 +77,53 @@ class Checked:
                 raise ValueError(f"{name} is all zeros and points nowhere")
 
 
+@dataclass(frozen=True)
+class Elements(Checked):
+    """An orbit about a point mass at the origin.
+
+    Attributes
+    ----------
+    gm_m3_s2 : gravitational parameter of the body; 4.4628e5 for Eros.
+    semi_major_axis_m : mean of nearest and farthest distance.
+    eccentricity : 0 for a circle, below 1.
+    inclination_deg, node_deg, periapsis_deg : of the orbit's plane against the world's x-y plane.
+    anomaly_deg : mean anomaly at time zero.
+    """
+
+    gm_m3_s2: _Positive
+    semi_major_axis_m: _Positive
+    eccentricity: float = 0.0
+    inclination_deg: float = 0.0
+    node_deg: float = 0.0
+    periapsis_deg: float = 0.0
+    anomaly_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.eccentricity < 1:
+            raise ValueError(f"eccentricity is {self.eccentricity:g}: an orbit that returns has 0 to below 1")
+
+    @property
+    def mean_motion_rad_s(self) -> float:
+        """Mean angular rate."""
+        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m**3)
+
+    @property
+    def period_s(self) -> float:
+        """Time of one revolution."""
+        return 2 * math.pi / self.mean_motion_rad_s
+
+    @property
+    def periapsis_speed_m_s(self) -> float:
+        """The greatest speed, at the nearest point (vis-viva)."""
+        e = self.eccentricity
+        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m * (1 + e) / (1 - e))
+
+
 class Orbit(Trajectory):
     """An orbit around the origin, with the attitude of the world (see `looking` to look at the body)."""
 
-    def __init__(self, elements: OrbitPath) -> None:
+    def __init__(self, elements: Elements) -> None:
         self._elements = elements
         self.bounds = Bounds(elements.periapsis_speed_m_s)
         self.span_ns = 0, round(elements.period_s * 1e9)
@@ -124,7 +165,7 @@ def eccentric_anomaly(mean_rad: float, eccentricity: float) -> float:
     return anomaly
 
 
-def _plane(k: OrbitPath) -> Matrix:
+def _plane(k: Elements) -> Matrix:
     """Return world_from_plane: the turns by node, inclination and periapsis."""
 
     def about(axis: int, degrees: float) -> Matrix:
@@ -153,7 +194,7 @@ class Gate(Checked):
     """
 
     t_s: float
-    height_m: Positive
+    height_m: _Positive
     forward_m_s: float = 0.0
     down_m_s: float = 0.0
     depression_deg: Annotated[float, Meta(ge=0, le=90)] = 90.0

@@ -6,7 +6,6 @@ picture; without `look_at_m` the attitude is the path's own.
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from ipaddress import IPv4Address
@@ -15,7 +14,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.laws import LANDING, Checked, Gate, Positive
+from emulator.trajectory.laws import LANDING, Checked, Elements, Gate
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
@@ -91,7 +90,7 @@ class KeyframePath(Checked):
 
 
 @dataclass(frozen=True)
-class OrbitPath(Checked):
+class OrbitPath(Elements):
     """An elliptical orbit around the origin.
 
     Attributes
@@ -106,36 +105,8 @@ class OrbitPath(Checked):
     """
 
     kind: ClassVar[str] = "orbit"
-    gm_m3_s2: Positive
-    semi_major_axis_m: Positive
-    eccentricity: float = 0.0
-    inclination_deg: float = 0.0
-    node_deg: float = 0.0
-    periapsis_deg: float = 0.0
-    anomaly_deg: float = 0.0
     look_at_m: _Triple = (0.0, 0.0, 0.0)
     up: _Triple = _UP
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.eccentricity < 1:
-            raise ValueError(f"eccentricity is {self.eccentricity:g}: an orbit that returns has 0 to below 1")
-
-    @property
-    def mean_motion_rad_s(self) -> float:
-        """Mean angular rate."""
-        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m**3)
-
-    @property
-    def period_s(self) -> float:
-        """Time of one revolution."""
-        return 2 * math.pi / self.mean_motion_rad_s
-
-    @property
-    def periapsis_speed_m_s(self) -> float:
-        """The greatest speed, at the nearest point (vis-viva)."""
-        e = self.eccentricity
-        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m * (1 + e) / (1 - e))
 
 
 @dataclass(frozen=True)
