@@ -286,9 +286,8 @@ def remaining(folder: Path, indices: Iterable[int]) -> list[int]:
 
 def run_campaign(
     campaign: Campaign, folder: Path, indices: Iterable[int], workers: Workers, on_row: Callable[[Row], None]
-) -> int:
-    """Do runs, write each row when it comes, return the number of rows. Raises CampaignStopped; written rows stay."""
-    count = 0
+) -> None:
+    """Do runs, and write each row when it comes; raises CampaignStopped, and written rows stay."""
     with closing(workers.rows(indices)) as rows:
         for row in rows:
             try:
@@ -296,9 +295,7 @@ def run_campaign(
             except OSError as error:
                 lost = f"the row of run {row['index']} of {campaign.name} was not written"
                 raise CampaignStopped(f"{folder}: {error.strerror or error}: {lost}") from error
-            count += 1
             on_row(row)
-    return count
 
 
 _PR_SET_PDEATHSIG = 1

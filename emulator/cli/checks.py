@@ -53,11 +53,11 @@ def _open_once(path: Path) -> None:
         tried.unlink()
 
 
-def prepared(parts: Sequence[Part]) -> int:
-    """Compile those of the parts that this machine has not compiled yet; return how many these were."""
+def prepared(parts: Sequence[Part]) -> None:
+    """Compile those of the parts that this machine has not compiled yet."""
     missing = uncompiled(parts)
     if not missing:
-        return 0
+        return
     names = ", ".join(part.name for part in missing)
     status.print(f"compiling, once on this machine: {names}", markup=False)
     columns = TextColumn("compiling"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("left")
@@ -76,4 +76,3 @@ def prepared(parts: Sequence[Part]) -> int:
         failed = prepare(missing, show)
     if failed:
         status.print(f"not compiled ahead: {', '.join(failed)}; that happens during the run", markup=False)
-    return len(missing)

@@ -192,15 +192,11 @@ def _numbers(file: Path, line: int, cells: list[str], columns: int) -> list[floa
 
 
 class CanInputs:
-    """Inputs from the frames that a bus of python-can has received.
-
-    `unusable`: frames of known ids that were too short, or held no finite number.
-    """
+    """Inputs from the frames that a bus of python-can has received, but for those too short or without a number."""
 
     def __init__(self, bus: Any, table: Bus) -> None:
         self._bus, self._signals = bus, table.signals
         self.names = tuple(signal.variable for signal in table.signals)
-        self.unusable = 0
 
     def at(self, t_s: float) -> dict[str, float]:
         """Return the newest value of each variable whose frame came since the last call."""
@@ -209,12 +205,8 @@ class CanInputs:
             if (frame := self._bus.recv(0)) is None:
                 break
             for signal in self._signals:
-                if signal.id != frame.arbitration_id:
-                    continue
-                value = signal.value(bytes(frame.data))
-                if value is None or not math.isfinite(value):
-                    self.unusable += 1
-                else:
+                value = signal.value(bytes(frame.data)) if signal.id == frame.arbitration_id else None
+                if value is not None and math.isfinite(value):
                     due[signal.variable] = value
         return due
 

@@ -68,14 +68,12 @@ class GlReport:
     ----------
     available : True: meshes can be drawn.
     renderer, version : GL's own strings; empty where not available.
-    is_software : True: the processor draws.
     reason : cause and remedy where GL is not available; empty where it is.
     """
 
     available: bool
     renderer: str = ""
     version: str = ""
-    is_software: bool = False
     reason: str = ""
 
 
@@ -130,7 +128,7 @@ def probe() -> GlReport:
         return GlReport(False, reason=str(error))
     name, version = renderer_name(context), str(context.info["GL_VERSION"])
     context.release()
-    return GlReport(True, name, version, is_software(name))
+    return GlReport(True, name, version)
 
 
 def renderer_name(context: moderngl.Context) -> str:

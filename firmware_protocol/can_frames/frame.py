@@ -317,7 +317,6 @@ class BusShare:
         self._full = depth_ns * 1_000_000
         self._level = 0
         self._seen_ns: int | None = None
-        self.busy_ns = 0
 
     def has_room(self, now_ns: int) -> bool:
         """Return true if an ordinary frame may leave at `now_ns`, which never goes back."""
@@ -329,7 +328,6 @@ class BusShare:
         self._fill(now_ns)
         duration_ns = self._rates.duration_ns(frame_bits(frame))
         self._level -= duration_ns * 1_000_000
-        self.busy_ns += duration_ns
         return duration_ns
 
     def _fill(self, now_ns: int) -> None:

@@ -53,7 +53,8 @@ def test_rows_are_those_of_local_runs(cluster, campaign_file, tmp_path):
     campaign, folder = Campaign(load_source(campaign_file(count=6))), tmp_path / "out"
     begin_folder(campaign, folder)
     came = []
-    assert run_campaign(campaign, folder, range(6), DaskWorkers(campaign, folder, cluster[1]), came.append) == 6
+    run_campaign(campaign, folder, range(6), DaskWorkers(campaign, folder, cluster[1]), came.append)
+    assert len(came) == 6
     alone = [run_row(campaign, i, Place(tmp_path / "alone"), lambda _: None) for i in range(6)]
     assert [pure(row) for row in read_rows(rows_folder(folder))] == [pure(row) for row in alone]
 

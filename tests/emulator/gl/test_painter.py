@@ -29,7 +29,7 @@ def card(monkeypatch, gl):
     monkeypatch.setattr(Path, "exists", lambda path: str(path) == "/dev/dri" or exists(path))
     monkeypatch.setattr(context, "_SOFTWARE", ())
     assert probe().available
-    assert not probe().is_software
+    assert not context.is_software(probe().renderer)
     return gl
 
 
