@@ -26,7 +26,6 @@ import numpy.typing as npt
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.render_target import Rectangle, RenderTarget
 from emulator.raster.layout import View
-from emulator.raster.topology import Topology
 from emulator.scene.bodies.raster_bodies import LIFT, NEAREST_SHARE, BodiesGeometry, LitBodies
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import BodyWorld
@@ -86,18 +85,44 @@ _ROOM = 0.01
 _NOTHING, _MARGIN_PX = Rectangle(0, 0, 1, 1), 1  # of pixels, for rounding by GL and to float32
 
 
-class FacetProgram:
-    """The facets of light frames in a context's memory, and the program that draws them."""
+class GlBodies(GlScene[BodyWorld]):
+    """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by GL.
 
-    def __init__(self, context: moderngl.Context) -> None:
-        self._program = context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
-        self._array = context.vertex_array(self._program, [])
-        self._buffers = [context.buffer(reserve=64) for _ in range(5)]
+    Raises SceneError where a shape or a path cannot be used, the camera begins inside a body, or there is no GL.
+    """
 
-    def draw(
-        self, topology: Topology, view: View, pinhole: Pinhole, near_m: float, far_m: float, gl: moderngl.Context
-    ) -> None:
+    def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
+        world = BodyWorld(parameters, pinhole)
+        super().__init__(world, RenderTarget(pinhole.size, parameters.samples))
+        self._pinhole = pinhole
+        self._lit = LitBodies(world, pinhole, available_threads())
+        with self._render_target.context as gl:
+            self._program = gl.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
+            self._array = gl.vertex_array(self._program, [])
+            self._buffers = [gl.buffer(reserve=64) for _ in range(5)]
+
+    def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
+        """Return depth, flow and labels of the bodies, from shapes and poses alone."""
+        return BodiesGeometry(self._world, rays)
+
+    def close(self) -> None:
+        """End the threads, release the GL context, and close the ports; a second call does nothing."""
+        self._lit.close()
+        super().close()
+
+    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], Rectangle]:
+        view = self._lit.view(t_ns)
+        places_m = view.positions_m
+        ahead_m = places_m[places_m[:, 2] > NEAREST_SHARE * self.distance_m, 2]
+        near_m, far_m = (float(ahead_m.min()), float(ahead_m.max())) if len(ahead_m) else (0.5, 1.0)
+        # Room for patches, which are nearer than their facets, and for rounding.
+        room_m = min(_ROOM * (far_m - near_m) + 2 * LIFT * near_m, _ROOM * near_m)
+        render = partial(self._draw, view, near_m - room_m, far_m + room_m)
+        return render, touched_region(places_m, self._pinhole)
+
+    def _draw(self, view: View, near_m: float, far_m: float, gl: moderngl.Context) -> None:
         """Draw all facets between two depths, then all patches."""
+        topology = self._lit.topology
         facets = int(np.count_nonzero(topology.over < 0))
         sides = np.zeros(-(-len(topology.faces) // 4) * 4, np.uint8)
         sides[: len(topology.faces)] = topology.two_sided
@@ -117,46 +142,12 @@ class FacetProgram:
             if array.nbytes:
                 buffer.write(np.ascontiguousarray(array))
             buffer.bind_to_storage_buffer(binding)
-        self._program["zoom"], self._program["near"] = pinhole.zoom, near_m
+        self._program["zoom"], self._program["near"] = self._pinhole.zoom, near_m
         self._program["octaves"] = math.log1p((far_m - near_m) / near_m) / math.log(2)
         gl.enable_only(gl.DEPTH_TEST)
         for first, last, lift in ((0, facets, 0.0), (facets, len(topology.faces), _LIFT)):
             self._program["lift"] = lift
             self._array.render(gl.TRIANGLES, vertices=3 * (last - first), first=3 * first)
-
-
-class GlBodies(GlScene[BodyWorld]):
-    """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by GL.
-
-    Raises SceneError where a shape or a path cannot be used, the camera begins inside a body, or there is no GL.
-    """
-
-    def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
-        world = BodyWorld(parameters, pinhole)
-        super().__init__(world, RenderTarget(pinhole.size, parameters.samples))
-        self._pinhole = pinhole
-        self._lit = LitBodies(world, pinhole, available_threads())
-        with self._render_target.context as gl:
-            self._facets = FacetProgram(gl)
-
-    def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
-        """Return depth, flow and labels of the bodies, from shapes and poses alone."""
-        return BodiesGeometry(self._world, rays)
-
-    def close(self) -> None:
-        """End the threads, release the GL context, and close the ports; a second call does nothing."""
-        self._lit.close()
-        super().close()
-
-    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], Rectangle]:
-        view = self._lit.view(t_ns)
-        topology, places_m = self._lit.topology, view.positions_m
-        ahead_m = places_m[places_m[:, 2] > NEAREST_SHARE * self.distance_m, 2]
-        near_m, far_m = (float(ahead_m.min()), float(ahead_m.max())) if len(ahead_m) else (0.5, 1.0)
-        # Room for patches, which are nearer than their facets, and for rounding.
-        room_m = min(_ROOM * (far_m - near_m) + 2 * LIFT * near_m, _ROOM * near_m)
-        render = partial(self._facets.draw, topology, view, self._pinhole, near_m - room_m, far_m + room_m)
-        return render, touched_region(places_m, self._pinhole)
 
 
 def touched_region(places_m: npt.NDArray[np.float64], pinhole: Pinhole) -> Rectangle:
