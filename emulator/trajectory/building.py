@@ -55,7 +55,7 @@ from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.joints import Jointed, JointPath
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Orbit
-from emulator.trajectory.live import GivenPath, LivePoses, PoseReceiver, ReceivedPath, SimulatedPath, close_receivers
+from emulator.trajectory.live import GivenPath, PoseReceiver, ReceivedPath, SimulatedPath, close_receivers
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt, looking_along
 from emulator.trajectory.parameters import (
     BasiliskPath,
@@ -90,10 +90,11 @@ _ATTITUDE = ("qw", "qx", "qy", "qz")
 
 @dataclass(eq=False)
 class Samples:
-    """Times and poses of a file."""
+    """Times and poses of a file; `left_out` is how often each other command stood in a flight file."""
 
     times_ns: list[int] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
 
 
 def parse_table(text: str) -> Samples:
@@ -130,16 +131,9 @@ def _table_lines(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
                 raise TrajectoryError(f"line {number}: {error}") from error
 
 
-@dataclass(eq=False)
-class Flight(Samples):
-    """Contents of a flight file; `left_out` is how often each other command stood in it."""
-
-    left_out: Counter[str] = field(default_factory=Counter)
-
-
-def parse_flight(text: str, period_s: float) -> Flight:
+def parse_flight(text: str, period_s: float) -> Samples:
     """Read a flight file whose poses are `period_s` apart; raises TrajectoryError with the line."""
-    flight, period_ns, t_ns = Flight(), round(period_s * 1e9), 0
+    flight, period_ns, t_ns = Samples(), round(period_s * 1e9), 0
     angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
     for number, line in enumerate(text.splitlines(), start=1):
         try:
@@ -216,15 +210,14 @@ def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
 def _keyframes(path: Path, period_s: float) -> Keyframes:
     match path.suffix.lower():
         case ".fli":
-            flight = parse_flight(_text(path), period_s)
-            if flight.left_out:
-                left_out = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
-                _LOG.info("%s: left out of the flight: %s", path, left_out)
-            samples: Samples = flight
+            samples = parse_flight(_text(path), period_s)
         case ".csv":
             samples = parse_table(_text(path))
         case _:
             raise TrajectoryError("its format is unknown: name it .csv, .oem or .fli")
+    if samples.left_out:
+        left_out = ", ".join(f"{count} {command}" for command, count in samples.left_out.items())
+        _LOG.info("%s: left out of the flight: %s", path, left_out)
     return Keyframes(samples.times_ns, samples.poses)
 
 
@@ -336,7 +329,7 @@ def _received(p: LivePath, number: int, receivers: dict[tuple[str, int], PoseRec
     if receiver.allow != frozenset(p.allow):
         raise TrajectoryError(f"live paths that share port {p.port} must have the same addresses in `allow`")
     first = Pose(np.array(p.position_m), np.array(p.q_world_from_body))
-    return ReceivedPath(receiver, number, LivePoses(first, round(p.hold_ms * 1e6), round(p.ahead_ms * 1e6)))
+    return ReceivedPath(receiver, number, first, round(p.hold_ms * 1e6), round(p.ahead_ms * 1e6))
 
 
 def _looking(path: Trajectory, target_m: _Triple | None, up: _Triple, times_ns: Sequence[int]) -> Trajectory:

@@ -58,6 +58,7 @@ from emulator.trajectory.pose import (
 from firmware_protocol.pose_message import NOW, POSE_BYTES, PoseMessage, PoseMessageError
 
 _KNOWN = 64
+_HOLD_NS, _AHEAD_NS = 100_000_000, 1_000_000_000
 _GOES_ON_NS = 1_000_000
 _MOST_LOST = 1 << 16
 _MOST_OVERTAKEN = 64
@@ -103,7 +104,7 @@ class LivePoses(ComingPoses):
     ahead_ns : most time by which a pose may be stamped beyond its arrival.
     """
 
-    def __init__(self, first: Pose = STILL, hold_ns: int = 100_000_000, ahead_ns: int = 1_000_000_000) -> None:
+    def __init__(self, first: Pose = STILL, hold_ns: int = _HOLD_NS, ahead_ns: int = _AHEAD_NS) -> None:
         self._first = first
         self._hold_ns = hold_ns
         self._ahead_ns = ahead_ns
@@ -145,7 +146,7 @@ class LivePoses(ComingPoses):
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
         """Return both from the poses known now; no light frame is counted as late."""
         late = self.counters[LATE_PICTURES]
-        pose = self.pose(t_ns)
+        pose = LivePoses.pose(self, t_ns)
         self.counters[LATE_PICTURES] = late
         return pose, self.motion(t_ns)
 
@@ -394,26 +395,20 @@ class PoseReceiver:
         return True
 
 
-class ReceivedPath(ComingPoses):
-    """The path of one body whose poses a receiver gets."""
+class ReceivedPath(LivePoses):
+    """The path of `body`, whose poses a receiver gets; the other parameters are those of `LivePoses`."""
 
-    def __init__(self, receiver: PoseReceiver, body: int, poses: LivePoses) -> None:
-        receiver.register(body, poses)
-        self.receiver, self._poses = receiver, poses
-        self.counters = poses.counters
+    def __init__(
+        self, receiver: PoseReceiver, body: int, first: Pose = STILL, hold_ns: int = _HOLD_NS, ahead_ns: int = _AHEAD_NS
+    ) -> None:
+        super().__init__(first, hold_ns, ahead_ns)
+        self.receiver = receiver
+        receiver.register(body, self)
 
     def pose(self, t_ns: int) -> Pose:
         """Read the poses that have come and return the pose at `t_ns`."""
         self.receiver.receive(t_ns)
-        return self._poses.pose(t_ns)
-
-    def motion(self, t_ns: int) -> Motion:
-        """Return the motion at `t_ns` from the poses that have come, see `LivePoses.motion`."""
-        return self._poses.motion(t_ns)
-
-    def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
-        """Return both from the poses that have come."""
-        return self._poses.pose_and_motion(t_ns)
+        return super().pose(t_ns)
 
 
 def close_receivers(*paths: Trajectory) -> None:

@@ -191,7 +191,7 @@ def test_poses_for_now_move_at_their_own_speed_whatever_the_pictures(picture_ms)
     """100 poses a second of a body at 1 m/s: stamped by pictures their speed had been 0.5 to 2.0 of the truth."""
     wall_ns = 10**18
     receiver = PoseReceiver("127.0.0.1", 0, clock=lambda: wall_ns)
-    path = ReceivedPath(receiver, 0, LivePoses())
+    path = ReceivedPath(receiver, 0)
     try:
         sent, seen = 0, []
         for k in range(1000 // picture_ms):
@@ -217,7 +217,7 @@ def send(receiver, *datagrams):
 @pytest.mark.socket
 def test_a_datagram_is_on_the_very_next_picture():
     receiver = PoseReceiver("127.0.0.1", 0)
-    path = ReceivedPath(receiver, 0, LivePoses())
+    path = ReceivedPath(receiver, 0)
     try:
         path.pose(0)
         turned = PoseMessage(NOW, (4.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), body=2)
@@ -236,8 +236,7 @@ def test_the_kernel_s_stamp_of_arrival_counts():
     """The picture is drawn 0.5 s after the pose has come, and the pose holds from its own arrival."""
     wall_ns = [begun_ns := time.time_ns()]
     receiver = PoseReceiver("127.0.0.1", 0, clock=lambda: wall_ns[-1])
-    live = LivePoses()
-    path = ReceivedPath(receiver, 0, live)
+    path = ReceivedPath(receiver, 0)
     try:
         path.pose(0)
         before_ns = time.time_ns()
@@ -246,7 +245,7 @@ def test_the_kernel_s_stamp_of_arrival_counts():
         assert select.select([receiver._socket], [], [], 120.0)[0]
         wall_ns.append(after_ns + 500 * MS)
         path.pose(after_ns - begun_ns + 400 * MS)
-        assert before_ns - begun_ns <= live._known[-1].t_ns <= after_ns - begun_ns
+        assert before_ns - begun_ns <= path._known[-1].t_ns <= after_ns - begun_ns
     finally:
         receiver.close()
 
@@ -274,7 +273,7 @@ def test_paths_that_share_a_port_agree_about_who_may_send():
 @pytest.mark.socket
 def test_only_allowed_addresses_are_heard():
     receiver = PoseReceiver("127.0.0.1", 0, allow=("127.0.0.9",))
-    path = ReceivedPath(receiver, 0, LivePoses())
+    path = ReceivedPath(receiver, 0)
     try:
         send(receiver, message(NOW, 3.0))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -333,7 +332,7 @@ hostile = st.tuples(
 @given(st.lists(hostile, max_size=40))
 def test_hostile_poses_leave_a_good_one_its_effect(poses):
     receiver = PoseReceiver("127.0.0.1", 0, clock=lambda: 10**18)
-    path = ReceivedPath(receiver, 0, LivePoses())
+    path = ReceivedPath(receiver, 0)
     try:
         for k, (t_ns, place, body, counter, arrival, angle) in enumerate(poses):
             receiver.receive(k * MS)
@@ -394,7 +393,7 @@ def test_the_layout_is_the_documented_one():
 def test_what_came_in_is_told_for_all_receivers_together():
     assert live_counts(Fixed()) == {}
     receivers = [PoseReceiver("127.0.0.1", 0) for _ in range(2)]
-    paths = [ReceivedPath(receiver, 0, LivePoses(hold_ns=0)) for receiver in receivers]
+    paths = [ReceivedPath(receiver, 0, hold_ns=0) for receiver in receivers]
     for path in paths:
         send(path.receiver, message(0, 3.0), b"")
         path.pose(1)
