@@ -12,13 +12,12 @@ its first row comes first when it is read, and facets that are counter-clockwise
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emulator.gl.context import open_context, renderer_name
-from emulator.light import Light, SceneError
+from emulator.light import Light, Region, SceneError
 
 if TYPE_CHECKING:
     import moderngl
@@ -61,16 +60,6 @@ void main() {
 """
 
 
-@dataclass(frozen=True)
-class Rectangle:
-    """Part of a light frame: columns `left` to `left + width`, rows `top` to `top + height`."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-
 class RenderTarget:
     """A context in this thread, for light frames of `size` = (width, height), `samples` x `samples` a pixel.
 
@@ -105,7 +94,7 @@ class RenderTarget:
             self._is_open = False
             self.context.release()
 
-    def draw(self, render: Callable[[moderngl.Context], None], out: Light, region: Rectangle | None = None) -> None:
+    def draw(self, render: Callable[[moderngl.Context], None], out: Light, region: Region | None = None) -> None:
         """Call `render` to draw the samples, and write their means into `out`, (height, width) float32.
 
         When `render` is called the context is current, the target cleared, and depth test and culling are on. Nothing
@@ -122,8 +111,8 @@ class RenderTarget:
             render(gl)
             self._light.use()
             self._light.clear()
-            part = region or Rectangle(0, 0, *self.size)
-            self._light.viewport = (part.left, part.top, part.width, part.height)
+            top, bottom, left, right = region.bounds if region else (0, self.size[1], 0, self.size[0])
+            self._light.viewport = (left, top, right - left, bottom - top)
             gl.enable_only(gl.NOTHING)
             self._samples_texture.use(0)
             self._cover.render(gl.TRIANGLES, vertices=3)

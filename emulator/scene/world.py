@@ -11,8 +11,8 @@ import numpy as np
 
 from emulator.geometry.camera import Pinhole
 from emulator.gl.context import QUICK_LOOK, Painter
-from emulator.gl.render_target import Rectangle, RenderTarget
-from emulator.light import Light, Scene
+from emulator.gl.render_target import RenderTarget
+from emulator.light import Light, Region, Scene
 from emulator.trajectory.live import ComingPoses
 from emulator.trajectory.pose import Timescale, Trajectory
 
@@ -106,7 +106,7 @@ class GlScene(WorldScene[W]):
         self._render_target.draw(render, out, region)
 
     @abstractmethod
-    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], Rectangle | None]:
+    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], Region | None]:
         """Return a function that draws the scene at `t_ns`, and the region that it may touch, None for the whole frame.
 
         All errors are raised here, none while drawing.

@@ -24,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays
-from emulator.gl.render_target import Rectangle, RenderTarget
+from emulator.gl.render_target import RenderTarget
+from emulator.light import Region
 from emulator.raster.layout import View
 from emulator.scene.bodies.raster_bodies import LIFT, NEAREST_SHARE, BodiesGeometry, LitBodies
 from emulator.scene.bodies.table import BodiesParameters
@@ -82,7 +83,7 @@ void main() {
 
 _LIFT = 4 / 2**24  # of patches
 _ROOM = 0.01
-_NOTHING, _MARGIN_PX = Rectangle(0, 0, 1, 1), 1  # of pixels, for rounding by GL and to float32
+_NOTHING, _MARGIN_PX = Region(0, 1, 0, 1), 1  # of pixels, for rounding by GL and to float32
 
 
 class GlBodies(GlScene[BodyWorld]):
@@ -110,7 +111,7 @@ class GlBodies(GlScene[BodyWorld]):
         self._lit.close()
         super().close()
 
-    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], Rectangle]:
+    def _drawing(self, t_ns: int) -> tuple[Callable[[moderngl.Context], None], Region]:
         view = self._lit.view(t_ns)
         places_m = view.positions_m
         ahead_m = places_m[places_m[:, 2] > NEAREST_SHARE * self.distance_m, 2]
@@ -150,16 +151,16 @@ class GlBodies(GlScene[BodyWorld]):
             self._array.render(gl.TRIANGLES, vertices=3 * (last - first), first=3 * first)
 
 
-def touched_region(places_m: npt.NDArray[np.float64], pinhole: Pinhole) -> Rectangle:
-    """Return a rectangle around all between points, (n, 3) m in the camera's axes; the frame if any is behind it."""
+def touched_region(places_m: npt.NDArray[np.float64], pinhole: Pinhole) -> Region:
+    """Return a region around all between points, (n, 3) m in the camera's axes; the frame if any is behind it."""
     size = np.array(pinhole.size)
     ahead = places_m[:, 2] > 0
     if not ahead.any():
         return _NOTHING
     if not ahead.all():
-        return Rectangle(0, 0, *pinhole.size)
+        return Region(0, pinhole.height, 0, pinhole.width)
     with np.errstate(over="ignore"):
         seen = pinhole.focal_px * places_m[:, :2] / places_m[:, 2:] + size / 2
     first = np.clip(np.floor(seen.min(axis=0)) - _MARGIN_PX, 0, size - 1).astype(int)
     last = np.clip(np.ceil(seen.max(axis=0)) + _MARGIN_PX, first + 1, size).astype(int)
-    return Rectangle(*map(int, first), *map(int, last - first))
+    return Region(int(first[1]), int(last[1]), int(first[0]), int(last[0]))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from emulator.gl.render_target import Rectangle, RenderTarget, depth_terms
-from emulator.light import SceneError
+from emulator.gl.render_target import RenderTarget, depth_terms
+from emulator.light import Region, SceneError
 
 pytestmark = pytest.mark.gl
 
@@ -61,11 +61,11 @@ def test_outside_its_reach_a_picture_is_black_whatever_was_there_before():
         program["depth"] = depth_terms(1.0, 1000.0)
         data = np.array([[*corner, 5.0, 3.0] for corner in EVERYWHERE], np.float32)
         array = gl.vertex_array(program, [(gl.buffer(data), "3f 1f", "place", "shine")])
-    for region in [None, Rectangle(2, 1, 3, 4), Rectangle(4, 3, 4, 3)]:
+    for region in [None, Region(1, 5, 2, 5), Region(3, 6, 4, 8)]:
         stage.draw(lambda _: array.render(), picture, region=region)
-        left, top, width, height = (region.left, region.top, region.width, region.height) if region else (0, 0, 8, 6)
-        assert np.all(picture[top : top + height, left : left + width] == 3)
-        assert (picture != 0).sum() == width * height
+        top, bottom, left, right = region.bounds if region else (0, 6, 0, 8)
+        assert np.all(picture[top:bottom, left:right] == 3)
+        assert (picture != 0).sum() == (bottom - top) * (right - left)
     stage.close()
 
 
