@@ -335,14 +335,10 @@ def _definition(cls: type, definitions: dict[str, Any], kind: str) -> dict[str, 
 
 def _field(field: dataclasses.Field[Any], annotation: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     if item := item_type(annotation):
-        return {"type": "array", "items": _value(item, definitions)}
-    if kinds_of(annotation) or table_type(annotation):
-        return _value(annotation, definitions)
-    plain = msgspec.json.schema(annotation)
-    return plain if field.default is dataclasses.MISSING else {**plain, "default": field.default}
-
-
-def _value(annotation: Any, definitions: dict[str, Any]) -> dict[str, Any]:
+        return {"type": "array", "items": _field(field, item, definitions)}
     if kinds := kinds_of(annotation):
         return _one_of(kinds, definitions)
-    return _table(table_type(annotation), definitions)
+    if table := table_type(annotation):
+        return _table(table, definitions)
+    plain = msgspec.json.schema(annotation)
+    return plain if field.default is dataclasses.MISSING else {**plain, "default": field.default}
