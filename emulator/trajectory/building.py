@@ -192,15 +192,15 @@ def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
     """Return the path of the files that a rig names, and its first and last time; raises TrajectoryError."""
     path = Path(p.path)
     try:
-        orbit = parse_oem(_text(path)) if path.suffix.lower() == ".oem" else None
+        orbit = parse_oem(read_text(path, _MOST_BYTES)) if path.suffix.lower() == ".oem" else None
         places = orbit.path if orbit else _keyframes(path, p.period_s)
-    except TrajectoryError as error:
+    except (TrajectoryError, TextFileError) as error:
         raise TrajectoryError(f"{p.path}: {shortened(error)}") from error
     start_ns, stop_ns = places.span_ns
     zero_ns = start_ns if orbit else 0
     try:
         attitudes, attitudes_zero_ns = _attitudes(p, places.span_ns, orbit) if p.attitude_path else (places, zero_ns)
-    except TrajectoryError as error:
+    except (TrajectoryError, TextFileError) as error:
         raise TrajectoryError(f"{p.attitude_path}: {shortened(error)}") from error
     combined: Trajectory = PlaceAndAttitude(places, attitudes, zero_ns, attitudes_zero_ns)
     camera = Mounted(combined, Pose(np.zeros(3), OPENGL_FROM_CAMERA)) if p.axes == "opengl" else combined
@@ -210,9 +210,9 @@ def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
 def _keyframes(path: Path, period_s: float) -> Keyframes:
     match path.suffix.lower():
         case ".fli":
-            samples = parse_flight(_text(path), period_s)
+            samples = parse_flight(read_text(path, _MOST_BYTES), period_s)
         case ".csv":
-            samples = parse_table(_text(path))
+            samples = parse_table(read_text(path, _MOST_BYTES))
         case _:
             raise TrajectoryError("its format is unknown: name it .csv, .oem or .fli")
     if samples.left_out:
@@ -223,7 +223,7 @@ def _keyframes(path: Path, period_s: float) -> Keyframes:
 
 def _attitudes(p: FilePath, span_ns: _Span, orbit: CcsdsPath | None) -> tuple[Trajectory, int]:
     """Return the attitudes, and the time on their axis that is time 0 of the path."""
-    file = parse_aem(_text(Path(p.attitude_path)))
+    file = parse_aem(read_text(Path(p.attitude_path), _MOST_BYTES))
     for note in file.notes:
         _LOG.info("%s: %s", p.attitude_path, note)
     if orbit is None:
@@ -248,13 +248,6 @@ def _require_comparable(orbit: CcsdsPath, attitudes: CcsdsPath) -> None:
             raise TrajectoryError(
                 f"its {quantity} is {of_attitudes}, and that of the orbit file {of_orbit}: convert one of them"
             )
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_text(path, _MOST_BYTES)
-    except TextFileError as error:
-        raise TrajectoryError(str(error)) from error
 
 
 @dataclass(frozen=True)
