@@ -133,7 +133,8 @@ def _table_lines(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
 
 def parse_flight(text: str, period_s: float) -> Samples:
     """Read a flight file whose poses are `period_s` apart; raises TrajectoryError with the line."""
-    flight, period_ns, t_ns = Samples(), round(period_s * 1e9), 0
+    flight = Samples()
+    period_ns, t_ns = round(period_s * 1e9), 0
     angles: npt.NDArray[np.float64] | None = None  # x y z yaw pitch roll, where known
     for number, line in enumerate(text.splitlines(), start=1):
         try:

@@ -88,7 +88,8 @@ class External(SizedScene):
         threads: int = 0,
     ) -> None:
         super().__init__(pinhole.size)
-        self._connection, self._p, self._path = connection, p, path
+        self._connection, self._p = connection, p
+        self._path = path
         self.renderer = connection.hello.name or None
         self._time = Timescale(p.time_scale)
         if path is not None:  # which an inertial unit follows too
