@@ -168,7 +168,17 @@ class LensParameters(Bounded):
             off_x, off_y = at_x - x, at_y - y
             with np.errstate(divide="ignore", invalid="ignore"):
                 u, v = u - (yy * off_x - xy * off_y) / determinant, v - (xx * off_y - xy * off_x) / determinant
-        self._require_inverse(u, v, x, y)
+        with np.errstate(over="ignore", invalid="ignore"):
+            at_x, at_y = self.bend(u, v)
+            xx, xy, yy = self.stretch(u, v)
+            good = (np.hypot(at_x - x, at_y - y) < 1e-9) & (xx * yy - xy * xy > 0)
+        if not good.all():
+            reach = float(np.hypot(x, y)[~good].min())
+            raise DistortionError(
+                f"k1, k2, k3, p1, p2 = {self.k1:g}, {self.k2:g}, {self.k3:g}, {self.p1:g}, {self.p2:g} "
+                f"fold the picture over itself from {np.degrees(np.arctan(reach)):.1f} degrees off the axis on: "
+                "the picture is wider"
+            )
         return u, v
 
     def stretch(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
@@ -181,19 +191,6 @@ class LensParameters(Bounded):
             slope * x * y + 2 * self.p1 * x + 2 * self.p2 * y,
             radial + slope * y * y + 6 * self.p1 * y + 2 * self.p2 * x,
         )
-
-    def _require_inverse(self, u: Floats, v: Floats, x: Floats, y: Floats) -> None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            at_x, at_y = self.bend(u, v)
-            xx, xy, yy = self.stretch(u, v)
-            good = (np.hypot(at_x - x, at_y - y) < 1e-9) & (xx * yy - xy * xy > 0)
-        if not good.all():
-            reach = float(np.hypot(x, y)[~good].min())
-            raise DistortionError(
-                f"k1, k2, k3, p1, p2 = {self.k1:g}, {self.k2:g}, {self.k3:g}, {self.p1:g}, {self.p2:g} "
-                f"fold the picture over itself from {np.degrees(np.arctan(reach)):.1f} degrees off the axis on: "
-                "the picture is wider"
-            )
 
 
 def straight_columns_and_rows(lens: LensParameters, camera: Pinhole) -> tuple[Floats, Floats]:

@@ -231,7 +231,12 @@ class Descent(Trajectory):
         self._depression_rate = self._depression_rad.derivative()
         measured = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))
         self.bounds = Bounds(self._path.bounds.speed_m_s, measured.turn_rad_s)
-        self._require_above(float(site[2]))
+        for t_ns in np.linspace(*self.span_ns, 1000).astype(np.int64):
+            if self._path.pose(int(t_ns)).position_m[2] <= site[2]:
+                raise TrajectoryError(
+                    f"the descent goes through the ground at {t_ns * 1e-9:.1f} s: "
+                    "between two gates the speeds need more height than there is"
+                )
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`; after the last gate it stays there."""
@@ -248,15 +253,6 @@ class Descent(Trajectory):
         rate = float(self._depression_rate(t_ns * 1e-9)) if first <= t_ns < last else 0.0
         path = self._path.motion(t_ns)
         return Motion(path.velocity_m_s, path.acceleration_m_s2, np.array([-rate, 0.0, 0.0]))
-
-    def _require_above(self, ground_m: float) -> None:
-        first, last = self.span_ns
-        for t_ns in np.linspace(first, last, 1000).astype(np.int64):
-            if self._path.pose(int(t_ns)).position_m[2] <= ground_m:
-                raise TrajectoryError(
-                    f"the descent goes through the ground at {t_ns * 1e-9:.1f} s: "
-                    "between two gates the speeds need more height than there is"
-                )
 
 
 def _depression(gates: Sequence[Gate]) -> PPoly:

@@ -43,7 +43,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from emulator.geometry.attitude import Vector, conjugate, multiply, quaternion_of_vector
+from emulator.geometry.attitude import conjugate, multiply, quaternion_of_vector
 from emulator.trajectory.pose import (
     AT_REST,
     FARTHEST_M,
@@ -214,18 +214,12 @@ def known_motion(poses: Sequence[TimedPose], t_ns: int) -> Motion:
     (before_ns, a, _), (after_ns, b, _) = poses[last - 1], poses[last]
     seconds = (after_ns - before_ns) * 1e-9
     turn = rotation_vector(multiply(conjugate(a.q_world_from_body), b.q_world_from_body))
-    bend = _second_derivative(poses[max(0, last - 2) : max(3, last + 1)])
+    bend = np.zeros(3)
+    if len(poses) > 2:
+        (t0, p0, _), (t1, p1, _), (t2, p2, _) = poses[max(0, last - 2) : max(3, last + 1)]
+        steeper = (p2.position_m - p1.position_m) / (t2 - t1) - (p1.position_m - p0.position_m) / (t1 - t0)
+        bend = 2e18 * steeper / (t2 - t0)
     return Motion((b.position_m - a.position_m) / seconds, bend, turn / seconds)
-
-
-def _second_derivative(poses: Sequence[TimedPose]) -> Vector:
-    """Return the second derivative of the parabola through three places, (3,); 0 for fewer."""
-    if len(poses) < 3:
-        return np.zeros(3)
-    (t0, a, _), (t1, b, _), (t2, c, _) = poses
-    first = (b.position_m - a.position_m) / (t1 - t0)
-    second = (c.position_m - b.position_m) / (t2 - t1)
-    return np.asarray(2e18 * (second - first) / (t2 - t0))
 
 
 class SimulatedPath(ComingPoses):
