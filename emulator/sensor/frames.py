@@ -148,31 +148,25 @@ class FrameTimes:
         return int(self.signal_ns[-1]) + self.line_ns
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """A frame's lines and moments in the order of their readings: times (n,) us, `LineKind` (n,), line (n,)."""
+def _schedule(times: FrameTimes) -> tuple[Int64s, Bytes, Int64s]:
+    """Return a frame's lines and moments in the order of their readings: times (n,) us, `LineKind` (n,), line (n,).
 
-    t_us: Int64s
-    kind: Bytes
-    line: Int64s
-
-    @classmethod
-    def of(cls, times: FrameTimes) -> Schedule:
-        """Return the schedule of a frame; a line has its reading when its read is done, in whole us from then on."""
-        lines = np.arange(len(times.reset_ns))
-        records = (
-            (LineKind.START, [times.start_ns], [0]),
-            (LineKind.RESET, times.reset_ns + times.line_ns, lines),
-            (LineKind.EXPOSURE_START, times.open_ns[:1], [0]),
-            (LineKind.EXPOSURE_END, times.shut_ns[:1], [0]),
-            (LineKind.SIGNAL, times.signal_ns + times.line_ns, lines),
-            (LineKind.END, [times.end_ns], [0]),
-        )
-        t_ns = np.concatenate([np.asarray(t, np.int64) for _, t, _ in records])
-        kinds = np.concatenate([np.full(len(t), kind, np.uint8) for kind, t, _ in records])
-        line = np.concatenate([np.asarray(lines, np.int64) for *_, lines in records])
-        order = np.argsort(t_ns, kind="stable")
-        return cls(-(-t_ns[order] // 1000), kinds[order], line[order])
+    A line has its reading when its read is done, in whole us from then on.
+    """
+    lines = np.arange(len(times.reset_ns))
+    records = (
+        (LineKind.START, [times.start_ns], [0]),
+        (LineKind.RESET, times.reset_ns + times.line_ns, lines),
+        (LineKind.EXPOSURE_START, times.open_ns[:1], [0]),
+        (LineKind.EXPOSURE_END, times.shut_ns[:1], [0]),
+        (LineKind.SIGNAL, times.signal_ns + times.line_ns, lines),
+        (LineKind.END, [times.end_ns], [0]),
+    )
+    t_ns = np.concatenate([np.asarray(t, np.int64) for _, t, _ in records])
+    kinds = np.concatenate([np.full(len(t), kind, np.uint8) for kind, t, _ in records])
+    line = np.concatenate([np.asarray(lines, np.int64) for *_, lines in records])
+    order = np.argsort(t_ns, kind="stable")
+    return -(-t_ns[order] // 1000), kinds[order], line[order]
 
 
 def frame_times(start_ns: int, settings: FrameSettings, line_us: float) -> FrameTimes:
@@ -207,7 +201,7 @@ class _Frame:
         self.settings = settings
         self.times = frame_times(start_ns, settings, parameters.line_us)
         self._kicks = parameters.kicks
-        self.schedule = Schedule.of(self.times)
+        self._t_us, self._kinds, self._numbers = _schedule(self.times)
         self.returned = 0
         left, top, right, bottom = settings.roi
         rows, columns = slice(top, bottom + 1), slice(left, right + 1)
@@ -220,7 +214,7 @@ class _Frame:
     @property
     def done(self) -> bool:
         """All readings of the frame have been returned."""
-        return self.returned == len(self.schedule.t_us)
+        return self.returned == len(self._t_us)
 
     @property
     def reads(self) -> LineReads:
@@ -250,13 +244,13 @@ class _Frame:
 
     def read(self, until_us: int, record: np.dtype[Any]) -> Readings:
         """Return the readings until `until_us` that were not returned before."""
-        upto = int(np.searchsorted(self.schedule.t_us, until_us, side="right"))
+        upto = int(np.searchsorted(self._t_us, until_us, side="right"))
         part, self.returned = slice(self.returned, upto), upto
         records = np.zeros(upto - part.start, record)
-        records["t"], records["kind"] = self.schedule.t_us[part], self.schedule.kind[part]
+        records["t"], records["kind"] = self._t_us[part], self._kinds[part]
         records["exposure"], records["global_shutter"] = self.settings.exposure_cycles, self.settings.global_shutter
         records["by_column"], records["roi"] = self.settings.by_column, self.settings.roi
-        records["line"] = self.schedule.line[part] + self.lines.start
+        records["line"] = self._numbers[part] + self.lines.start
         for kind in (LineKind.RESET, LineKind.SIGNAL):
             self._convert(records, np.flatnonzero(records["kind"] == kind), kind)
         return records
