@@ -63,16 +63,6 @@ def finished(readout: ReadOut, late: Crossings) -> Events:
     return np.concatenate([*sent, readout.finish()])
 
 
-def make_sources(p: SensorParameters, seed: int, defects: Defects) -> list[SlottedEvents]:
-    """Return the sources of events beside the pixels; dead pixels have none."""
-    sources: list[SlottedEvents] = []
-    if p.background.hz or p.background.hot_share * p.background.hot_hz:
-        sources.append(BackgroundEvents(p, seed, defects.dead))
-    if p.radiation.hits_per_cm2_s:
-        sources.append(Particles(p, seed, defects.dead))
-    return sources
-
-
 class EventSource(Protocol):
     """Light in, events out. Every event raised is lost in the pixel, lost at the read-out, or read out."""
 
@@ -207,7 +197,11 @@ class Sensor:
         defects = draw_defects(p, seed)
         self._dead = np.isin(np.arange(p.width * p.height), defects.dead) if defects.dead.size else None
         self._leaks = _leaks(self.pixels, p, seed, defects)
-        self._sources = make_sources(p, seed, defects)
+        self._sources: list[SlottedEvents] = []  # beside the pixels
+        if p.background.hz or p.background.hot_share * p.background.hot_hz:
+            self._sources.append(BackgroundEvents(p, seed, defects.dead))
+        if p.radiation.hits_per_cm2_s:
+            self._sources.append(Particles(p, seed, defects.dead))
         self._jitter = Jitter(p.jitter, seed, p.width * p.height) if p.jitter.latency_us else None
         self._readout = make_readout(p)
         self._dark = np.float32(at_reference.dark_current_relative)
@@ -301,9 +295,11 @@ class Sensor:
         Raises ValueError if time goes back, or the frame does not have the sensor's size.
         """
         parts, t0_ns = [], self._t_ns
+        after = np.ascontiguousarray(frame.light).reshape(-1)
         while (cut_ns := self._next_cut_ns()) < frame.t_ns:
-            share = (cut_ns - t0_ns) / (frame.t_ns - t0_ns)
-            cut = LightFrame(cut_ns, self._between(frame.light, share), changed=frame.changed)
+            share = np.float32((cut_ns - t0_ns) / (frame.t_ns - t0_ns))
+            part_of_the_way(self._before.reshape(-1), after, self._dark, share, self._way.reshape(-1))
+            cut = LightFrame(cut_ns, self._way, changed=frame.changed)
             moved = self._move(cut)  # of arrays that the next step writes again
             parts.append(dataclasses.replace(moved, **{k: getattr(moved, k).copy() for k in ("t_ns", "pixel", "on")}))
         parts.append(self._move(frame))
@@ -408,12 +404,6 @@ class Sensor:
             return crossings
         live = ~self._dead[crossings.pixel]
         return Crossings(crossings.t_ns[live], crossings.pixel[live], crossings.on[live], crossings.lost_in_pixel)
-
-    def _between(self, light: Float32s, share: float) -> Float32s:
-        """Return the light at a share of the way from the last frame, linear in the log of the photocurrent."""
-        after = np.ascontiguousarray(light).reshape(-1)
-        part_of_the_way(self._before.reshape(-1), after, self._dark, np.float32(share), self._way.reshape(-1))
-        return self._way
 
     def _remember(self, light: Float32s) -> None:
         """Store the last frame, if a step may have to be cut."""
