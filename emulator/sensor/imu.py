@@ -259,15 +259,12 @@ class _LowPass:
 
     def __init__(self, accelerometer_hz: float, gyroscope_hz: float, start: Floats) -> None:
         self.bandwidths_hz = accelerometer_hz, gyroscope_hz
-        b, a1, a2 = np.repeat([_coefficients(hz) for hz in self.bandwidths_hz], 3, axis=0).T
-        self._b = b
-        self._a1 = a1
-        self._a2 = a2
-        bypassed = b == 1.0
+        self._b, self._a1, self._a2 = np.repeat([_coefficients(hz) for hz in self.bandwidths_hz], 3, axis=0).T
+        bypassed = self._b == 1.0
         self._twice = np.where(bypassed, 0.0, 2.0)
         self._once = np.where(bypassed, 0.0, 1.0)
-        self._s2 = (self._once * b - a2) * start
-        self._s1 = (self._twice * b - a1) * start + self._s2
+        self._s2 = (self._once * self._b - self._a2) * start
+        self._s1 = (self._twice * self._b - self._a1) * start + self._s2
 
     def step(self, x: Floats) -> Floats:
         """Return the output for the input `x`, (6,)."""
