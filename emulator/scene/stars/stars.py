@@ -26,7 +26,7 @@ from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Region, SceneError
 from emulator.optics.lens import Chip, LensParameters, bent_rays, straight_columns_and_rows
-from emulator.raster.surfaces import Instants, instants, motion_of, write_depth_and_flow
+from emulator.raster.surfaces import instants, motion_of, write_depth_and_flow
 from emulator.scene.kind import SizedScene
 from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
@@ -60,21 +60,17 @@ class StarsGeometry(SceneGeometry):
         """Write depth, flow and labels at `t_ns`."""
         (camera, *points), between_s = instants(t_ns, self._paths, self._time)
         out.labels.fill(0)
+        focal, (width, height) = self._camera.focal_px, self._camera.size
         for k, point in enumerate(points):
-            self._mark(k + 1, camera, point, out)
+            place = camera[0].world_from_body.T @ (point[0].position_m - camera[0].position_m)
+            if place[2] <= 0:
+                continue
+            column, row = width / 2 + focal * place[0] / place[2], height / 2 + focal * place[1] / place[2]
+            touched = np.hypot(self._rays.columns - column, self._rays.rows - row) <= self._reach_px
+            touched &= (out.labels == 0) | (self._inverse_depth < 1 / place[2])  # not under nearer points
+            out.labels[touched], self._inverse_depth[touched] = k + 1, 1 / place[2]
         motions = np.array([motion_of(camera, body, between_s) for body in (None, *points)])
         write_depth_and_flow(self._inverse_depth, motions, self._camera, self._rays, out)
-
-    def _mark(self, label: int, camera: Instants, point: Instants, out: Seen) -> None:
-        """Write label and 1 / depth of the pixels near a point, except under nearer points."""
-        place = camera[0].world_from_body.T @ (point[0].position_m - camera[0].position_m)
-        if place[2] <= 0:
-            return
-        focal, (width, height) = self._camera.focal_px, self._camera.size
-        column, row = width / 2 + focal * place[0] / place[2], height / 2 + focal * place[1] / place[2]
-        touched = np.hypot(self._rays.columns - column, self._rays.rows - row) <= self._reach_px
-        touched &= (out.labels == 0) | (self._inverse_depth < 1 / place[2])
-        out.labels[touched], self._inverse_depth[touched] = label, 1 / place[2]
 
     def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
