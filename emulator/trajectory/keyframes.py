@@ -35,7 +35,7 @@ from emulator.trajectory.pose import (
     rate_of_vector,
     require_increasing,
 )
-from firmware_protocol.events import Floats, Int64s
+from firmware_protocol.events import Floats
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -64,7 +64,13 @@ class Keyframes(Trajectory):
         self._seconds = (self._times_ns - self._times_ns[0]) * 1e-9
         self._places = np.array([pose.position_m for pose in poses])
         self._turns = np.array([pose.q_world_from_body for pose in poses])
-        _require_narrow(self._turns, self._times_ns)
+        cosines = np.abs(np.einsum("ij,ij->i", self._turns[1:], self._turns[:-1]))
+        for k in np.flatnonzero(cosines < math.cos(_WIDEST_TURN / 2)):
+            turn = math.degrees(2 * math.acos(min(1.0, float(cosines[k]))))
+            raise TrajectoryError(
+                f"pose {k + 1}, at {times_ns[k + 1] * 1e-9:g} s, is turned by {turn:.0f} degrees from the one before: "
+                "its sense is unknown; give poses in between, at most 120 degrees apart"
+            )
         velocities = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
         if velocities is not None and (velocities.shape != self._places.shape or not np.isfinite(velocities).all()):
             raise TrajectoryError(
@@ -98,18 +104,6 @@ class Keyframes(Trajectory):
         t_s = (int(t_ns) - first) * 1e-9
         turn = rate_of_vector(self._vectors(t_s), self._vector_rates(t_s))
         return Motion(self._velocity(t_s), self._acceleration(t_s), turn)
-
-
-def _require_narrow(quaternions: Floats, times_ns: Int64s) -> None:
-    cosines = np.abs(np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1]))
-    wide = np.flatnonzero(cosines < math.cos(_WIDEST_TURN / 2))
-    if wide.size:
-        k = int(wide[0])
-        turn = math.degrees(2 * math.acos(min(1.0, float(cosines[k]))))
-        raise TrajectoryError(
-            f"pose {k + 1}, at {times_ns[k + 1] * 1e-9:g} s, is turned by {turn:.0f} degrees from the one before: "
-            "its sense is unknown; give poses in between, at most 120 degrees apart"
-        )
 
 
 def _splines(seconds: Floats, places: Floats, velocities: Floats | None, turns: Floats) -> tuple[PPoly, PPoly]:
