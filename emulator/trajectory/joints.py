@@ -90,10 +90,6 @@ class Joint:
     translation: Track
     rotation: Track
 
-    def pose(self, t_s: float) -> Pose:
-        """Return the pose of the joint in the frame of the joint before."""
-        return self.fixed.after(Pose(self.translation.at(t_s), self.rotation.at(t_s)))
-
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
@@ -127,7 +123,7 @@ class Jointed(Trajectory):
         return self._once(int(t_ns) % period_ns if period_ns else int(t_ns))
 
     def _once(self, t_ns: int) -> Pose:
-        pose = self._p.base
+        pose, t_s = self._p.base, t_ns * 1e-9
         for joint in self._p.joints:
-            pose = pose.after(joint.pose(t_ns * 1e-9))
+            pose = pose.after(joint.fixed.after(Pose(joint.translation.at(t_s), joint.rotation.at(t_s))))
         return pose

@@ -223,9 +223,10 @@ class Trajectory(ABC):
 class Fixed(Trajectory):
     """A trajectory that stays at one pose."""
 
+    bounds = Bounds()
+
     def __init__(self, pose: Pose = STILL) -> None:
         self._pose = pose
-        self.bounds = Bounds()
 
     def pose(self, t_ns: int) -> Pose:
         """Return the one pose."""
