@@ -68,8 +68,8 @@ class Keyframes(Trajectory):
         for k in np.flatnonzero(cosines < math.cos(_WIDEST_TURN / 2)):
             turn = math.degrees(2 * math.acos(min(1.0, float(cosines[k]))))
             raise TrajectoryError(
-                f"pose {k + 1}, at {times_ns[k + 1] * 1e-9:g} s, is turned by {turn:.0f} degrees from the one before: "
-                "its sense is unknown; give poses in between, at most 120 degrees apart"
+                f"pose {k + 1}, at {self._times_ns[k + 1] * 1e-9:g} s, is turned by {turn:.0f} degrees from the one "
+                "before: its sense is unknown; give poses in between, at most 120 degrees apart"
             )
         velocities = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
         if velocities is not None and (velocities.shape != self._places.shape or not np.isfinite(velocities).all()):
