@@ -394,15 +394,13 @@ class Video(JoinedFrames):
             return notes
         scale = self._frames.full_scale
         coarse = coarsest_level(scale, self._p.floor, is_linear=self._is_linear, threshold=_TYPICAL_THRESHOLD)
-        share = float((levels[0] < coarse).mean())
-        if not share:
-            return notes
-        return (
-            *notes,
-            f"{levels.dtype.itemsize * 8}-bit frames: below level {coarse} of {scale:.0f} ({share:.0%} of the first "
-            f"frame's pixels) one level is a step of more than {_TYPICAL_THRESHOLD} in log light, and fires events "
-            "that are not in the scene",
-        )
+        if share := float((levels[0] < coarse).mean()):
+            notes += (
+                f"{levels.dtype.itemsize * 8}-bit frames: below level {coarse} of {scale:.0f} ({share:.0%} of the "
+                f"first frame's pixels) one level is a step of more than {_TYPICAL_THRESHOLD} in log light, and fires "
+                "events that are not in the scene",
+            )
+        return notes
 
     def close(self) -> None:
         """Let go of the frames that are decoded."""
