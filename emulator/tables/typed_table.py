@@ -16,7 +16,7 @@ import os
 import re
 import types
 import typing
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NewType, TypeVar
@@ -104,15 +104,13 @@ def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[st
     return kind, {key: value for key, value in table.items() if key != "kind"}
 
 
-def field_types(target: Any) -> Mapping[str, Any]:
-    """Return the annotations of a dataclass's fields, by name, resolved."""
-    return _field_types(target)  # for mypy a class is not hashable, so callers cannot call the cached function
-
-
-@cache
 def _field_types(target: Any) -> Mapping[str, Any]:
     hints = typing.get_type_hints(target)
     return {f.name: hints[f.name] for f in dataclasses.fields(target)}
+
+
+field_types: Callable[[Any], Mapping[str, Any]] = cache(_field_types)  # for mypy a class is not hashable
+"""Return the annotations of a dataclass's fields, by name, resolved."""
 
 
 @cache
