@@ -223,8 +223,7 @@ _RATE_HZ = 1000.0
 class Converter:
     """Filters and converters. Motion goes in, samples in counts come out."""
 
-    def __init__(self) -> None:
-        self._filter: _LowPass | None = None
+    _filter: _LowPass | None = None
 
     def samples(self, motion: ImuMotion, settings: ImuSettings) -> ImuSamples:
         """Return the samples of `motion`, (n,) IMU_MOTION in order: (m <= n,) IMU_SAMPLE."""
