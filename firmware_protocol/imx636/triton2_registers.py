@@ -151,7 +151,7 @@ class Bias:
     address: int
     feature: str
     least: int
-    most: int
+    greatest: int
 
 
 BIASES: Mapping[str, Bias] = {
@@ -198,7 +198,7 @@ def features(size: tuple[int, int], *, has_ptp: bool = False) -> list[Feature]:
     acquisition, begins = "AcquisitionControl", "Starts the stream; time begins at zero"
     states = {"Off": 0, "On": 1, "OnWithData": NOTIFY_WITH_DATA}
     biases = [
-        Feature(bias.feature, control, "integer", bias.address, _BIAS_TIPS[name], limits=(bias.least, bias.most))
+        Feature(bias.feature, control, "integer", bias.address, _BIAS_TIPS[name], limits=(bias.least, bias.greatest))
         for name, bias in BIASES.items()
     ]
     return [
@@ -274,7 +274,7 @@ def _evs_areas(size: tuple[int, int]) -> dict[int, bytes]:
     biases = bytearray(0x14 * len(BIASES))
     for bias in BIASES.values():
         offset = bias.address - 0x13F3_0000
-        biases[offset + 4 : offset + 12] = _signed(bias.least) + _signed(bias.most)
+        biases[offset + 4 : offset + 12] = _signed(bias.least) + _signed(bias.greatest)
     rate = bytearray(0x40)
     rate[4:8] = PERIOD_US.to_bytes(4, "big")
     acquisition = bytearray(0x40)
@@ -302,7 +302,7 @@ def triton2_rules(settings: Triton2Settings) -> dict[int, Rule]:
 
 def evs_rules(size: tuple[int, int]) -> dict[int, Rule]:
     """Return the rules of the registers beyond those of every device, except start and stop."""
-    rules = {bias.address: between(bias.least, bias.most) for bias in BIASES.values()}
+    rules = {bias.address: between(bias.least, bias.greatest) for bias in BIASES.values()}
     rules |= {Evs.MODE: between(0, 0), Evs.EVENT_FORMAT: between(0, 0), INVERTED: between(0, 1)}
     rules |= {Erc.ON: between(0, 1), Erc.PERIOD_US: between(1, 1 << 20), Erc.EVENTS: between(0, (1 << 31) - 1)}
     rules |= {

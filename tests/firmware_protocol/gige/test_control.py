@@ -162,11 +162,11 @@ def test_biases_tell_their_bounds_and_refuse_what_is_beyond(name):
     host, bias = Host(), BIASES[name]
     host.write(Register.PRIVILEGE, 2)
     told = [value - (value >> 31 << 32) for value in (host.read(bias.address + 4), host.read(bias.address + 8))]
-    assert told == [bias.least, bias.most]
+    assert told == [bias.least, bias.greatest]
     for value in told:
         assert host.write(bias.address, value) == 0
         assert host.camera.biases[name] == value
-    assert host.write(bias.address, bias.most + 1) == Status.INVALID_PARAMETER
+    assert host.write(bias.address, bias.greatest + 1) == Status.INVALID_PARAMETER
     assert host.write(bias.address, bias.least - 1) == Status.INVALID_PARAMETER
 
 
