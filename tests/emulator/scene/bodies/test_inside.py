@@ -89,7 +89,7 @@ def test_poses_from_the_network(caplog):
         light = np.zeros((24, 32), np.float32)
         scene.light(0, light)
         world = scene.scene._world
-        world.camera._poses._first = evstim.Pose([0.0, 0.0, 1.2], ATTITUDE)
+        world.camera._first = evstim.Pose([0.0, 0.0, 1.2], ATTITUDE)
         for t_ns in (1_000_000, 1_000_000, 2_000_000):
             scene.light(t_ns, light)
         assert scene.counts["light frames from inside ball"] == 2
