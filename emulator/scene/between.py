@@ -29,6 +29,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -123,6 +124,7 @@ class LightBetween(OtherLight):
         self._whole = Region(0, scene.size[1], 0, scene.size[0])
         threads = threads or available_threads()
         self._room = np.zeros((threads, ROOM), np.float32)
+        self._lock = Lock()
         self._pool, self._drawer = ThreadPool(threads), ThreadPoolExecutor(1)
         shape = scene.size[::-1]
         self._depth, self._labels = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
@@ -188,12 +190,13 @@ class LightBetween(OtherLight):
         super().close()
 
     def pixels(self, t_ns: int, pixels: Int64s) -> tuple[Float32s, Float32s]:
-        """Return light and rate of the pixels row * width + column at `t_ns`, (n,) each."""
-        slot = self._slot(t_ns)
-        pair = self._between(slot)
+        """Return light and rate of the pixels row * width + column at `t_ns`, (n,) each; for several threads."""
+        with self._lock:
+            slot = self._slot(t_ns)
+            pair = self._between(slot)
         light, rate = np.zeros((2, len(pixels)), np.float32)
         if pair is not None:
-            write_pixels(pair, slot.share(t_ns), pixels, self._room[0], light, rate)
+            write_pixels(pair, slot.share(t_ns), pixels, np.zeros(ROOM, np.float32), light, rate)
             return light, rate
         frame = np.zeros((2, *self.size[::-1]), np.float32)
         self._submit(self._draw_frame, t_ns, frame[0], frame[1]).result()

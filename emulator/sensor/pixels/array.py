@@ -24,13 +24,23 @@ from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
 from emulator.sensor.pixels import state as layout
+from emulator.sensor.pixels.candidates import new_table
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import STOP, Capabilities, PixelMethod, StepInterrupted, time_of
 from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.state import Field, Memory
-from emulator.sensor.pixels.step import SHORTEST_NS, Share, Workers, advance, compile_parts, replace_light
+from emulator.sensor.pixels.step import (
+    SHORTEST_NS,
+    MoveShare,
+    Share,
+    Tally,
+    Workers,
+    advance,
+    compile_parts,
+    replace_light,
+)
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
 
@@ -97,7 +107,7 @@ class PixelArray(PixelMethod):
         self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + layout.PARTS), np.uint8)
         self._moved_fields = self.state.fields
         self._replacing: layout.FlatLight | None = None
-        self._refinement: Any = None
+        self._refinements: dict[int, Any] = {}  # by thread
 
     def _dark_state(self) -> layout.PixelState:
         """Return the state before the first light, with thresholds and leak of each pixel."""
@@ -158,7 +168,7 @@ class PixelArray(PixelMethod):
             self._limit_rates(layout.light_constants(after))
         self.parameters, self._light_constants = after, layout.light_constants(after)
         self._refractory_ns = _refractory_ns(after)
-        self._refinement = None
+        self._refinements = {}
         layout.put_field(self.state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))  # no certificate holds now
         self.wake()
 
@@ -375,18 +385,20 @@ class PixelArray(PixelMethod):
         t0_ns, pixels = state.t_ns, self._flat_state()
         c = self._constants(t0_ns, t_ns, not with_slopes)
         touched = self._touched(changed)
+        refine: MoveShare | None = None
         if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
-            share = Share(0, 1, self._workers.idle, touched, STOP)
-            if self._refinement is None:  # which few arrays need
-                from emulator.sensor.pixels.refinement import Refinement
+            from emulator.sensor.pixels.refinement import Refinement  # which few arrays need
 
-                table = self._workers.buffers[0].table
-                self._refinement = Refinement(len(state.fields), self._resting(), table, self._constants)
-            buffers.keys, n_keys, tally = self._refinement.step(frame, pixels, share, buffers.keys, c, at)
-            keys = buffers.keys[:n_keys]
-            keys.sort()
-        else:
-            keys, tally = self._workers.step(frame, pixels, touched, c)
+            def refine_share(thread: int, share: Share, keys: Keys) -> tuple[Keys, int, Tally]:
+                if thread not in self._refinements:
+                    blocks = len(state.fields)
+                    self._refinements[thread] = Refinement(blocks, self._resting(), new_table(), self._constants)
+                moved: tuple[Keys, int, Tally] = self._refinements[thread].step(frame, pixels, share, keys, c, at)
+                return moved
+
+            refine = refine_share
+
+        keys, tally = self._workers.step(frame, pixels, touched, c, refine)
         if STOP[0]:
             raise StepInterrupted
         self.lost_in_pixel += tally.lost

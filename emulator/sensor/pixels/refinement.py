@@ -95,7 +95,7 @@ class Refinement:
     ----------
     blocks : blocks of the array.
     resting : state of a pixel to which nothing happens while it sees no light, (FIELDS,) float32.
-    table : buffer for the candidates.
+    table : buffer for the candidates of one thread.
     constants : makes the constants of a step from its ends, ns.
     """
 
@@ -118,10 +118,7 @@ class Refinement:
     def step(
         self, frame: FlatLight, pixels: Pixels, share: Share, keys: Keys, c: StepConstants, at: PixelLight
     ) -> tuple[Keys, int, Tally]:
-        """Move the array as `advance` does, and refine; `at` gives the light of single pixels in between.
-
-        `share` is the whole.
-        """
+        """Move a share of the array as `advance` does, and refine; `at` gives the light of single pixels in between."""
         c = c._replace(refine=True, unseen_share=REFINED_UNSEEN_SHARE)
         keys, n_keys, counts = advance(frame, pixels, self._buffers[0], keys, share, c)
         self._lists, self._tallies = [keys[:n_keys]], [Tally(*counts)]

@@ -19,6 +19,7 @@ Undersampled pixels of a step are copied, unsolved, to a `Subset`, where `refine
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numba
@@ -401,6 +402,10 @@ _CANDIDATE, _NOISY_CANDIDATE = 12, 2000
 """Cost of a candidate, in quiet pixels, without noise and with it."""
 
 
+MoveShare = Callable[[int, Share, Keys], tuple[Keys, int, tuple[int, ...]]]
+"""(thread, its share, room for keys) -> keys, their number, and counts."""
+
+
 class Workers:
     """The threads of one array.
 
@@ -424,15 +429,20 @@ class Workers:
         self._last = 0
         self._reserve(1)
 
-    def step(self, frame: FlatLight, pixels: Pixels, touched: Touched, c: StepConstants) -> tuple[Keys, Tally]:
-        """Move the array as `advance` does; return the keys, sorted, and the counts."""
+    def step(
+        self, frame: FlatLight, pixels: Pixels, touched: Touched, c: StepConstants, refine: MoveShare | None = None
+    ) -> tuple[Keys, Tally]:
+        """Move the array as `advance` does, shares by `refine` if given; return the keys, sorted, and the counts."""
         n = self._wanted(frame.light.size)
         self._reserve(n)
         shares: list[tuple[Keys, tuple[int, ...]]] = [(self._keys[0], (0,) * 6)] * n
 
         def move(number: int, _: int) -> None:
             share = Share(number, n, self.idle, touched, STOP)
-            keys, n_keys, tally = advance(frame, pixels, self.buffers[number], self._keys[number], share, c)
+            if refine is None:
+                keys, n_keys, tally = advance(frame, pixels, self.buffers[number], self._keys[number], share, c)
+            else:
+                keys, n_keys, tally = refine(number, share, self._keys[number])
             self._keys[number] = keys
             keys[:n_keys].sort()
             shares[number] = keys[:n_keys], tally

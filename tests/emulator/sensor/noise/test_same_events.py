@@ -261,7 +261,7 @@ def test_the_light_of_single_pixels_between_frames_does_not_matter():
             step = array.step(frame(p, light, t_ns, at=between))
             parts.append(np.rec.fromarrays([step.t_ns.copy(), step.pixel.copy(), step.on.copy()]))
             if forgets:
-                array._refinement = None
+                array._refinements.clear()
         found.append(np.concatenate(parts))
         assert array.refined > 5000
     assert len(found[0]) > 20_000
