@@ -87,6 +87,7 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
 
 
 _LEAST_PX = 16  # a side: smaller frames are drawn in no time
+_EACH_IS_DRAWN = "each light frame of this scene, path or method is drawn"
 
 
 def _drawn_seldom(scene: Scene, run: Run) -> Scene:
@@ -96,12 +97,10 @@ def _drawn_seldom(scene: Scene, run: Run) -> Scene:
     unless the rig gives a period, and where the period is no longer than a step.
     """
     period_us = run.drawing_us or (0 if not run.tolerance_us else run.step_us)
-    if (
-        not scene.is_known_ahead
-        or run.method != "hermite"
-        or 0 < period_us <= run.step_us
-        or min(scene.size) < _LEAST_PX
-    ):
+    is_plain = run.method != "hermite" or 0 < period_us <= run.step_us or min(scene.size) < _LEAST_PX
+    if is_plain or not scene.is_known_ahead:
+        if run.drawing_us > run.step_us:
+            logging.getLogger(__name__).warning("run.drawing_us is not used: %s", _EACH_IS_DRAWN)
         return scene
     from emulator.scene.between import LightBetween
 

@@ -52,6 +52,7 @@ from emulator.scene.moved_light import (
     write_rows,
 )
 from emulator.threads import ThreadPool, available_threads
+from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import Bytes, Float32s, Int64s
 
 _T = TypeVar("_T")
@@ -146,13 +147,12 @@ class LightBetween(OtherLight):
         self._is_fast = self._moves_fast(slot.begin_ns - slot.begin_ns % self._window_ns)
         if slot.begin_ns == t_ns and self.scene.has_rate:
             exact = self._at(t_ns)
-            self._request(slot.end_ns)
+            self._request(slot.end_ns, t_ns)
             window = self._window(exact.blocks, light, rate)
             part = slice(*window.bounds[:2]), slice(*window.bounds[2:])
             light[part], rate[part] = exact.drawing.light[part], exact.drawing.rate[part]
             return
-        pair = self._between(slot)
-        if pair is None:
+        if (pair := self._between(slot)) is None:
             self._submit(self._draw_frame, t_ns, light, rate).result()
             self.changed, self._region = None, self._whole
             return
@@ -230,8 +230,8 @@ class LightBetween(OtherLight):
                 del self._pairs[next(iter(self._pairs))]
             before = self._at(slot.begin_ns)
             try:
-                after = self._at(slot.end_ns)
-            except SceneError:  # the stream may end before: each of its frames is drawn
+                after = self._at(slot.end_ns, slot.begin_ns)
+            except (SceneError, TrajectoryError):  # the stream may end before: each of its frames is drawn
                 return None
             self._pairs[slot] = self._pair_of(before, after, (slot.end_ns - slot.begin_ns) * 1e-9)
             self._request(self._slot(slot.end_ns).end_ns)
@@ -252,24 +252,23 @@ class LightBetween(OtherLight):
         self._pool.each(write, -(-self.size[1] // _BAND))
         return pair._replace(lacking=lacking)
 
-    def _at(self, t_ns: int) -> _Drawn:
-        """Return the drawing at a time."""
-        self._request(t_ns)
+    def _at(self, t_ns: int, in_use_ns: int = -1) -> _Drawn:
+        """Return the drawing at a time; that at `in_use_ns` stays."""
+        self._request(t_ns, in_use_ns)
         return self._drawn[t_ns].result()
 
-    def _request(self, t_ns: int) -> None:
-        """Begin the drawing at a time, in the room of one that is not needed any more."""
+    def _request(self, t_ns: int, in_use_ns: int = -1) -> None:
+        """Begin the drawing at a time, in the room of one that is not needed any more; that at `in_use_ns` stays."""
         if t_ns in self._drawn:
             return
         room = None
         if len(self._drawn) >= _MOST_DRAWINGS:
-            pinned = {t for slot in self._pairs for t in slot}
+            pinned = {in_use_ns, *(t for slot in self._pairs for t in slot)}
             free = [t for t in self._drawn if t not in pinned]
             old = self._drawn.pop(max(free, key=lambda t: abs(t - t_ns))) if free else None
             if old is not None and old.done() and old.exception() is None:
                 room = old.result().drawing
-        room = room or Drawing.of(*self.size)
-        self._drawn[t_ns] = self._submit(self._draw, t_ns, room)
+        self._drawn[t_ns] = self._submit(self._draw, t_ns, room or Drawing.of(*self.size))
 
     def _submit(self, work: Callable[..., _T], *arguments: Any) -> Future[_T]:
         """Let the thread that draws do work with the scene; of GL that is the caller's."""

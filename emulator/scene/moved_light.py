@@ -211,9 +211,10 @@ def speeds(flow: Float32s, light: Light) -> tuple[float, float]:
         for c in range(light.shape[1]):
             if light[r, c] > _ZERO:
                 squared = flow[r, c, 0] ** 2 + flow[r, c, 1] ** 2
-                total += math.sqrt(squared)
-                fastest2 = max(fastest2, squared)
-                count += 1
+                if squared < _FASTEST_PX_S**2:  # see `carry_into_sky`
+                    total += math.sqrt(squared)
+                    fastest2 = max(fastest2, squared)
+                    count += 1
     return total / max(count, 1), math.sqrt(fastest2)
 
 

@@ -178,6 +178,19 @@ def test_an_instant_has_the_same_bits_whatever_was_drawn_before_and_by_any_threa
                     np.testing.assert_array_equal(got, expected.reshape(-1)[pixels])
 
 
+def test_a_jump_to_a_drawing_does_not_take_its_room():
+    """Two pairs hold three drawings; the one that is jumped to takes the last room, and the next one another."""
+    period_ns = 4 * STEP_NS
+    jump_ns = 100 * period_ns
+    with LightBetween(Disc((3.0, 1.0)), STEP_NS, period_ns) as scene:
+        for t_ns in (0, STEP_NS, period_ns + STEP_NS):
+            drawn(scene, t_ns)
+        scene.wait()
+        drawn(scene, jump_ns)
+        assert jump_ns in scene._drawn
+        assert len({id(task.result().drawing.light) for task in scene._drawn.values()}) == len(scene._drawn)
+
+
 def test_only_what_may_differ_is_written_again():
     light, rate = np.full((2, HEIGHT, WIDTH), np.nan, np.float32)
     with LightBetween(Disc((0.0, 30.0)), STEP_NS) as scene:
@@ -239,12 +252,15 @@ def test_the_scenes_that_are_drawn_seldom(name, run, is_between):
         assert isinstance(scene, LightBetween) == is_between
 
 
-def test_where_poses_come_from_outside_each_frame_is_drawn():
-    rig = load_rig("eros")
+@pytest.mark.parametrize("drawing_us", [0, 160_000])
+def test_where_poses_come_from_outside_each_frame_is_drawn(drawing_us, caplog):
+    """A period that the rig gives is reported as not used."""
+    rig = rig_of("eros", drawing_us=drawing_us)
     path = SimulatedPath(build_trajectory(rig.scene.camera))
     given = dataclasses.replace(rig.scene, camera=GivenPath(rig.scene.camera, path))
     with build_scene(dataclasses.replace(rig, scene=given), (48, 36)) as scene:
         assert not isinstance(scene, LightBetween)
+    assert ("run.drawing_us is not used" in caplog.text) == (drawing_us > 0)
 
 
 def test_the_flow_of_facets_is_that_of_shapes_and_poses():
