@@ -6,10 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.receiver.can import CanReceiver
-from firmware_protocol.receiver.instrument import SerialReceiver
-
 DOCS = Path(__file__).parents[2] / "docs"
 SCRIPT = runpy.run_path(str(DOCS / "make_traces.py"))
 EVENTS, EDGES = SCRIPT["EVENTS"].tolist(), SCRIPT["EDGES"].tolist()
@@ -22,27 +18,6 @@ def trace(name):
 @pytest.mark.parametrize("name", SCRIPT["files"]())
 def test_a_trace_is_what_its_script_makes(name):
     assert trace(name) == SCRIPT["files"]()[name]
-
-
-def test_the_serial_capture_holds_the_events():
-    receiver = SerialReceiver("ccsds-cobs")
-    for line in trace("serial.hex").splitlines():
-        _, way, octets = line.split(" ", 2)
-        if way == ">":
-            receiver.push(bytes.fromhex(octets))
-    assert receiver.take_events().tolist() == EVENTS
-    assert receiver.take_edges().tolist() == EDGES
-    assert receiver.housekeeping.events.offered == len(EVENTS)
-
-
-def test_the_can_capture_holds_the_events():
-    receiver = CanReceiver()
-    for line in trace("can.log").splitlines():
-        identifier, data = re.fullmatch(r"\(\d+\.\d{6}\) can0 ([0-9A-F]{3})#((?:[0-9A-F]{2}){0,8})", line).groups()
-        receiver.push(Frame(int(identifier, 16), bytes.fromhex(data)))
-    assert receiver.take_events().tolist() == EVENTS
-    assert receiver.take_edges().tolist() == EDGES
-    assert receiver.housekeeping.events.offered == len(EVENTS)
 
 
 @pytest.mark.parametrize(("capture", "decode"), [("serial.hex", "serial.txt"), ("can.log", "can.txt")])

@@ -102,27 +102,6 @@ def test_parts_that_the_logic_lacks_read_zero_and_cannot_be_set():
     assert {host.read(1, k) for k in range(81, 93)} == {0}
 
 
-def test_any_write_to_any_register_leaves_it_exact_afterwards():
-    camera, host = running()
-    rng = np.random.default_rng(1)
-    for _ in range(300):
-        entries = rng.integers(0, (11, 160, 1 << 32), (8, 3)).tolist()
-        host.multi_write([entry for entry in entries if entry[0] != 6])
-        camera.offer(inside(20, start_us=camera.now_us + 1))
-        host.data()
-    assert camera.counters.offered == camera.counters.accounted
-    camera.attached()
-    host.control(0x00, 9, 1, 0)
-    host.write_all(RUN)
-    host.decoder = Decoder(camera.settings.size)
-    events = inside(1000, start_us=camera.now_us + 1)
-    start_us = camera.epoch_us
-    camera.offer(events)
-    got = host.decoded().events
-    got["t"] += start_us
-    assert got.tolist() == events.tolist()
-
-
 def test_words_of_the_corners():
     camera, host = running()
     camera.offer(events_of((5, 0, 0, False), (5, 239, 0, True), (7, 239, 179, False)))

@@ -43,20 +43,6 @@ def test_frames_written_to_aedat4_are_read_by_faery(tmp_path):
         assert (one.pixels == other.pixels >> 2).all()
 
 
-def test_our_reader_gives_frames_and_events_of_the_file(tmp_path):
-    pytest.importorskip("faery")
-    file = RecordingFile(tmp_path / "a.aedat4", FORMATS["aedat4"], FACTS)
-    file.write(Part(events(), frames=(frame(2000),)))
-    file.close()
-    reader = FORMATS["aedat4"].imported(FORMATS["aedat4"].reader)(tmp_path / "a.aedat4", None)
-    parts = list(reader.parts())
-    assert reader.facts.streams == {"edges", "frames"} or reader.facts.streams == {"frames"}
-    (read,) = [one for part in parts for one in part.frames]
-    assert read.exposure_end_us == 6000
-    assert (read.pixels == frame(2000).pixels >> 2).all()
-    assert sum(len(part.events) for part in parts) == 10
-
-
 def test_frames_in_npz_keep_all_bits_and_their_place(tmp_path):
     recorder = Recorder(tmp_path / "a.npz", SIZE)
     frames = (frame(1000), frame(2000, (10, 20), (5, 7)))

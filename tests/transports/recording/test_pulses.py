@@ -79,14 +79,11 @@ def pairs(edges):
     return [(int(edge["t"]), int(edge["kind"])) for edge in edges]
 
 
-@pytest.fixture(scope="module", params=SENDERS, ids=lambda pair: f"{pair[0]}-{pair[1].__name__}")
-def sent(request):
-    """Edges that a camera sends of ten pulses, (n,) EDGE in its own time."""
-    model, edges_of = request.param
+@pytest.mark.parametrize(("model", "edges_of"), SENDERS, ids=lambda value: getattr(value, "__name__", value))
+def test_a_camera_sends_both_levels_of_each_pulse(model, edges_of):
     edges = np.concatenate(list(edges_of(model)))
     has_detector = edges_of is sent_by_usb and model in ("davis346", "davis240c", "ideal", "dvxplorer")
     assert pairs(edges) == (DETECTED if has_detector else LEVELS)
-    return edges
 
 
 def by_dv_processing(path):
@@ -135,7 +132,8 @@ def test_every_format_of_triggers_has_a_reader_here():
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_pulses_are_recorded_as_they_were_sent(name, sent, tmp_path):
+def test_pulses_are_recorded_as_they_were_sent(name, tmp_path):
+    sent = make_edges(*zip(*DETECTED, strict=True))
     path = tmp_path / f"a{FORMATS[name].suffixes[0]}"
     file = RecordingFile(path, FORMATS[name], Facts((1280, 720) if name != "aedat2" else (346, 260)))
     file.write(Part(np.array([(PERIOD_US // 2, 1, 1, True)], EVENT), sent))

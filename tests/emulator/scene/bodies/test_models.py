@@ -21,6 +21,7 @@ from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.usd import read_usd
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.parameters import FixedPath, SpinPath
+from tests.emulator.scene.bodies.test_textures import sheet, smooth_image
 
 pytestmark = pytest.mark.usefixtures("reads_here")
 
@@ -262,18 +263,20 @@ def test_octets_may_be_text_or_beside_the_file(tmp_path):
         assert all((found[key] == expected[key]).all() for key in expected)
 
 
-WHOLE = glb(*document(TURNS))
+WHOLE = (glb(*document(TURNS)), sheet(smooth_image(8, 8)).export(file_type="glb"))
+MOST = max(map(len, WHOLE))
 VALUES = st.one_of(st.none(), st.integers(-3, 2**70), st.floats(), st.text(max_size=3), st.just([]), st.just({}))
 
 
 @settings(max_examples=150, deadline=None)
 @given(
-    st.lists(st.tuples(st.integers(0, len(WHOLE) - 1), st.integers(0, 255)), max_size=6), st.integers(20, len(WHOLE))
-)
-def test_damaged_octets_are_read_or_refused(tmp_path_factory, damage, length):
-    data = bytearray(WHOLE)
+    st.sampled_from(WHOLE), st.lists(st.tuples(st.integers(0, MOST), st.integers(0, 255)), max_size=6),
+    st.integers(20, MOST),
+)  # fmt: skip
+def test_damaged_octets_are_read_or_refused(tmp_path_factory, whole, damage, length):
+    data = bytearray(whole)
     for at, octet in damage:
-        data[at] = octet
+        data[at % len(data)] = octet
     _read_or_refuse(tmp_path_factory, bytes(data[:length]))
 
 
@@ -302,6 +305,10 @@ def _read_or_refuse(tmp_path_factory, octets):
     for part in header["parts"]:
         assert np.isfinite(found[part["vertices"]]).all()
         assert found[part["faces"]].max(initial=-1) < len(found[part["vertices"]])
+        if part["texture"]:
+            assert np.isfinite(found[part["texture"]["uv"]]).all()
+            assert (found[part["texture"]["luminance"]] >= 0).all()
+            assert len(found[part["texture"]["uv"]]) == len(found[part["vertices"]])
 
 
 USD = """#usda 1.0
