@@ -71,15 +71,13 @@ class FreeRun:
     ----------
     port : where its camera is.
     processes : numbers of its processes, by name.
-
-    `tables` are more of the rig, TOML.
     """
 
-    def __init__(self, looped, folder, tables=""):
+    def __init__(self, looped, folder):
         rig, ready = folder / "soak.toml", folder / "ready"
         looped.save(folder / "looped.npz")
         step_us = max(1, EVENTS_A_STEP * looped.round_us // len(looped.events))
-        rig.write_text(RIG.format(step_us=min(step_us, 1_000_000)) + tables)
+        rig.write_text(RIG.format(step_us=min(step_us, 1_000_000)))
         command = [*RUN, str(rig), "--json", "--seconds", "3.2e7", "--ready-file", str(ready)]
         self._run = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:

@@ -48,13 +48,17 @@ def counted(camera):
 
 @pytest.mark.parametrize("layout", list(Layout))
 @pytest.mark.parametrize("roi", [(0, 0, 345, 259), (10, 20, 10, 20), (300, 3, 345, 259)])
-def test_a_frame_among_events_is_read_back_exactly(layout, roi):
+@pytest.mark.parametrize("begin_us", [0, (1 << 31) - 3000, (1 << 32) - 3000])
+def test_a_frame_among_events_is_read_back_exactly(layout, roi, begin_us):
+    """Through 2^31 and 2^32 us too."""
     camera, host = running(layout, fifo_bytes=1 << 20)
+    camera.advance(begin_us)
     lines, (reset, signal) = frame(layout, roi)
-    events = steady(3000, start_us=900)
+    lines["t"] += begin_us
+    events = steady(3000, start_us=begin_us + 900)
     camera.offer_readings(FRAMES, lines)
     camera.offer(events)
-    camera.advance(20_000)
+    camera.advance(begin_us + 20_000)
     decoded = host.decoded()
     assert decoded.events.tolist() == events.tolist()
     (read,) = decoded.frames

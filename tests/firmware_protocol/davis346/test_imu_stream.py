@@ -33,12 +33,15 @@ def fates(camera):
 
 
 @pytest.mark.parametrize("layout", list(Layout))
-def test_samples_among_events_come_back_exactly(layout):
+@pytest.mark.parametrize("begin_us", [0, (1 << 31) - 3000, (1 << 32) - 3000])
+def test_samples_among_events_come_back_exactly(layout, begin_us):
+    """Through 2^31 and 2^32 us too."""
     camera, host = running(layout=layout)
-    events, told = steady(5000, start_us=900), samples(5)
+    camera.advance(begin_us)
+    events, told = steady(5000, start_us=begin_us + 900), samples(5, begin_us + 1000)
     assert camera.offer_readings(IMU, told)
     camera.offer(events)
-    camera.advance(20_000)
+    camera.advance(begin_us + 20_000)
     decoded = host.decoded()
     assert decoded.events.tolist() == events.tolist()
     assert decoded.imu.tobytes() == told.tobytes()

@@ -86,10 +86,14 @@ def test_marks_that_go_back_in_time_are_refused():
         WordEncoder().encode(empty_events(), 0, marks_of((9, RISING_CODE), (8, RISING_CODE)))
 
 
-@given(streams(max_size=30), st.lists(STEPS_US, max_size=20), st.lists(st.integers(0, 200), max_size=4))
-def test_events_and_marks_interleaved_come_back(events, steps, cuts):
+BEGINS_US = st.sampled_from([0, (1 << 31) - 50_000, (1 << 32) - 50_000])
+
+
+@given(streams(max_size=30), st.lists(STEPS_US, max_size=20), st.lists(st.integers(0, 200), max_size=4), BEGINS_US)
+def test_events_and_marks_interleaved_come_back(events, steps, cuts, begin_us):
+    events["t"] += np.uint64(begin_us)
     marks = np.zeros(len(steps), MARK)
-    marks["t"] = np.cumsum(np.array(steps, np.int64))
+    marks["t"] = begin_us + np.cumsum(np.array(steps, np.int64))
     marks["code"] = np.resize([RISING_CODE, FALLING_CODE, PULSE_CODE], len(steps))
     data = WordEncoder((346, 260)).encode(events, 0, marks).words.tobytes()
     decoder = Decoder((346, 260))
