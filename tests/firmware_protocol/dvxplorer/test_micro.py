@@ -369,5 +369,5 @@ class Life(CameraLife):
         assert self.reader.wrong == []
 
 
-Life.TestCase.settings = settings(stateful_step_count=30, max_examples=30)
+Life.TestCase.settings = settings(stateful_step_count=30, max_examples=20)
 test_any_life_of_a_micro_balances = Life.TestCase
