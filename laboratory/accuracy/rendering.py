@@ -250,8 +250,8 @@ def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None, *, as_sh
         for setting in _settings_of(look)[: 1 if as_shipped else None]:
             own_ns = round(look.step_ns * setting.step_share)
             with look.scene(_builder(rig, setting)) as drawn:
-                every_ns = setting.drawn_every * own_ns
-                scene = drawn if every_ns == own_ns else LightBetween(drawn, own_ns, every_ns)
+                every_ns = setting.drawn_every * own_ns or rig.run.drawing_us * 1000
+                scene = drawn if 0 < every_ns <= own_ns else LightBetween(drawn, own_ns, every_ns)
                 stream, frame_ms = look.events(scene, own_ns, with_rate=setting.with_rate)
                 ms = frame_ms / setting.step_share
                 scene.close()

@@ -52,6 +52,8 @@ def test_a_ladder_has_settings_that_differ_in_time_alone_beside_exact_drawings(n
     assert not any("GL" in setting or "line" in setting or "part" in setting for setting in rows)
     assert len({row.events for row in rows.values()}) == 1
     assert wrong["drawn each step, steps / 2"] <= wrong["drawn each step"] < wrong["drawn each step, steps x 4"] < 0.3
+    if load_rig(name).run.drawing_us:  # as shipped
+        assert wrong["as shipped"] == wrong["drawn each fourth step"] != wrong["drawn each second step"]
     assert f", {128 * load_rig(name).run.step_us * 1e-6:g} s" in rows["as shipped"].rig
 
 
