@@ -134,7 +134,7 @@ def cached_arrays(
 def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:
     """Return the array of a file of the cache; None where it is missing, damaged, or of another kind."""
     try:
-        content = np.fromfile(path if path.is_file() else os.devnull, np.uint8)
+        content = np.asarray(np.memmap(path if path.is_file() else os.devnull, np.uint8, "c"))  # copied where written
         body, checksum = content[:-_SUM_BYTES], content[-_SUM_BYTES:]
         if zlib.crc32(body.data).to_bytes(_SUM_BYTES, "little") != checksum.tobytes():
             return None

@@ -92,7 +92,7 @@ class Stretch:
     ----------
     start_s : of the stream.
     steps : of the rig; a multiple of four.
-    samples : of the truth, along each side of a pixel with an edge.
+    samples : of the truth, along each side of a pixel with an edge; 0: exact drawings with rate take its place.
     finer : light frames of the truth in a step of the rig.
     windows : parts of the light frame with rows of their own: name, left, top, right, bottom, in pixels.
     """
@@ -103,6 +103,9 @@ class Stretch:
     finer: int = 4
     windows: tuple[tuple[str, int, int, int, int], ...] = ()
 
+
+LADDER = Stretch(steps=8, samples=0)
+"""For the settings that differ in time alone; from step 128 on, a multiple of all periods of drawings."""
 
 _STRETCHES = {  # with more samples where the noise of the truth would be as large as the target
     "itokawa": tuple(Stretch(start_s, finer=8) for start_s in (0.0, 10.0, 50.0)),  # whose step is the longest
@@ -139,25 +142,16 @@ SETTINGS = (
     Setting("as shipped", drawn_every=0),
     Setting("drawn each second step", drawn_every=2),
     Setting("drawn each fourth step", drawn_every=4),
-    Setting("exact light and rate"),
-    Setting("exact light and rate, steps x 2", step_share=2.0),
-    Setting("exact light and rate, steps x 4", step_share=4.0),
-    Setting("exact light, line", with_rate=False),
-    Setting("exact light, line, steps x 4", with_rate=False, step_share=4.0),
+    Setting("drawn each step"),
+    Setting("drawn each step, steps / 2", step_share=0.5),
+    Setting("drawn each step, steps x 2", step_share=2.0),
+    Setting("drawn each step, steps x 4", step_share=4.0),
+    Setting("line", with_rate=False),
+    Setting("line, steps x 4", with_rate=False, step_share=4.0),
     Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
     Setting("GL, 8 x 8 samples, line", 8, with_rate=False),
 )
-TERRAIN_SETTINGS = (
-    Setting("as shipped", drawn_every=0),
-    Setting("drawn each fourth step", drawn_every=4),
-    Setting("CPU, each step"),
-    Setting("CPU, each step, steps x 2", step_share=2.0),
-    Setting("CPU, line", with_rate=False),
-    Setting("CPU, 1 part", parts=1),
-    Setting("CPU, 4 x 4 parts", parts=4),
-    Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
-    Setting("GL, 8 x 8 samples, line", 8, with_rate=False),
-)
+TERRAIN_SETTINGS = (*SETTINGS, Setting("1 part", parts=1), Setting("4 x 4 parts", parts=4))
 
 
 @dataclass(frozen=True)
@@ -167,7 +161,7 @@ class Drawn:
     Attributes
     ----------
     rig, setting : names; with the start of the stretch where it is not 0.
-    ms : CPU milliseconds a light frame, the mean.
+    ms : CPU milliseconds of drawing in a step of the rig, the mean.
     false, missed : over the events of the truth.
     t50_ms, t95_ms : quantiles of time errors.
     middle, line : traces of the frame rate.
@@ -205,10 +199,11 @@ class Look:
         return veiled(Through(camera.lens, chip, camera.size, partial(build, self.rig.scene)), camera.lens)
 
     def truth(self) -> Stream:
-        """Return the events of the scene by point samples."""
-        build = SampledTerrain if _is_ground(self.rig) else SampledBodies
-        with self.scene(partial(build, samples=self.stretch.samples)) as scene:
-            return self.events(scene, self.step_ns // self.stretch.finer, with_rate=False)[0]
+        """Return the events of the scene by point samples, or by exact drawings in finer steps."""
+        samples = self.stretch.samples
+        sampled = partial(SampledTerrain if _is_ground(self.rig) else SampledBodies, samples=samples)
+        with self.scene(sampled if samples else _builder(self.rig, SETTINGS[0])) as scene:
+            return self.events(scene, self.step_ns // self.stretch.finer, with_rate=not samples)[0]
 
     def events(self, scene: Scene, step_ns: int, *, with_rate: bool) -> tuple[Stream, float]:
         """Return the events of the stretch in steps of `step_ns`, and the mean CPU milliseconds a frame."""
@@ -220,6 +215,8 @@ class Look:
         for t_ns in range(step_ns, self.stretch.steps * self.step_ns + 1, step_ns):
             start_s = time.process_time()
             frame = frames.draw(first_ns + t_ns)
+            if isinstance(scene, LightBetween):  # for drawings that another thread makes ahead
+                scene.wait()
             spent_s.append(time.process_time() - start_s)
             events.append(sensor.expose(LightFrame(t_ns, frame.light, frame.rate, _since(first_ns, frame.at))))
         events.append(sensor.finish())
@@ -250,12 +247,13 @@ def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None, *, as_sh
         rig, start_s = look.rig, look.stretch.start_s
         name = f"{rig.name}, {start_s:g} s" if start_s else rig.name
         truth = look.truth()
-        for setting in _settings_of(rig)[: 1 if as_shipped else None]:
+        for setting in _settings_of(look)[: 1 if as_shipped else None]:
             own_ns = round(look.step_ns * setting.step_share)
             with look.scene(_builder(rig, setting)) as drawn:
-                every_ns = setting.drawn_every * own_ns
-                scene = drawn if every_ns == own_ns else LightBetween(drawn, own_ns, every_ns)
-                stream, ms = look.events(scene, own_ns, with_rate=setting.with_rate)
+                every_ns = setting.drawn_every * own_ns or rig.run.drawing_us * 1000
+                scene = drawn if 0 < every_ns <= own_ns else LightBetween(drawn, own_ns, every_ns)
+                stream, frame_ms = look.events(scene, own_ns, with_rate=setting.with_rate)
+                ms = frame_ms / setting.step_share
                 scene.close()
             yield _compared((name, setting.name), stream, truth, ms, own_ns)
             for part, *window in look.stretch.windows:
@@ -272,7 +270,7 @@ def _inside(stream: Stream, size: tuple[int, int], window: Sequence[int]) -> Str
 
 def rows_of(rigs: Sequence[Rig], stretch: Stretch | None = None, *, as_shipped: bool = False) -> int:
     """Return how many rows there will be."""
-    looks = [(_settings_of(look.rig), look.stretch.windows) for look in looks_of(rigs, stretch)]
+    looks = [(_settings_of(look), look.stretch.windows) for look in looks_of(rigs, stretch)]
     return sum((1 if as_shipped else len(settings)) * (1 + len(windows)) for settings, windows in looks)
 
 
@@ -280,11 +278,13 @@ def looks_of(rigs: Sequence[Rig], stretch: Stretch | None) -> Iterator[Look]:
     """Yield the stretches of each rig; `stretch` alone, where it is given."""
     for rig in rigs:
         for own in (stretch,) if stretch else _STRETCHES.get(rig.name, (Stretch(),)):
-            yield Look(rig, own)
+            start_s = own.start_s if own.samples else 128 * rig.run.step_us * 1e-6
+            yield Look(rig, dataclasses.replace(own, start_s=start_s))
 
 
-def _settings_of(rig: Rig) -> tuple[Setting, ...]:
-    return TERRAIN_SETTINGS if _is_ground(rig) else SETTINGS
+def _settings_of(look: Look) -> tuple[Setting, ...]:
+    ways = TERRAIN_SETTINGS if _is_ground(look.rig) else SETTINGS
+    return ways if look.stretch.samples else tuple(way for way in ways if way.with_rate and not way.parts)
 
 
 def _is_ground(rig: Rig) -> bool:

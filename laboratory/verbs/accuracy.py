@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,11 +14,12 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, WRONG_USE, Failure, Flag, Json, console, print_json, status
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Flag, Json, print_result, status
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from laboratory.accuracy.harness import CASES, QUICK, methods
-from laboratory.accuracy.rendering import Stretch, fits, rendering_rows, rows_of
+from laboratory.accuracy.rendering import LADDER, Stretch, fits, rendering_rows, rows_of
 from laboratory.accuracy.report import (
+    reading_of_rendering,
     write_against_line,
     write_rendering,
     write_stability,
@@ -36,6 +38,7 @@ from laboratory.accuracy.sweeps import (
     settings,
     sweep,
 )
+from laboratory.realtime.variants import SIZES, variant_of
 from laboratory.verbs import check_drawing, collected, make_folder
 
 _EFFECTS_STEP_S = 1e-3
@@ -43,7 +46,7 @@ _QUICK_STRETCH = Stretch(steps=4, samples=4, finer=4)
 
 
 def accuracy(
-    what: Literal["chart", "stability", "rendering"] = "chart",
+    what: Literal["chart", "stability", "rendering", "ladder"] = "chart",
     *,
     out: Path,
     rig: Annotated[tuple[str, ...], Parameter(negative="")] = (),
@@ -58,11 +61,13 @@ def accuracy(
     what
         "chart": timestamp error and wrong events against work, and the cost and the effect on events of each effect.
         "stability": where each method fails, and the map of hermite against line over blur and speed.
-        "rendering": false and missed events of the shipped rigs' scenes against the time of a light frame.
+        "rendering": false and missed events of the shipped rigs' scenes against the time of drawing a step.
+        "ladder": the same at 346x260 and 1280x720 for settings that differ in time alone, from the cheapest on, beside
+        exact drawings in steps of a quarter; also printed.
     out
         Folder to write into; created if missing.
     rig
-        For "rendering": only these rigs, shipped or files; give it once for each. All shipped ones take an hour.
+        For these two: only these rigs, shipped or files; give it once for each. All shipped ones take an hour.
     as_shipped
         For "rendering": only the first way to draw, that of a run.
     quick
@@ -71,13 +76,10 @@ def accuracy(
     check_drawing()
     make_folder(out)
     ways: dict[str, Callable[[Path, bool], list[Path]]] = {"chart": _chart, "stability": _stability}
-    ways["rendering"] = partial(_rendering, rig, as_shipped=as_shipped)
+    ways["rendering"] = partial(_rendering, rig, as_shipped=as_shipped, ladder=False)
+    ways["ladder"] = partial(_rendering, rig, as_shipped=as_shipped, ladder=True)
     files = ways[what](out, quick)
-    if json:
-        print_json({"files": files})
-    else:
-        for path in files:
-            console.print(str(path))
+    print_result(json, {"files": files}, [str(path) for path in files])
     return GOOD
 
 
@@ -99,20 +101,26 @@ def _stability(out: Path, quick: bool) -> list[Path]:
     return _written(lambda: [*write_stability(found, chosen, out), *write_against_line(against, out)])
 
 
-def _rendering(names: tuple[str, ...], out: Path, quick: bool, *, as_shipped: bool) -> list[Path]:
+def _rendering(names: tuple[str, ...], out: Path, quick: bool, *, as_shipped: bool, ladder: bool) -> list[Path]:
     with failures():
-        rigs, stretch = _rigs(names)[: 1 if quick else None], _QUICK_STRETCH if quick else None
+        rigs = _rigs(names, ladder=ladder)[: 1 if quick else None]
+        stretch = LADDER if ladder else _QUICK_STRETCH if quick else None
         count = rows_of(rigs, stretch, as_shipped=as_shipped)
         rows = collected(rendering_rows(rigs, stretch, as_shipped=as_shipped), count, "settings")
+    if ladder:
+        status.print("\n".join(reading_of_rendering(rows)), markup=False)
     return _written(lambda: write_rendering(rows, out))
 
 
-def _rigs(names: tuple[str, ...]) -> list[Rig]:
-    rigs = [load_rig(name) for name in names or shipped_rigs()]
-    unfit = [rig.name for rig in rigs if not fits(rig)]
-    if names and unfit:
+def _rigs(names: tuple[str, ...], *, ladder: bool) -> list[Rig]:
+    """Return rigs with bodies or terrain; for a ladder each at both sizes."""
+    fit = {name: rig for name in names or shipped_rigs() if fits(rig := load_rig(name))}
+    if unfit := [name for name in names if name not in fit]:
         raise Failure(f"--rig {unfit[0]}: its scene has no bodies and no terrain", WRONG_USE)
-    return [rig for rig in rigs if fits(rig)]
+    if not ladder:
+        return [*fit.values()]
+    sized = [(variant_of(name, size).loaded(), size.name) for name in fit for size in SIZES]
+    return [replace(rig, name=f"{rig.name}@{size_name}") for rig, size_name in sized]
 
 
 def _written(write: Callable[[], list[Path]]) -> list[Path]:

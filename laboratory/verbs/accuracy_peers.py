@@ -18,7 +18,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, print_result, status
 from laboratory.accuracy.peers.page import BEGIN, END, markdown, read_results, write_page
 from laboratory.accuracy.peers.running import BUNDLED, NEEDS_NO_PATH, OURS, Adapter, run_adapter
 from laboratory.accuracy.peers.scoring import Report, Summary, score_events, write_report
@@ -32,7 +32,7 @@ from laboratory.accuracy.peers.sequences import (
 )
 from laboratory.accuracy.peers.sequences import export as export_sequences
 from laboratory.realtime.report import copied_charts, machine, put_section
-from laboratory.verbs import check_drawing
+from laboratory.verbs import check_drawing, collected
 from transports.output_file import TemporaryFolder
 
 
@@ -142,10 +142,8 @@ def export(
         Folder to write into; created if missing. All sequences take 120 MB.
     """
     opened = _exported(folder, which)
-    if json:
-        print_json({"folder": folder, "sequences": list(opened.sequences)})
-    else:
-        console.print(f"{len(opened.sequences)} sequences in {folder}", markup=False)
+    value = {"folder": folder, "sequences": list(opened.sequences)}
+    print_result(json, value, [f"{len(opened.sequences)} sequences in {folder}"])
     return GOOD
 
 
@@ -222,10 +220,7 @@ def _exported(folder: Path, which: Sequences) -> SequenceFolder:
     except FolderError:
         pass
     try:
-        with _bar() as progress:
-            names = export_sequences(folder, which.images_per_s, which.scene)
-            for _ in progress.track(names, total=len(which.names()), description="sequences"):
-                pass
+        collected(export_sequences(folder, which.images_per_s, which.scene), len(which.names()), "sequences")
     except OSError as error:
         raise Failure(f"{folder}: {error.strerror}", WRONG_USE) from error
     return open_folder(folder)
@@ -274,17 +269,12 @@ def _with_page(reports: dict[str, Report], out: Path, page: Path | None) -> list
 def _result(reports: Sequence[Report], files: Sequence[Path], json: bool) -> int:
     """Print summaries; return BAD_VERDICT where a simulator has no score at all."""
     summaries = [(report, one) for report in reports for one in report.summaries()]
-    if json:
-        found: dict[str, Any] = {report.name: [asdict(one) for one in report.summaries()] for report in reports}
-        print_json({"simulators": found, "failures": {r.name: r.failures() for r in reports}, "files": list(files)})
-    else:
-        for report, one in summaries:
-            console.print(_line(report.name, one), markup=False)
-        for report in reports:
-            for reason, names in report.failures().items():
-                console.print(f"NOT SCORED: {report.name}: {', '.join(names)}: {reason}", markup=False)
-        for path in files:
-            console.print(str(path), markup=False)
+    found: dict[str, Any] = {report.name: [asdict(one) for one in report.summaries()] for report in reports}
+    failures = {report.name: report.failures() for report in reports}
+    lines = [_line(report.name, one) for report, one in summaries]
+    lines += [f"NOT SCORED: {k}: {', '.join(names)}: {why}" for k, of in failures.items() for why, names in of.items()]
+    value = {"simulators": found, "failures": failures, "files": list(files)}
+    print_result(json, value, [*lines, *map(str, files)])
     scored = {report.name for report, one in summaries if one.scenes}
     return GOOD if scored == {report.name for report in reports} else BAD_VERDICT
 

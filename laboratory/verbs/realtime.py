@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, print_result, status
 from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import shipped_rigs
 from emulator.run.kernels import parts_of
@@ -73,10 +73,7 @@ def realtime(
         is_whole = _measure(measurements)
     rows, about = measurements.rows(), _about(measurements, scope, is_whole)
     files = _written(rows, about, out, page)
-    if json:
-        print_json({**about, "rows": rows, "files": files})
-    else:
-        _print(rows, about, files)
+    print_result(json, {**about, "rows": rows, "files": files}, _lines(rows, about, files))
     return GOOD if is_whole and not measurements.failures else BAD_VERDICT
 
 
@@ -140,12 +137,7 @@ def _written(rows: list[dict[str, Any]], about: dict[str, Any], out: Path, page:
     return [*files, page]
 
 
-def _print(rows: list[dict[str, Any]], about: dict[str, Any], files: list[Path]) -> None:
-    for row in rows:
-        console.print(line_of(row), markup=False)
-    for name, reason in about["failures"].items():
-        console.print(f"NOT MEASURED: {name}: {reason}", markup=False)
-    if about["note"]:
-        console.print(about["note"])
-    for file in files:
-        console.print(str(file), markup=False)
+def _lines(rows: list[dict[str, Any]], about: dict[str, Any], files: list[Path]) -> list[str]:
+    failed = [f"NOT MEASURED: {name}: {reason}" for name, reason in about["failures"].items()]
+    notes = [about["note"]] if about["note"] else []
+    return [*map(line_of, rows), *failed, *notes, *map(str, files)]

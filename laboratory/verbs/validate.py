@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, print_result, status
 from emulator.light import MachineLacks
 from laboratory.validation.background import background, dnd21, noise2params
 from laboratory.validation.findings import Experiment, over_seeds
@@ -57,8 +57,6 @@ def validate(*names: str, out: Path, seeds: int = 8, json: Json = False) -> int:
         for name, fitted in (("predicted", False), ("fitted", True))
         if (rows := one.rows(fitted))
     }
-    if json:
-        print_json({"within": alike, "files": files})
-    else:
-        console.print("\n".join([*(f"{name}: {n} within the bound" for name, n in alike.items()), *map(str, files)]))
+    lines = [f"{name}: {n} within the bound" for name, n in alike.items()]
+    print_result(json, {"within": alike, "files": files}, [*lines, *map(str, files)])
     return GOOD

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import mmap
 import os
 
 import numpy as np
@@ -224,6 +225,18 @@ def test_a_damaged_array_is_made_anew(tmp_path, monkeypatch, damaged):
     path.unlink()
     path.mkdir()
     np.testing.assert_array_equal(cached_array("thing", SMALL, lambda: made), made)
+
+
+def test_an_array_of_the_cache_is_mapped_and_changes_to_it_leave_the_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for _ in range(2):
+        array = cached_array("thing", SMALL, lambda: np.ones((1, 2, 3), np.float32))
+        assert array.all()
+        base = array
+        while isinstance(base, np.ndarray):
+            base = base.base
+        array[:] = 0
+    assert isinstance(memoryview(base).obj, mmap.mmap)
 
 
 def test_arrays_that_were_not_used_for_longest_make_room(tmp_path, monkeypatch):
