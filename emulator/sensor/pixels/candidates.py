@@ -41,6 +41,9 @@ _U0, _V0, _L0, _G0, _A0, _A1, _S, _, _W0, _P0, _, _, _Y0 = BEFORE_ROWS
 BATCH, NOISY_BATCH = BLOCK, 3 * BLOCK
 """Candidates from which on the table is solved, without noise and with it; a block more fits."""
 
+MOST_WAITING = BLOCK
+"""Pixels with noise in the table of substeps that wait for those of the next batch, for which there is room."""
+
 # Rows of the table, by their first index in the flat array.
 (
     C_U0, C_V0, C_L0, C_A0, C_U1, C_V1, C_L1, C_A1, C_S, C_REF, C_ON, C_OFF, C_LEAK,
