@@ -73,10 +73,17 @@ MOST_PASSAGES = 1024
 """Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
 
 _LIKELIEST: Any = np.int64(State.PART)
-SPARSE = 0.5
+import os
+_SP = os.environ.get('SPARSE', '')
+SPARSE = .5
+# DONE PART FIRED SLICE BURST PLACED CUT DIRECT FIRST SEEK AGED
+_SPARSE_OF = np.array(eval(_SP) if _SP else [.5, .2, .2, .5, .2, .2, .07, .4, .5, .4, .1])
 """Useful share of a range below which its columns are exchanged to the front."""
 
 _MOST_LOST = 1e9
+_TURNS = np.array([1, 2, 5, 4, 7, 3, 6, 9, 10, 5], np.int64)
+import os
+_STAY, _ENOUGH = float(os.environ.get("STAY", 0.2)), float(os.environ.get("ENOUGH", 0.2))
 _ANY = np.float32(-1)  # instead of a state: all that are not DONE
 # Purposes of an event's random numbers.
 _OF_EVENT, _OF_RESET = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD6E8FEB86659FD93)
@@ -377,7 +384,7 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
     sliced = best == State.SLICE
     while rows[n - 1] != state and not (sliced and rows[n - 1] == FIRST):
         n -= 1
-    if columns.counts[best] < SPARSE * n and n > WIDTH and not (sliced and columns.counts[State.FIRST] > 0):
+    if columns.counts[best] < _SPARSE_OF[best] * n and n > WIDTH and not (sliced and columns.counts[State.FIRST] > 0):
         _bring_to_front(columns, state, n)
         return int(columns.counts[best])
     return n
@@ -391,13 +398,23 @@ def go_through(  # noqa: PLR0912, PLR0913, PLR0917
     columns, rows = visits.columns, visits.columns.rows
     active, n_keys = at.active, at.n_keys
     lost = at.lost
+    best, place = _LIKELIEST, NONE
     while stop[0] == 0 and keys.size - n_keys >= active:
         _count(rows, columns.counts, whole_vectors(active))
-        total, best = NONE, _LIKELIEST
+        total, most = NONE, _LIKELIEST
         for state in range(1, STATES):
             total += columns.counts[state] if state != State.FIRST else NONE
-            if columns.counts[state] > columns.counts[best]:
-                best = state
+            if columns.counts[state] > columns.counts[most]:
+                most = state
+        # stay while a fair share is there, else the next in turn
+        if columns.counts[best] < _STAY * total:
+            for _ in range(STATES):
+                place = place + 1 if place + 1 < _TURNS.size else NONE
+                best = _TURNS[place]
+                if columns.counts[best] >= _ENOUGH * total:
+                    break
+            if columns.counts[best] < _ENOUGH * total:
+                best = most
         if total == 0:
             return Progress(NONE, n_keys, lost)
         if total < SPARSE * active and active > WIDTH:
