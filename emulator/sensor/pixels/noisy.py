@@ -180,7 +180,7 @@ def _look(visits: Visits, tables: _Float32s, n: int, c: StepConstants, constants
 
 
 @cached_kernel
-def _visit_as_whole(  # noqa: PLR0913, PLR0917
+def _visit_as_whole(
     pixels: Pixels, table: Table, n: int, waiting: int, c: StepConstants, constants: Constants
 ) -> tuple[int, int]:
     """Let the candidates whose step is one piece visit, and enter the others into the table of substeps.

@@ -1,7 +1,8 @@
 """Columns through a piece: rounds of kernels, each over the columns that are in its state.
 
-A round runs the kernel of the state that most columns are in, over the range that holds them; columns of other states
-in that range stay as they are. Where less than half of a range is useful, its columns are exchanged to the front first.
+A round runs the kernel of one state over the range that holds its columns; columns of other states in that range stay
+as they are. States take turns in the order in which a column goes through them, so that most columns are in the same.
+Where a small share of a range is useful, its columns are exchanged to the front first.
 A column's own arithmetic does not depend on which others are with it, so its events do not.
 
 Fast because 16 columns are in flight at once, and because an exchange moves only the rows that a state uses, row by
@@ -13,7 +14,7 @@ over the dead time exactly, with two normal numbers. The new reference is signal
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -72,18 +73,31 @@ _Words = npt.NDArray[np.uint64]
 MOST_PASSAGES = 1024
 """Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
 
-_LIKELIEST: Any = np.int64(State.PART)
-import os
-_SP = os.environ.get('SPARSE', '')
-SPARSE = .5
-# DONE PART FIRED SLICE BURST PLACED CUT DIRECT FIRST SEEK AGED
-_SPARSE_OF = np.array(eval(_SP) if _SP else [.5, .2, .2, .5, .2, .2, .07, .4, .5, .4, .1])
-"""Useful share of a range below which its columns are exchanged to the front."""
+_TURNS = np.array(
+    [
+        State.PART, State.FIRED, State.PLACED, State.BURST, State.DIRECT, State.SLICE, State.CUT, State.SEEK,
+        State.AGED, State.PLACED,
+    ],
+    np.int64,
+)  # fmt: skip
+"""States in the order in which a column goes through them: in turns all columns do, so that most are in the same."""
+
+_TOO_FEW = 0.1
+"""Share of the columns below which a state is left for the next one."""
+
+_SPARSE_OF = np.full(STATES, 0.5)
+for _state, _share in {
+    State.PART: 0.2, State.FIRED: 0.2, State.BURST: 0.2, State.PLACED: 0.2, State.CUT: 0.07, State.AGED: 0.1,
+    State.DIRECT: 0.4, State.SEEK: 0.4,
+}.items():  # fmt: skip
+    _SPARSE_OF[_state] = _share
+"""Useful share of a range below which its columns are exchanged to the front: an exchange costs as much as two to ten
+columns in a state's kernel, but those in bursts stay there for several slices."""
+
+_SPARSE = 0.5
+"""The same of all that are not DONE."""
 
 _MOST_LOST = 1e9
-_TURNS = np.array([1, 2, 5, 4, 7, 3, 6, 9, 10, 5], np.int64)
-import os
-_STAY, _ENOUGH = float(os.environ.get("STAY", 0.2)), float(os.environ.get("ENOUGH", 0.2))
 _ANY = np.float32(-1)  # instead of a state: all that are not DONE
 # Purposes of an event's random numbers.
 _OF_EVENT, _OF_RESET = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD6E8FEB86659FD93)
@@ -391,33 +405,32 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
 
 
 @cached_kernel
-def go_through(  # noqa: PLR0912, PLR0913, PLR0917
+def go_through(  # noqa: PLR0912, PLR0913, PLR0915, PLR0917
     visits: Visits, tables: _Float32s, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
 ) -> Progress:
     """Take the columns through their pieces, until all are DONE or `keys` have no room for the events of a round."""
     columns, rows = visits.columns, visits.columns.rows
     active, n_keys = at.active, at.n_keys
     lost = at.lost
-    best, place = _LIKELIEST, NONE
+    counts, turn = columns.counts, NONE
+    best = _TURNS[turn]
     while stop[0] == 0 and keys.size - n_keys >= active:
-        _count(rows, columns.counts, whole_vectors(active))
-        total, most = NONE, _LIKELIEST
+        _count(rows, counts, whole_vectors(active))
+        total, most = NONE, np.int64(State.PART)
         for state in range(1, STATES):
-            total += columns.counts[state] if state != State.FIRST else NONE
-            if columns.counts[state] > columns.counts[most]:
+            total += counts[state] if state != State.FIRST else NONE
+            if counts[state] > counts[most]:
                 most = state
-        # stay while a fair share is there, else the next in turn
-        if columns.counts[best] < _STAY * total:
-            for _ in range(STATES):
-                place = place + 1 if place + 1 < _TURNS.size else NONE
-                best = _TURNS[place]
-                if columns.counts[best] >= _ENOUGH * total:
-                    break
-            if columns.counts[best] < _ENOUGH * total:
-                best = most
+        for _ in range(STATES):
+            if counts[best] >= _TOO_FEW * total:
+                break
+            turn = turn + 1 if turn + 1 < _TURNS.size else NONE
+            best = _TURNS[turn]
+        else:
+            best = most
         if total == 0:
             return Progress(NONE, n_keys, lost)
-        if total < SPARSE * active and active > WIDTH:
+        if total < _SPARSE * active and active > WIDTH:
             _bring_to_front(columns, _ANY, active)
             active = total
         n = _front_of(columns, best, active)
