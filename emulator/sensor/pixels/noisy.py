@@ -15,7 +15,7 @@ import numpy.typing as npt
 import emulator.sensor.pixels.candidates as row
 import emulator.sensor.pixels.substeps as sub
 from emulator.sensor.noise.law import LAST_LOGIT, SHARES, SHARES_A_LOGIT
-from emulator.sensor.numerics.columns import put
+from emulator.sensor.numerics.columns import Packed, put
 from emulator.sensor.numerics.compiled import (
     NONE,
     cached_entry,
@@ -168,7 +168,7 @@ def _finish(  # noqa: PLR0913, PLR0917
 
 
 @kernel
-def _look(visits: Visits, tables: _Float32s, n: int, c: StepConstants, constants: Constants) -> int:
+def _look(visits: Visits, tables: Packed, n: int, c: StepConstants, constants: Constants) -> int:
     """Book what the n visited pixels take in their rest and in the piece; return the number of columns set up."""
     rested = _ZERO
     for j in range(n):

@@ -133,7 +133,7 @@ class Pixels(NamedTuple):
     fields: npt.NDArray[np.float32]
     refractory_until_ns: npt.NDArray[np.int64]
     memory: npt.NDArray[np.float32]  # of the noise
-    tables: npt.NDArray[np.float32]  # of hazards and their integrals
+    tables: npt.NDArray[np.int32]  # of hazards and their integrals, packed
 
 
 class FlatLight(NamedTuple):

@@ -36,7 +36,7 @@ from emulator.sensor.noise.hazard import (
     steeper_beyond,
 )
 from emulator.sensor.noise.moments import Nearness, Signal, Start, nearness, slower_rate
-from emulator.sensor.numerics.columns import put, take
+from emulator.sensor.numerics.columns import Packed, put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
 from emulator.sensor.pixels.passages.rows import (
@@ -252,7 +252,7 @@ class Along(NamedTuple):
 
 @lane
 def along(  # noqa: PLR0913, PLR0917
-    tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real, needed: Real
+    tables: Packed, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real, needed: Real
 ) -> Along:
     """Return a threshold's integral over a slice of q time constants from a to b; 0 if not `needed`.
 
@@ -287,7 +287,7 @@ def next_age(age: Real) -> Real:
 
 
 @vector_kernel
-def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
+def slice_(rows: _Float32s, tables: Packed, n: int) -> None:  # noqa: PLR0915
     """Integrate the next slice of each column in state SLICE; of one in state FIRST, find the values at its start."""
     use_widest_vectors()
     for i in range(n):
@@ -438,7 +438,7 @@ class Target(NamedTuple):
 
 
 @lane
-def nearer_event(tables: _Float32s, at: Bracket, seen: Seen, approach: Approach, needed: Real) -> Target:
+def nearer_event(tables: Packed, at: Bracket, seen: Seen, approach: Approach, needed: Real) -> Target:
     """Return a step of Newton's method for c(x) = c*; any if not `needed`."""
     nu, k = max(seen.nu, _LEAST_NU), slice_of(seen.z)
     rho = rho_of(nu)
@@ -464,7 +464,7 @@ def seen_at(closeness: Nearness, up: Real) -> Seen:
 
 
 @vector_kernel
-def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def seek(rows: _Float32s, tables: Packed, n: int) -> None:
     """Find the time of the event of each column in state SEEK, by four steps of Newton's method."""
     use_widest_vectors()
     for i in range(n):
@@ -521,7 +521,7 @@ def age(rows: _Float32s, n: int) -> None:
 
 
 @vector_kernel
-def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def direct(rows: _Float32s, tables: Packed, n: int) -> None:
     """Find the event of each column in state DIRECT by three steps of Newton's method, or leave it to slices."""
     use_widest_vectors()
     for i in range(n):

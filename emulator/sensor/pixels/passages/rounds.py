@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from emulator.sensor.noise.hazard import ONE_POLE, exit_speed
 from emulator.sensor.noise.moments import Start, moments_over
-from emulator.sensor.numerics.columns import put, take
+from emulator.sensor.numerics.columns import Packed, put, take
 from emulator.sensor.numerics.compiled import NONE, cached_kernel, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log, use_widest_vectors
 from emulator.sensor.numerics.keyed import high, mix_word, unit
@@ -225,7 +225,7 @@ def _draw(rows: _Float32s, keys: _Words, n: int) -> None:
 
 
 @vector_kernel
-def _leave(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def _leave(rows: _Float32s, tables: Packed, n: int) -> None:
     """Find value and slope of the noise at the event of each column in state PLACED; N and V hold them from then on.
 
     Whether the event is the noise's is decided too: the signal has gone less than half of the way since the reset.
@@ -318,7 +318,7 @@ def _offset(rows: _Float32s, i: int, stream: np.uint64, reset_ns: int, c: StepCo
 
 @kernel
 def _let_fire(  # noqa: PLR0913, PLR0917
-    visits: Visits, tables: _Float32s, pixels: _Int64s, n: int, keys: Keys, n_keys: int, c: StepConstants
+    visits: Visits, tables: Packed, pixels: _Int64s, n: int, keys: Keys, n_keys: int, c: StepConstants
 ) -> tuple[int, int]:
     """Write the events of the columns in state PLACED, and take these over their dead times.
 
@@ -406,7 +406,7 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
 
 @cached_kernel
 def go_through(  # noqa: PLR0912, PLR0913, PLR0915, PLR0917
-    visits: Visits, tables: _Float32s, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
+    visits: Visits, tables: Packed, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
 ) -> Progress:
     """Take the columns through their pieces, until all are DONE or `keys` have no room for the events of a round."""
     columns, rows = visits.columns, visits.columns.rows
