@@ -29,8 +29,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-_I64, _I32, _F32 = ir.IntType(64), ir.IntType(32), ir.FloatType()
-_FIRST, _DROPPED, _HALF_OF_IT = (127 - 26) << 11, 12, 1 << 11  # bits of a float32: the least exponent; of its fraction
+_I64, _I32 = ir.IntType(64), ir.IntType(32)
+_DROPPED = 12  # bits of the fraction of a float32
+_FIRST = (127 - 26) << 11  # the least exponent, above them
 
 Packed = npt.NDArray[np.int32]
 
@@ -38,8 +39,9 @@ Packed = npt.NDArray[np.int32]
 def packed(values: npt.ArrayLike) -> Packed:
     """Return a table of values between 0 and 64 for `fetch`, each within 2^-12 of itself or 2^-26."""
     bits = np.asarray(values, np.float32).view(np.uint32).astype(np.int64)
-    halves = np.clip(((bits + _HALF_OF_IT) >> _DROPPED) - _FIRST, 0, 0xFFFF)
-    return (halves | np.append(halves[1:], 0) << 16).astype(np.uint32).view(np.int32)
+    halves = np.clip(((bits + (1 << _DROPPED - 1)) >> _DROPPED) - _FIRST, 0, 0xFFFF)
+    words: Packed = (halves | np.append(halves[1:], 0) << 16).astype(np.uint32).view(np.int32)
+    return words
 
 
 def _scope(builder: ir.IRBuilder) -> Any:
@@ -70,10 +72,10 @@ def _fetch(typing_context: Any, table: Any, x: Any) -> tuple[Any, Any]:
         word.set_metadata("alias.scope", _scope(builder))
         halves = builder.and_(word, ir.Constant(_I32, 0xFFFF)), builder.lshr(word, ir.Constant(_I32, 16))
         first, dropped = ir.Constant(_I32, _FIRST << _DROPPED), ir.Constant(_I32, _DROPPED)
-        values = [builder.bitcast(builder.add(builder.shl(half, dropped), first), _F32) for half in halves]
+        values = [builder.bitcast(builder.add(builder.shl(half, dropped), first), ir.FloatType()) for half in halves]
         return context.make_tuple(builder, signature.return_type, values)
 
-    return types.UniTuple(types.float32, 2)(table, x), code
+    return cast(Any, types).UniTuple(types.float32, 2)(table, x), code
 
 
 def _pick(typing_context: Any, rows: Any, first: Any, i: Any) -> tuple[Any, Any]:

@@ -7,7 +7,6 @@ The pixels visit the tables of `passages` with each piece, and get a new certifi
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -294,33 +293,26 @@ def _find_events(  # noqa: PLR0913, PLR0917
     return keys, at.n_keys, at.lost
 
 
-class Waiting(NamedTuple):
-    """Pixels in the table of substeps: their number, and how many of them may wait for those of the next batch."""
-
-    n: int
-    most: int
-
-
 @cached_entry
 def solve_noisy(  # noqa: PLR0913, PLR0917
-    pixels: Pixels, table: Table, n: int, waiting: Waiting, keys: Keys, n_keys: int, idle: Idle, stop: _Bytes,
-    c: StepConstants,
+    pixels: Pixels, table: Table, n: int, waiting: int, may_wait: int, keys: Keys, n_keys: int, idle: Idle,
+    stop: _Bytes, c: StepConstants,
 ) -> tuple[Keys, int, int, int, int]:  # fmt: skip
     """Find all events of the n candidates, and move their references, as `candidates.solve` does without noise.
 
-    It returns soon where `stop` is set. The last number that it returns is that of the pixels that wait: a substep of
-    few pixels costs nearly as much as that of many.
+    It returns soon where `stop` is set. `waiting` pixels are in the table of substeps, of which `may_wait` may stay for
+    the next batch, as a substep of few costs nearly as much as that of many; their number is returned last.
     """
     constants = Constants(np.float32(c.noise_pole), np.float32(c.high_rate), np.float32(c.refractory_ns * 1e-9))
     substeps = table.substep_table
-    columns, in_substeps = _visit_as_whole(pixels, table, n, waiting.n, c, constants)
+    columns, in_substeps = _visit_as_whole(pixels, table, n, waiting, c, constants)
     keys, n_keys, lost = _find_events(table, pixels, table.pixels, columns, keys, n_keys, stop, c)
     _end_whole(pixels, table, n, columns, idle, constants, c)
-    begin(substeps.rows, waiting.n, state.whole_vectors(in_substeps), c)
+    begin(substeps.rows, waiting, state.whole_vectors(in_substeps), c)
     undersampled = NONE
-    for j in range(waiting.n, in_substeps):
+    for j in range(waiting, in_substeps):
         undersampled += substeps.rows[sub.UNDERSAMPLED + j] != _ZERO
-    while in_substeps > waiting.most and stop[0] == 0:
+    while in_substeps > may_wait and stop[0] == 0:
         columns = _visit_substep(pixels, table, in_substeps, c, constants)
         keys, n_keys, lost_now = _find_events(table, pixels, substeps.pixels, columns, keys, n_keys, stop, c)
         lost += lost_now

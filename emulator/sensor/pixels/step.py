@@ -46,7 +46,7 @@ from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import completed, is_undersampled
 from emulator.sensor.pixels.idle import Idle, Touched
 from emulator.sensor.pixels.method import STOP
-from emulator.sensor.pixels.noisy import Waiting, solve_noisy
+from emulator.sensor.pixels.noisy import solve_noisy
 from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, PART, Field, FlatLight, Pixels, StepConstants
 from emulator.threads import ThreadPool, available_threads
@@ -344,7 +344,7 @@ def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: 
     arguments = {
         "blocks": (FlatLight(light, light), pixels, buffers, share, _Progress(0, 0, 0, 0, 0, 0, 0), c),
         "candidates": (pixels, buffers.table, 0, keys, 0, c),
-        "noise": (pixels, buffers.table, 0, Waiting(0, 0), keys, 0, share.idle, share.stop, c),
+        "noise": (pixels, buffers.table, 0, 0, 0, keys, 0, share.idle, share.stop, c),
     }
     kernel_of = {"blocks": _fill, "candidates": solve, "noise": solve_noisy}
     kernel_of[part].compile(tuple(map(numba.typeof, arguments[part])))
@@ -365,9 +365,9 @@ def advance(
     while at.block != _END and share.stop[0] == 0:
         at = _fill(frame, pixels, buffers, share, at, c)
         if c.noisy:
-            may_wait = Waiting(waiting, NONE if at.block == _END else MOST_WAITING)
+            may_wait = NONE if at.block == _END else np.int64(MOST_WAITING)
             keys, n_keys, lost_now, undersampled_now, waiting = solve_noisy(
-                pixels, buffers.table, at.n, may_wait, keys, n_keys, share.idle, share.stop, c
+                pixels, buffers.table, at.n, waiting, may_wait, keys, n_keys, share.idle, share.stop, c
             )
         else:
             keys, n_keys, lost_now, undersampled_now = solve(pixels, buffers.table, at.n, keys, n_keys, c)

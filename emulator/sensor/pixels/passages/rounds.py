@@ -29,9 +29,7 @@ from emulator.sensor.pixels.crossings import Keys, pack
 from emulator.sensor.pixels.event_time import delay_s
 from emulator.sensor.pixels.passages import bursts, settled
 from emulator.sensor.pixels.passages.rows import (
-    AGED,
     BURST,
-    CUT,
     DIRECT,
     DONE,
     FIRED,
@@ -43,7 +41,6 @@ from emulator.sensor.pixels.passages.rows import (
     IN_SLICES,
     PART,
     PLACED,
-    SEEK,
     SLICE,
     STATES,
     WIDTH,
@@ -73,29 +70,20 @@ _Words = npt.NDArray[np.uint64]
 MOST_PASSAGES = 1024
 """Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
 
-_TURNS = np.array(
-    [
-        State.PART, State.FIRED, State.PLACED, State.BURST, State.DIRECT, State.SLICE, State.CUT, State.SEEK,
-        State.AGED, State.PLACED,
-    ],
-    np.int64,
-)  # fmt: skip
-"""States in the order in which a column goes through them: in turns all columns do, so that most are in the same."""
+_SPARSE_IN = {
+    State.PART: 0.2, State.FIRED: 0.2, State.PLACED: 0.2, State.BURST: 0.2, State.DIRECT: 0.4, State.SLICE: 0.5,
+    State.CUT: 0.1, State.SEEK: 0.4,
+}  # fmt: skip
+"""States in the order in which a column goes through them, and the useful share of a range below which its columns are
+exchanged to the front: that costs as much as two to ten columns in a kernel; but those in slices stay for several."""
 
+_SPARSE_OF = np.array([_SPARSE_IN.get(state, 0.0) for state in State])
+_TURNS = np.array([*_SPARSE_IN, State.PLACED], np.int64)
 _TOO_FEW = 0.1
 """Share of the columns below which a state is left for the next one."""
 
-_SPARSE_OF = np.full(STATES, 0.5)
-for _state, _share in {
-    State.PART: 0.2, State.FIRED: 0.2, State.BURST: 0.2, State.PLACED: 0.2, State.CUT: 0.07, State.AGED: 0.1,
-    State.DIRECT: 0.4, State.SEEK: 0.4,
-}.items():  # fmt: skip
-    _SPARSE_OF[_state] = _share
-"""Useful share of a range below which its columns are exchanged to the front: an exchange costs as much as two to ten
-columns in a state's kernel, but those in bursts stay there for several slices."""
-
 _SPARSE = 0.5
-"""The same of all that are not DONE."""
+"""The share of those not DONE below which these are."""
 
 _MOST_LOST = 1e9
 _ANY = np.float32(-1)  # instead of a state: all that are not DONE
@@ -185,22 +173,12 @@ def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
 def _count(rows: _Float32s, counts: _Int64s, n: int) -> None:
     """Count the columns of each state among the first n; FIRST with SLICE too, whose kernel is the same."""
     use_widest_vectors()
-    part = fired = slice_ = burst = placed = cut = direct = first = seek = aged = np.int32(0)
-    for i in range(n):
-        state = take(rows, Column.STATE + i)
-        part += np.int32(state == PART)
-        fired += np.int32(state == FIRED)
-        slice_ += np.int32(state == SLICE)
-        burst += np.int32(state == BURST)
-        placed += np.int32(state == PLACED)
-        cut += np.int32(state == CUT)
-        direct += np.int32(state == DIRECT)
-        first += np.int32(state == FIRST)
-        seek += np.int32(state == SEEK)
-        aged += np.int32(state == AGED)
-    counts[State.PART], counts[State.FIRED], counts[State.BURST], counts[State.PLACED] = part, fired, burst, placed
-    counts[State.SLICE], counts[State.FIRST], counts[State.CUT] = slice_ + first, first, cut
-    counts[State.DIRECT], counts[State.SEEK], counts[State.AGED] = direct, seek, aged
+    for state in range(1, STATES):
+        of_state, count = np.float32(state), np.int32(0)
+        for i in range(n):
+            count += np.int32(take(rows, Column.STATE + i) == of_state)
+        counts[state] = count
+    counts[State.SLICE] += counts[State.FIRST]
 
 
 @vector_kernel
@@ -405,7 +383,7 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
 
 
 @cached_kernel
-def go_through(  # noqa: PLR0912, PLR0913, PLR0915, PLR0917
+def go_through(  # noqa: PLR0912, PLR0913, PLR0917
     visits: Visits, tables: Packed, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
 ) -> Progress:
     """Take the columns through their pieces, until all are DONE or `keys` have no room for the events of a round."""
@@ -416,18 +394,18 @@ def go_through(  # noqa: PLR0912, PLR0913, PLR0915, PLR0917
     best = _TURNS[turn]
     while stop[0] == 0 and keys.size - n_keys >= active:
         _count(rows, counts, whole_vectors(active))
-        total, most = NONE, np.int64(State.PART)
+        total, likeliest = NONE, NONE
         for state in range(1, STATES):
             total += counts[state] if state != State.FIRST else NONE
-            if counts[state] > counts[most]:
-                most = state
+            if counts[state] > counts[likeliest]:
+                likeliest = state
         for _ in range(STATES):
             if counts[best] >= _TOO_FEW * total:
                 break
             turn = turn + 1 if turn + 1 < _TURNS.size else NONE
             best = _TURNS[turn]
         else:
-            best = most
+            best = likeliest
         if total == 0:
             return Progress(NONE, n_keys, lost)
         if total < _SPARSE * active and active > WIDTH:
@@ -449,10 +427,8 @@ def go_through(  # noqa: PLR0912, PLR0913, PLR0915, PLR0917
             bursts.choose(rows, whole_vectors(n))
         elif best == State.DIRECT:
             bursts.direct(rows, tables, whole_vectors(n))
-        elif best == State.SEEK:
-            bursts.seek(rows, tables, whole_vectors(n))
         else:
-            bursts.age(rows, whole_vectors(n))
+            bursts.seek(rows, tables, whole_vectors(n))
     return Progress(active, n_keys, lost)
 
 
