@@ -3,8 +3,8 @@
 A burst lasts 9 times of the slower pole, and each of its parts between turns of the curve is first bounded
 (`bound_of`):
 
-    calm      a bound of its integral is below .9 of what is left: the settled hazard, which the noise's mean lessens
-              by e^(-A e^-s) at the age s, counts for as long as the integral of that factor, a difference of E1(A e^-s)
+    calm      a bound of its integral is below .9 (one pole: .5) of what is left: the settled hazard, which the noise's
+              mean lessens by e^(-A e^-s) at the age s, counts for as long as the integral of that factor, by E1
     fast      the curve passes a threshold swiftly: `direct` finds the c = c* from afar, with the distances, speed and
               poles of that age
     other     slices between ages .35, .8, 1.4, 2.2, 3.3, 5 and 9: exact distances and speeds at both ends, and a
@@ -163,7 +163,7 @@ def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, lef
     distant = (c > _NEAREST) & (later > _NEAREST)
     # The settled hazard errs by a share of the bound: a part of a burst may take its share of half of what is left.
     share = max((end - x) / take(rows, Column.BURST + i), _LEAST_SHARE)
-    calm = distant & (total < _CALM * share * left)
+    calm = distant & (total < (_CALM if two else _HALF) * share * left)
     skips = distant & ~calm & (early < _NEGLIGIBLE * share * left) & (middle < end)
     # Calm: while the mean decays by e^-s, the hazard is less by e^(-A e^-s). As much of the part's end counts.
     c_on, c_off = (on - w2) * inverse, (off + w2) * inverse
