@@ -48,7 +48,7 @@ An event comes where the integral since the last reset reaches a number that is 
 (time change of a point process, Meyer 1971). Along an approach that is the c at which K has the value that is left.
 
     G, K    (SLICES, 65, 105)    over nu / (1 + |nu|) = -1 + j / 32 and c = -4 + i / 8, times sqrt(2 pi) e^(c^2 / 2)
-    C       (SLICES, 65, 141)    the inverse of K: c by ln K = -32 + i / 4
+    C       (SLICES, 65, 141)    the inverse of K: c + 4 by ln K = -32 + i / 4
 
 Slice k of 0 to 48 is two poles of 1/b = 1/8 + k / 128, the nearest is taken; slice 49 is one pole. Derived from
 `hazards.npz` when a process begins, in .2 s. The factor F and exit speeds follow as they are in that file.
@@ -67,7 +67,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.columns import fetch, fetch_next
+from emulator.sensor.numerics.columns import Packed, fetch, packed
 from emulator.sensor.numerics.compiled import Real, lane
 from emulator.sensor.numerics.elementary import exponential, natural_log
 
@@ -118,7 +118,7 @@ _FAST_EXIT, _SLOW_EXIT = np.float32(7.9), np.float32(-5.99)
 
 
 @functools.cache
-def integral_tables() -> _Float32s:
+def integral_tables() -> Packed:
     """Return the tables G, K and C, and those that are used as they are, in one flat array."""
     with np.load(TABLES) as file:
         as_stored = [np.asarray(file[name], np.float32).reshape(-1) for name in _OTHERS]
@@ -138,8 +138,8 @@ def integral_tables() -> _Float32s:
     inverse = np.array(
         [[np.interp(logs, np.log(np.maximum(row[::-1], _NO_INTEGRAL)), c[::-1]) for row in of_ratio] for of_ratio in k]
     )
-    tables = [_finer(table).ravel() for table in (entries, scaled, inverse)]
-    return np.concatenate([*tables, *as_stored])
+    tables = [_finer(table).ravel() for table in (entries, scaled, inverse - _FIRST_PLACE)]
+    return packed(np.concatenate([*tables, *as_stored]))
 
 
 def _finer(table: npt.NDArray[np.float64]) -> _Float32s:
@@ -152,17 +152,16 @@ def _finer(table: npt.NDArray[np.float64]) -> _Float32s:
 
 
 @lane
-def _between(tables: _Float32s, at: Real, row: Real, f: Real, g: Real) -> Real:
+def _between(tables: Packed, at: Real, row: Real, f: Real, g: Real) -> Real:
     """Return a table between four entries: shares f to the next entry from the one at `at`, and g to the next row."""
     below = at + row
-    a0, a1 = fetch(tables, at), fetch_next(tables, at)
-    b0, b1 = fetch(tables, below), fetch_next(tables, below)
+    (a0, a1), (b0, b1) = fetch(tables, at), fetch(tables, below)
     a, b = a0 + (a1 - a0) * f, b0 + (b1 - b0) * f
     return a + (b - a) * g
 
 
 @lane
-def _entry(tables: _Float32s, first: Real, row: Real, last: Real, k: Real, rho: Real, x: Real, needed: Real) -> Real:  # noqa: PLR0913, PLR0917
+def _entry(tables: Packed, first: Real, row: Real, last: Real, k: Real, rho: Real, x: Real, needed: Real) -> Real:  # noqa: PLR0913, PLR0917
     """Return a table in slice k at the speed nu / (1 + |nu|) and the place x of its rows; any if not `needed`."""
     x = min(max(x, _ZERO), last)
     y = min(max(rho * _THIRTY_TWO + _THIRTY_TWO, _ZERO), _LAST_SPEED)
@@ -200,24 +199,24 @@ def farther(c: Real, nu: Real, apart: Real) -> Real:
 
 
 @lane
-def integral_beyond(tables: _Float32s, k: Real, rho: Real, c: Real, needed: Real) -> Real:
+def integral_beyond(tables: Packed, k: Real, rho: Real, c: Real, needed: Real) -> Real:
     """Return K(c) in slice k; 0 if not `needed`."""
     value = _entry(tables, _K, _ROW, _LAST, k, rho, (c + _FOUR) * _EIGHT, needed) * gaussian(c)
     return value if needed else _ZERO
 
 
 @lane
-def density_or_integral(tables: _Float32s, is_integral: Real, k: Real, rho: Real, c: Real, needed: Real) -> Real:
+def density_or_integral(tables: Packed, is_integral: Real, k: Real, rho: Real, c: Real, needed: Real) -> Real:
     """Return K(c) or G(c) in slice k, by one look-up; any number if not `needed`."""
     first = _K if is_integral else _G
     return _entry(tables, first, _ROW, _LAST, k, rho, (c + _FOUR) * _EIGHT, needed) * gaussian(c)
 
 
 @lane
-def place_of(tables: _Float32s, k: Real, rho: Real, integral: Real, needed: Real) -> Real:
+def place_of(tables: Packed, k: Real, rho: Real, integral: Real, needed: Real) -> Real:
     """Return the c at which K has a value; any number if not `needed`."""
     log = natural_log(max(integral, _LEAST_K))
-    return _entry(tables, _C, _ROW_OF_LOGS, _LAST_LOG, k, rho, (log + _THIRTY_TWO) * _FOUR, needed)
+    return _entry(tables, _C, _ROW_OF_LOGS, _LAST_LOG, k, rho, (log + _THIRTY_TWO) * _FOUR, needed) - _FOUR
 
 
 @lane
@@ -227,7 +226,7 @@ def steeper_beyond(c: Real) -> Real:
 
 
 @lane
-def rate_of(tables: _Float32s, k: Real, apart: Real, c: Real, nu: Real, needed: Real) -> Real:
+def rate_of(tables: Packed, k: Real, apart: Real, c: Real, nu: Real, needed: Real) -> Real:
     """Return the hazard of a threshold over s; 0 beyond FARTHEST, and if not `needed`."""
     at, counts = c + farther(c, nu, apart), needed & (c < FARTHEST)
     value = _entry(tables, _G, _ROW, _LAST, k, rho_of(nu), (at + _FOUR) * _EIGHT, counts) * gaussian(at)
@@ -236,7 +235,7 @@ def rate_of(tables: _Float32s, k: Real, apart: Real, c: Real, nu: Real, needed: 
 
 
 @lane
-def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real, share: Real, needed: Real) -> tuple[Real, Real]:
+def pair_factors(tables: Packed, a: Real, b: Real, z: Real, share: Real, needed: Real) -> tuple[Real, Real]:
     """Return the factors F of the fluxes through thresholds at a and b deviations, of that at a and of that at b.
 
     A `share` of them counts. They are 1 where one of the thresholds is far, and if not `needed`.
@@ -255,7 +254,7 @@ def pair_factors(tables: _Float32s, a: Real, b: Real, z: Real, share: Real, need
 
 
 @lane
-def exit_speed(tables: _Float32s, nu: Real, c: Real, share: Real, z: Real) -> Real:
+def exit_speed(tables: Packed, nu: Real, c: Real, share: Real, z: Real) -> Real:
     """Return the speed at which noise leaves through a threshold, less the threshold's own, in units of s.
 
     Its density is u phi(u - nu), that of crossings, stretched to the mean of first ones. `share` is random, in (0, 1).
@@ -268,5 +267,5 @@ def exit_speed(tables: _Float32s, nu: Real, c: Real, share: Real, z: Real) -> Re
     place = min(max(c * _EIGHT + _THIRTY_TWO, _ZERO), _LAST)
     i = np.floor(place)
     at = _SPEED + (np.floor(min(z + _HALF, _SIX)) * _ROW + i) * _ROWS + speed
-    s0, s1 = fetch(tables, at), fetch(tables, at + _ROWS)
+    (s0, _), (s1, _) = fetch(tables, at), fetch(tables, at + _ROWS)
     return nu + _ONE / nu if nu > _FAST_EXIT else density * (s0 + (s1 - s0) * (place - i))

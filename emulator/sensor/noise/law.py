@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from emulator.sensor.noise.hazard import ONE_POLE, integral_tables, pair_factors, rate_of, slice_of
 from emulator.sensor.noise.moments import Noise, moments_over, noise_in, slower_rate
+from emulator.sensor.numerics.columns import Packed
 from emulator.sensor.numerics.compiled import cached_entry, kernel_that_allocates
 from emulator.sensor.presets import SensorParameters
 
@@ -79,7 +80,7 @@ class _Chain(NamedTuple):
 
 
 @kernel_that_allocates
-def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tables: _Float32s) -> _Chain:
+def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tables: Packed) -> _Chain:
     """Return the chain of a pixel with thresholds on and off, and a leak in ln units a second.
 
     The grid reaches a deviation beyond the thresholds, as a reset may. It is fine where noise reaches a threshold.
@@ -155,7 +156,7 @@ def _pass(rates: _Floats, stages: int, stage_hz: float, shares: _Floats) -> None
 @cached_entry
 def _rates(  # noqa: PLR0913, PLR0917
     on: float, off: float, leak_hz: float, rate: float, pole: float, rms: float, high: float, dead_s: float,
-    tables: _Float32s,
+    tables: Packed,
 ) -> tuple[float, float]:  # fmt: skip
     """Return the `Rates` of a pixel with thresholds on and off, from the shares of time that its references have."""
     noise = noise_in(np.float32(rate), np.float32(pole), np.float32(rms), np.float32(high))
@@ -177,7 +178,7 @@ class Before(NamedTuple):
 
 @cached_entry
 def solve_start(  # noqa: PLR0913, PLR0917
-    on: float, off: float, rate: float, turns: float, before: Before, tables: _Float32s, quantiles: _Float32s
+    on: float, off: float, rate: float, turns: float, before: Before, tables: Packed, quantiles: _Float32s
 ) -> None:  # fmt: skip
     """Write the quantiles, (SHARES.size,), of a pixel's reference less its signal at the start, in units of the rms.
 

@@ -2,8 +2,8 @@
 
     take(rows, at)          rows[at]: next to each other in neighbouring columns
     put(rows, at, value)    rows[at] = value, the same
-    fetch(table, x)         the entry at the whole number x, a float32; any x is safe: one outside is moved to the end
-    fetch_next(table, x)    the entry behind it
+    fetch(table, x)         the entry of a `packed` table at the whole number x, a float32, and the one behind it; any x
+                            is safe: one outside is moved to the end
     pick(rows, first, i)    rows[first + i], with i an int32 from a list
 
 A loop that stores to one array and reads another one at computed places becomes vectors only where LLVM can prove that
@@ -11,7 +11,11 @@ the stores never meet the reads. `put` and `take` declare that for `fetch` and `
 `fetch` and `pick` read must not be written in the same loop. A plain load of `rows` in such a loop would join both
 sets.
 
-Fast because 16 look-ups then are one gather: with 32-bit indices, as 64-bit ones make it 8 at a time.
+Fast because 16 look-ups then are one gather: with 32-bit indices, as 64-bit ones make it 8 at a time. A gather takes
+1.5 cycles a lane wherever its entries are, and most look-ups interpolate: so two neighbours are packed in one word.
+
+    bits 0 to 15     the entry                e in bits 11 to 15, m in bits 0 to 10: (1 + m / 2048) 2^(e - 26)
+    bits 16 to 31    the one behind it        the same
 """
 
 from __future__ import annotations
@@ -19,11 +23,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
+import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
 _I64, _I32 = ir.IntType(64), ir.IntType(32)
+_DROPPED = 12  # bits of the fraction of a float32
+_FIRST = (127 - 26) << 11  # the least exponent, above them
+
+Packed = npt.NDArray[np.int32]
+
+
+def packed(values: npt.ArrayLike) -> Packed:
+    """Return a table of values between 0 and 64 for `fetch`, each within 2^-12 of itself or 2^-26."""
+    bits = np.asarray(values, np.float32).view(np.uint32).astype(np.int64)
+    halves = np.clip(((bits + (1 << _DROPPED - 1)) >> _DROPPED) - _FIRST, 0, 0xFFFF)
+    words: Packed = (halves | np.append(halves[1:], 0) << 16).astype(np.uint32).view(np.int32)
+    return words
 
 
 def _scope(builder: ir.IRBuilder) -> Any:
@@ -41,35 +59,23 @@ def _address(context: Any, builder: ir.IRBuilder, kind: Any, array: Any, *indice
     return address
 
 
-def _entry(context: Any, builder: ir.IRBuilder, signature: Any, args: Any, behind: int) -> ir.Value:
-    """Return the entry `behind` that at a float32 index."""
-    kind = signature.args[0]
-    items = context.make_array(kind)(context, builder, args[0]).nitems
-    index = builder.fptosi(args[1], _I32)
-    last = builder.sub(builder.trunc(items, _I32), ir.Constant(_I32, 2))
-    inside = builder.select(builder.icmp_unsigned("<", index, last), index, last)
-    first = ir.Constant(_I64, behind)
-    value = builder.load(_address(context, builder, kind, args[0], first, builder.sext(inside, _I64)))
-    value.set_metadata("alias.scope", _scope(builder))
-    return value
-
-
 def _fetch(typing_context: Any, table: Any, x: Any) -> tuple[Any, Any]:
-    """Return the entry of a table at a whole number."""
+    """Return the entry of a table at a whole number, and the one behind it."""
 
     def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        return _entry(context, builder, signature, args, 0)
+        kind = signature.args[0]
+        items = context.make_array(kind)(context, builder, args[0]).nitems
+        index = builder.fptosi(args[1], _I32)
+        last = builder.sub(builder.trunc(items, _I32), ir.Constant(_I32, 2))
+        inside = builder.select(builder.icmp_unsigned("<", index, last), index, last)
+        word = builder.load(_address(context, builder, kind, args[0], builder.sext(inside, _I64)))
+        word.set_metadata("alias.scope", _scope(builder))
+        halves = builder.and_(word, ir.Constant(_I32, 0xFFFF)), builder.lshr(word, ir.Constant(_I32, 16))
+        first, dropped = ir.Constant(_I32, _FIRST << _DROPPED), ir.Constant(_I32, _DROPPED)
+        values = [builder.bitcast(builder.add(builder.shl(half, dropped), first), ir.FloatType()) for half in halves]
+        return context.make_tuple(builder, signature.return_type, values)
 
-    return table.dtype(table, x), code
-
-
-def _fetch_next(typing_context: Any, table: Any, x: Any) -> tuple[Any, Any]:
-    """Return the entry of a table behind that at a whole number."""
-
-    def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        return _entry(context, builder, signature, args, 1)
-
-    return table.dtype(table, x), code
+    return cast(Any, types).UniTuple(types.float32, 2)(table, x), code
 
 
 def _pick(typing_context: Any, rows: Any, first: Any, i: Any) -> tuple[Any, Any]:
@@ -106,6 +112,4 @@ def _put(typing_context: Any, rows: Any, at: Any, value: Any) -> tuple[Any, Any]
     return types.none(rows, types.int64, rows.dtype), code
 
 
-fetch, fetch_next, pick, take, put = (
-    cast(Callable[..., Any], intrinsic(code)) for code in (_fetch, _fetch_next, _pick, _take, _put)
-)
+fetch, pick, take, put = (cast(Callable[..., Any], intrinsic(code)) for code in (_fetch, _pick, _take, _put))

@@ -100,7 +100,7 @@ class PixelArray(PixelMethod):
         self._light_constants = layout.light_constants(parameters)
         self._noise_root = root_of(seed, Purpose.NOISE_EVENTS)
         self._buffers = EventBuffers()
-        self._tables = integral_tables() if parameters.noise.rms else np.empty(0, np.float32)
+        self._tables = integral_tables() if parameters.noise.rms else np.empty(0, np.int32)
         self.state = self._dark_state()
         self._workers = Workers(self.state.fields.shape[0], threads)
         self._delays = max(parameters.comparator.on_us, parameters.comparator.off_us) > 0

@@ -340,15 +340,14 @@ def leave_out(chosen: _Int64s, s: _Float32s, may_fire: _Bytes) -> None:
         s[np.uint64(_UNTIL) + i] = _LARGE
 
 
-@cached_entry
-def hold_back(pixels: state.Pixels, solved: _Int64s, idle: Idle, c: StepConstants) -> None:
-    """Let the parts of the pixels that were `solved` rest no longer than these are certified for still light."""
-    for pixel in solved:
-        speed, until_s = pixels.fields[state.slot(pixel) + _SPEED], pixels.fields[state.slot(pixel) + _UNTIL]
-        is_certified = speed < _ZERO and until_s > c.since_epoch_1
-        until_ns = _until_ns(until_s, c) if is_certified else _NOT_IDLE
-        for unit in (pixel // BLOCK, part_at(idle, pixel)):
-            idle.until_ns[unit] = min(idle.until_ns[unit], until_ns)
+@kernel
+def hold_back(pixels: state.Pixels, solved: int, idle: Idle, c: StepConstants) -> None:
+    """Let the part of the pixel that was `solved` rest no longer than it is certified for still light."""
+    speed, until_s = pixels.fields[state.slot(solved) + _SPEED], pixels.fields[state.slot(solved) + _UNTIL]
+    is_certified = speed < _ZERO and until_s > c.since_epoch_1
+    until_ns = _until_ns(until_s, c) if is_certified else _NOT_IDLE
+    for unit in (solved // BLOCK, part_at(idle, solved)):
+        idle.until_ns[unit] = min(idle.until_ns[unit], until_ns)
 
 
 MOST_PACKED = PARTS // 2

@@ -251,7 +251,7 @@ def solve_substeps(
     The keys (a longer copy where they were too short), the number of events in them, the number of crossings beyond
     MOST_EVENTS of a pixel, and the number of undersampled pixels.
     """
-    begin(table.rows, state.whole_vectors(n), c)
+    begin(table.rows, 0, state.whole_vectors(n), c)
     undersampled = lost = NONE
     for j in range(n):
         undersampled += table.rows[row.UNDERSAMPLED + j] != _ZERO

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import emulator.sensor.pixels.candidates as row
 import emulator.sensor.pixels.substeps as sub
 from emulator.sensor.noise.law import LAST_LOGIT, SHARES, SHARES_A_LOGIT
-from emulator.sensor.numerics.columns import put
+from emulator.sensor.numerics.columns import Packed, put
 from emulator.sensor.numerics.compiled import (
     NONE,
     cached_entry,
@@ -29,6 +29,7 @@ from emulator.sensor.pixels import state
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import Swing, fastest, photocurrent
+from emulator.sensor.pixels.idle import Idle, hold_back
 from emulator.sensor.pixels.passages import rounds
 from emulator.sensor.pixels.passages.rows import Visit, Visits, whole_vectors
 from emulator.sensor.pixels.passages.visiting import Constants, book_rest, certify, look
@@ -143,7 +144,9 @@ def _leave(visits: Visits, j: int, pixels: Pixels, pixel: int) -> None:
 
 
 @kernel
-def _finish(visits: Visits, j: int, pixels: Pixels, pixel: int, leaked: float, c: StepConstants) -> None:
+def _finish(  # noqa: PLR0913, PLR0917
+    visits: Visits, j: int, pixels: Pixels, pixel: int, leaked: float, idle: Idle, c: StepConstants
+) -> None:
     """Write the certificate of a visited pixel behind its last piece to its state, and when and where it was seen.
 
     Its parasitic leak since its last event, `leaked`, moves into the reference of a pixel that fired.
@@ -160,10 +163,11 @@ def _finish(visits: Visits, j: int, pixels: Pixels, pixel: int, leaked: float, c
     until_s = c.since_epoch_1 + rows[Visit.LASTS + j]
     fields[at + _SPEED] = rows[Visit.SPEED + j]
     fields[at + _UNTIL] = until_s - _LEAST_REST_S - _ROUNDED * abs(until_s)  # earlier by more than rounding
+    hold_back(pixels, pixel, idle, c)
 
 
 @kernel
-def _look(visits: Visits, tables: _Float32s, n: int, c: StepConstants, constants: Constants) -> int:
+def _look(visits: Visits, tables: Packed, n: int, c: StepConstants, constants: Constants) -> int:
     """Book what the n visited pixels take in their rest and in the piece; return the number of columns set up."""
     rested = _ZERO
     for j in range(n):
@@ -175,13 +179,15 @@ def _look(visits: Visits, tables: _Float32s, n: int, c: StepConstants, constants
 
 
 @cached_kernel
-def _visit_as_whole(pixels: Pixels, table: Table, n: int, c: StepConstants, constants: Constants) -> tuple[int, int]:
+def _visit_as_whole(
+    pixels: Pixels, table: Table, n: int, waiting: int, c: StepConstants, constants: Constants
+) -> tuple[int, int]:
     """Let the candidates whose step is one piece visit, and enter the others into the table of substeps.
 
-    Returns the number of columns set up, and of those in the table of substeps.
+    Returns the number of columns set up, and of those in the table of substeps, in which `waiting` were before.
     """
     rows, visits = table.rows, table.visits
-    in_substeps = NONE
+    in_substeps = waiting
     for j in range(n):
         visits.rows[Visit.LEAK + j], visits.rows[Visit.REFERENCE + j] = rows[row.C_LEAK + j], rows[row.C_REF + j]
         rows[row.C_LEAK + j] = _ZERO  # added by `_complete`
@@ -201,7 +207,9 @@ def _visit_as_whole(pixels: Pixels, table: Table, n: int, c: StepConstants, cons
 
 
 @cached_kernel
-def _end_whole(pixels: Pixels, table: Table, n: int, columns: int, constants: Constants, c: StepConstants) -> None:
+def _end_whole(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, table: Table, n: int, columns: int, idle: Idle, constants: Constants, c: StepConstants
+) -> None:
     """Store the candidates whose step was one piece."""
     rows, visits = table.rows, table.visits
     rounds.end(visits, columns)
@@ -209,7 +217,7 @@ def _end_whole(pixels: Pixels, table: Table, n: int, columns: int, constants: Co
     for j in range(n):
         if rows[row.C_KIND + j] != row.NEEDS_SUBSTEPS:
             _leave(visits, j, pixels, table.pixels[j])
-            _finish(visits, j, pixels, table.pixels[j], np.float64(rows[row.C_P1 + j]), c)
+            _finish(visits, j, pixels, table.pixels[j], np.float64(rows[row.C_P1 + j]), idle, c)
 
 
 @kernel
@@ -248,7 +256,9 @@ def _visit_substep(pixels: Pixels, table: Table, n: int, c: StepConstants, const
 
 
 @cached_kernel
-def _end_substep(pixels: Pixels, table: Table, n: int, columns: int, constants: Constants, c: StepConstants) -> int:
+def _end_substep(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, table: Table, n: int, columns: int, idle: Idle, constants: Constants, c: StepConstants
+) -> int:
     """Store the pixels whose step has ended, and compact the others; return how many remain."""
     visits, pieces = table.visits, table.substep_table.rows
     remaining = NONE
@@ -267,7 +277,7 @@ def _end_substep(pixels: Pixels, table: Table, n: int, columns: int, constants: 
         if c.parasitic > _ZERO:
             leaked = np.float64(pieces[sub.P1 + j])
             pixels.fields[slot(pixel) + _P] = np.float32(leaked - visits.rows[Visit.LIT + j] * c.since_epoch_1)
-        _finish(visits, j, pixels, pixel, leaked, c)
+        _finish(visits, j, pixels, pixel, leaked, idle, c)
     return int(remaining)
 
 
@@ -285,27 +295,29 @@ def _find_events(  # noqa: PLR0913, PLR0917
 
 @cached_entry
 def solve_noisy(  # noqa: PLR0913, PLR0917
-    pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, stop: _Bytes, c: StepConstants
-) -> tuple[Keys, int, int, int]:
+    pixels: Pixels, table: Table, n: int, waiting: int, may_wait: int, keys: Keys, n_keys: int, idle: Idle,
+    stop: _Bytes, c: StepConstants,
+) -> tuple[Keys, int, int, int, int]:  # fmt: skip
     """Find all events of the n candidates, and move their references, as `candidates.solve` does without noise.
 
-    It returns soon where `stop` is set.
+    It returns soon where `stop` is set. `waiting` pixels are in the table of substeps, of which `may_wait` may stay for
+    the next batch, as a substep of few costs nearly as much as that of many; their number is returned last.
     """
     constants = Constants(np.float32(c.noise_pole), np.float32(c.high_rate), np.float32(c.refractory_ns * 1e-9))
     substeps = table.substep_table
-    columns, in_substeps = _visit_as_whole(pixels, table, n, c, constants)
+    columns, in_substeps = _visit_as_whole(pixels, table, n, waiting, c, constants)
     keys, n_keys, lost = _find_events(table, pixels, table.pixels, columns, keys, n_keys, stop, c)
-    _end_whole(pixels, table, n, columns, constants, c)
-    begin(substeps.rows, state.whole_vectors(in_substeps), c)
+    _end_whole(pixels, table, n, columns, idle, constants, c)
+    begin(substeps.rows, waiting, state.whole_vectors(in_substeps), c)
     undersampled = NONE
-    for j in range(in_substeps):
+    for j in range(waiting, in_substeps):
         undersampled += substeps.rows[sub.UNDERSAMPLED + j] != _ZERO
-    while in_substeps > 0 and stop[0] == 0:
+    while in_substeps > may_wait and stop[0] == 0:
         columns = _visit_substep(pixels, table, in_substeps, c, constants)
         keys, n_keys, lost_now = _find_events(table, pixels, substeps.pixels, columns, keys, n_keys, stop, c)
         lost += lost_now
-        in_substeps = _end_substep(pixels, table, in_substeps, columns, constants, c)
-    return keys, n_keys, lost, undersampled
+        in_substeps = _end_substep(pixels, table, in_substeps, columns, idle, constants, c)
+    return keys, n_keys, lost, undersampled, in_substeps
 
 
 @cached_entry

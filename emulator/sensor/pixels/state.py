@@ -133,7 +133,7 @@ class Pixels(NamedTuple):
     fields: npt.NDArray[np.float32]
     refractory_until_ns: npt.NDArray[np.int64]
     memory: npt.NDArray[np.float32]  # of the noise
-    tables: npt.NDArray[np.float32]  # of hazards and their integrals
+    tables: npt.NDArray[np.int32]  # of hazards and their integrals, packed
 
 
 class FlatLight(NamedTuple):
@@ -401,6 +401,6 @@ class Levels:
         """Move the references of pixels (n,), each named once, by an ON event."""
         if len(pixel):
             state, reset = self._array.state, self._array.parameters.reset
-            pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, state.memory)
+            pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, np.empty(0, np.int32))
             _fire(pixels, pixel, ResetError(np.float32(reset.offset), np.float32(reset.noise)))
             self._array.wake()

@@ -32,6 +32,7 @@ from emulator.sensor.pixels import idle as rest
 from emulator.sensor.pixels import state
 from emulator.sensor.pixels.candidates import (
     BATCH,
+    MOST_WAITING,
     NOISY_BATCH,
     Table,
     entry_at,
@@ -343,7 +344,7 @@ def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: 
     arguments = {
         "blocks": (FlatLight(light, light), pixels, buffers, share, _Progress(0, 0, 0, 0, 0, 0, 0), c),
         "candidates": (pixels, buffers.table, 0, keys, 0, c),
-        "noise": (pixels, buffers.table, 0, keys, 0, share.stop, c),
+        "noise": (pixels, buffers.table, 0, 0, 0, keys, 0, share.idle, share.stop, c),
     }
     kernel_of = {"blocks": _fill, "candidates": solve, "noise": solve_noisy}
     kernel_of[part].compile(tuple(map(numba.typeof, arguments[part])))
@@ -359,15 +360,15 @@ def advance(
     the keys of the events, packed as in `unpack`, unsorted (a longer array where it was too short), their number, and
     the counts of a `Tally`: numba crashes where a signal raises while Python makes a named tuple within a tuple.
     """
-    n_keys = lost = undersampled = NONE
+    n_keys = lost = undersampled = waiting = NONE
     at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)
     while at.block != _END and share.stop[0] == 0:
         at = _fill(frame, pixels, buffers, share, at, c)
         if c.noisy:
-            keys, n_keys, lost_now, undersampled_now = solve_noisy(
-                pixels, buffers.table, at.n, keys, n_keys, share.stop, c
+            may_wait = NONE if at.block == _END else np.int64(MOST_WAITING)
+            keys, n_keys, lost_now, undersampled_now, waiting = solve_noisy(
+                pixels, buffers.table, at.n, waiting, may_wait, keys, n_keys, share.idle, share.stop, c
             )
-            rest.hold_back(pixels, buffers.table.pixels[: at.n], share.idle, c)
         else:
             keys, n_keys, lost_now, undersampled_now = solve(pixels, buffers.table, at.n, keys, n_keys, c)
         lost += lost_now

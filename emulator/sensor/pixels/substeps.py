@@ -31,7 +31,7 @@ from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, sl
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 
-CAPACITY = 4 * BLOCK + 16
+CAPACITY = 7 * BLOCK + 16
 """Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
 
 STEP_ROWS = 20
@@ -78,12 +78,12 @@ _CUBIC, _JUMP, _LATE, _EARLY = (np.float32(form) for form in range(4))
 
 
 @vector_kernel
-def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Choose the interpolation of each column's light, and set the column to the start of the step.
+def begin(rows: _Float32s, first: int, n: int, c: StepConstants) -> None:
+    """Choose the interpolation of the light of columns `first` to n - 1, and set them to the start of the step.
 
     Levels are relative to `base`: the stored reference or, in a refractory period, the comparator's value at the start.
     """
-    for j in range(n):
+    for j in range(first, n):
         d = rows[D + j]
         threshold = min(rows[ON + j], rows[OFF + j])
         a0, a1 = curve.completed(d, rows[A0 + j], rows[A1 + j])

@@ -3,8 +3,8 @@
 A burst lasts 9 times of the slower pole, and each of its parts between turns of the curve is first bounded
 (`bound_of`):
 
-    calm      a bound of its integral is below half of what is left: the settled hazard, which the noise's mean lessens
-              by e^(-A e^-s) at the age s, counts for as long as the integral of that factor, a difference of E1(A e^-s)
+    calm      a bound of its integral is below .9 (one pole: .5) of what is left: the settled hazard, which the noise's
+              mean lessens by e^(-A e^-s) at the age s, counts for as long as the integral of that factor, by E1
     fast      the curve passes a threshold swiftly: `direct` finds the c = c* from afar, with the distances, speed and
               poles of that age
     other     slices between ages .35, .8, 1.4, 2.2, 3.3, 5 and 9: exact distances and speeds at both ends, and a
@@ -36,11 +36,10 @@ from emulator.sensor.noise.hazard import (
     steeper_beyond,
 )
 from emulator.sensor.noise.moments import Nearness, Signal, Start, nearness, slower_rate
-from emulator.sensor.numerics.columns import put, take
+from emulator.sensor.numerics.columns import Packed, put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
 from emulator.sensor.pixels.passages.rows import (
-    AGED,
     BURST,
     CUT,
     DIRECT,
@@ -74,6 +73,7 @@ _LATER = np.float32(0.29)
 _CROSSINGS, _CARRIED = np.float32(0.25), np.float32(0.6)  # Rice's rate, bounded: .25 by the noise, .6 by the travel
 _NEAREST = np.float32(1.5)  # deviations from which on the bounds hold
 _NEGLIGIBLE, _LEAST_SHARE = np.float32(0.01), np.float32(0.01)
+_CALM = np.float32(0.9)  # of what is left, below which a bound is calm
 _CLOSER, _LEAST_DEFICIT = np.float32(0.75), np.float32(1e-6)
 _E0, _E1, _E2, _E3, _E4, _E5 = (
     np.float32(x) for x in (-0.57721566, 0.99999193, -0.24991055, 0.05519968, -0.00976004, 0.00107857)
@@ -163,7 +163,7 @@ def bound_of(rows: _Float32s, i: int, x: Real, reset: Real, reference: Real, lef
     distant = (c > _NEAREST) & (later > _NEAREST)
     # The settled hazard errs by a share of the bound: a part of a burst may take its share of half of what is left.
     share = max((end - x) / take(rows, Column.BURST + i), _LEAST_SHARE)
-    calm = distant & (total < _HALF * share * left)
+    calm = distant & (total < (_CALM if two else _HALF) * share * left)
     skips = distant & ~calm & (early < _NEGLIGIBLE * share * left) & (middle < end)
     # Calm: while the mean decays by e^-s, the hazard is less by e^(-A e^-s). As much of the part's end counts.
     c_on, c_off = (on - w2) * inverse, (off + w2) * inverse
@@ -252,7 +252,7 @@ class Along(NamedTuple):
 
 @lane
 def along(  # noqa: PLR0913, PLR0917
-    tables: _Float32s, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real, needed: Real
+    tables: Packed, k: Real, apart: Real, a: Point, b: Point, q: Real, begins: Real, fast: Real, needed: Real
 ) -> Along:
     """Return a threshold's integral over a slice of q time constants from a to b; 0 if not `needed`.
 
@@ -287,7 +287,7 @@ def next_age(age: Real) -> Real:
 
 
 @vector_kernel
-def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
+def slice_(rows: _Float32s, tables: Packed, n: int) -> None:  # noqa: PLR0915
     """Integrate the next slice of each column in state SLICE; of one in state FIRST, find the values at its start."""
     use_widest_vectors()
     for i in range(n):
@@ -367,12 +367,6 @@ def slice_(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
         replace(rows, Column.Z0 + i, at_end.z, moves_on)
         replace(rows, Column.ON_RATE1 + i, on1, selected)
         replace(rows, Column.OFF_RATE1 + i, off1, selected)
-        replace(rows, Column.ON_C1 + i, at_end.c_on, selected)
-        replace(rows, Column.OFF_C1 + i, at_end.c_off, selected)
-        replace(rows, Column.ON_NU1 + i, at_end.nu_on, selected)
-        replace(rows, Column.OFF_NU1 + i, at_end.nu_off, selected)
-        replace(rows, Column.SLOPE1 + i, at_end.slope, selected)
-        replace(rows, Column.Z1 + i, at_end.z, selected)
 
 
 @lane
@@ -382,9 +376,44 @@ def nearer_share(f: Real, h0: Real, p: Real, r: Real, sought: Real) -> Real:
     return min(max(f - (((_THIRD * r * f + _HALF * p) * f + h0) * f - sought) / slope, _ZERO), _ONE)
 
 
+class Seen(NamedTuple):
+    """A threshold at the present guess of an event's time."""
+
+    c: Real
+    nu: Real
+    slope: Real
+    z: Real
+
+
+@lane
+def seen_at(closeness: Nearness, up: Real) -> Seen:
+    """Return what an approach sees of one threshold."""
+    return Seen(
+        closeness.c_on if up else closeness.c_off,
+        closeness.nu_on if up else closeness.nu_off,
+        closeness.slope,
+        closeness.z,
+    )
+
+
+@lane
+def store_event(rows: _Float32s, i: int, closeness: Nearness, c: Real, nu: Real, selected: Real) -> None:
+    """Store the noise of column i's event."""
+    replace(rows, Column.C + i, c, selected)
+    replace(rows, Column.NU + i, nu, selected)
+    replace(rows, Column.SLOPE + i, closeness.slope, selected)
+    replace(rows, Column.DEVIATION + i, closeness.deviation, selected)
+    replace(rows, Column.PULL + i, closeness.pull, selected)
+    replace(rows, Column.MEAN_SLOPE + i, closeness.mean_slope, selected)
+    replace(rows, Column.EVENT_Z + i, closeness.z, selected)
+
+
 @vector_kernel
 def choose(rows: _Float32s, n: int) -> None:
-    """Choose the polarity of each column in state CUT, and its time by the parabola of the hazard where it has one."""
+    """Choose the polarity of each column in state CUT, and its time by the parabola of the hazard where it has one.
+
+    In an approach, the values at the slice's end are the first guess of `seek`.
+    """
     use_widest_vectors()
     for i in range(n):
         state, x = take(rows, Column.STATE + i), take(rows, Column.AT + i)
@@ -405,11 +434,13 @@ def choose(rows: _Float32s, n: int) -> None:
         f = nearer_share(f, h0, p, r, sought)
         f = nearer_share(f, h0, p, r, sought)
         f = nearer_share(f, h0, p, r, sought)
-        replace(rows, Column.EVENT + i, end if over_distance else x + f * (end - x), selected)
+        event = end if over_distance else x + f * (end - x)
+        replace(rows, Column.EVENT + i, event, selected)
         replace(rows, Column.SIGN + i, _ONE if on else -_ONE, selected)
-        replace(rows, Column.C + i, chosen(rows, Column.ON_C1 + i, Column.OFF_C1 + i, of_on), selected)
-        replace(rows, Column.NU + i, chosen(rows, Column.ON_NU1 + i, Column.OFF_NU1 + i, of_on), selected)
-        put(rows, Column.STATE + i, (SEEK if over_distance else AGED) if selected else state)
+        closeness = near_at(rows, i, event)
+        seen = seen_at(closeness, on)
+        store_event(rows, i, closeness, seen.c, seen.nu, selected)
+        put(rows, Column.STATE + i, (SEEK if over_distance else PLACED) if selected else state)
 
 
 class Approach(NamedTuple):
@@ -418,15 +449,6 @@ class Approach(NamedTuple):
     c0: Real
     left: Real
     apart: Real
-
-
-class Seen(NamedTuple):
-    """A threshold at the present guess of an event's time."""
-
-    c: Real
-    nu: Real
-    slope: Real
-    z: Real
 
 
 class Target(NamedTuple):
@@ -438,7 +460,7 @@ class Target(NamedTuple):
 
 
 @lane
-def nearer_event(tables: _Float32s, at: Bracket, seen: Seen, approach: Approach, needed: Real) -> Target:
+def nearer_event(tables: Packed, at: Bracket, seen: Seen, approach: Approach, needed: Real) -> Target:
     """Return a step of Newton's method for c(x) = c*; any if not `needed`."""
     nu, k = max(seen.nu, _LEAST_NU), slice_of(seen.z)
     rho = rho_of(nu)
@@ -452,19 +474,8 @@ def nearer_event(tables: _Float32s, at: Bracket, seen: Seen, approach: Approach,
     return Target(Bracket(x if inside else _HALF * (low + high), low, high), c, inside)
 
 
-@lane
-def seen_at(closeness: Nearness, up: Real) -> Seen:
-    """Return what an approach sees of one threshold."""
-    return Seen(
-        closeness.c_on if up else closeness.c_off,
-        closeness.nu_on if up else closeness.nu_off,
-        closeness.slope,
-        closeness.z,
-    )
-
-
 @vector_kernel
-def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def seek(rows: _Float32s, tables: Packed, n: int) -> None:
     """Find the time of the event of each column in state SEEK, by four steps of Newton's method."""
     use_widest_vectors()
     for i in range(n):
@@ -476,8 +487,8 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
         seen = Seen(
             take(rows, Column.C + i),
             take(rows, Column.NU + i),
-            take(rows, Column.SLOPE1 + i),
-            take(rows, Column.Z1 + i),
+            take(rows, Column.SLOPE + i),
+            take(rows, Column.EVENT_Z + i),
         )
         low, high = take(rows, Column.AT + i), take(rows, Column.END + i)
         at = Bracket(min(max(take(rows, Column.EVENT + i), low), high), low, high)
@@ -485,43 +496,15 @@ def seek(rows: _Float32s, tables: _Float32s, n: int) -> None:
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach, selected).at
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach, selected).at
         at = nearer_event(tables, at, seen_at(near_at(rows, i, at.x), up), approach, selected).at
+        closeness = near_at(rows, i, at.x)
+        seen = seen_at(closeness, up)
         replace(rows, Column.EVENT + i, at.x, selected)
-        put(rows, Column.STATE + i, AGED if selected else state)
-
-
-@lane
-def store_event(rows: _Float32s, i: int, closeness: Nearness, c: Real, nu: Real, selected: Real) -> None:
-    """Store the noise of column i's event."""
-    replace(rows, Column.C + i, c, selected)
-    replace(rows, Column.NU + i, nu, selected)
-    replace(rows, Column.SLOPE + i, closeness.slope, selected)
-    replace(rows, Column.DEVIATION + i, closeness.deviation, selected)
-    replace(rows, Column.PULL + i, closeness.pull, selected)
-    replace(rows, Column.MEAN_SLOPE + i, closeness.mean_slope, selected)
-    replace(rows, Column.EVENT_Z + i, closeness.z, selected)
-
-
-@vector_kernel
-def age(rows: _Float32s, n: int) -> None:
-    """Find the noise of the event of each column in state AGED."""
-    use_widest_vectors()
-    for i in range(n):
-        state = take(rows, Column.STATE + i)
-        selected, up = state == AGED, take(rows, Column.SIGN + i) > _ZERO
-        closeness = near_at(rows, i, take(rows, Column.EVENT + i))
-        store_event(
-            rows,
-            i,
-            closeness,
-            closeness.c_on if up else closeness.c_off,
-            closeness.nu_on if up else closeness.nu_off,
-            selected,
-        )
+        store_event(rows, i, closeness, seen.c, seen.nu, selected)
         put(rows, Column.STATE + i, PLACED if selected else state)
 
 
 @vector_kernel
-def direct(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def direct(rows: _Float32s, tables: Packed, n: int) -> None:
     """Find the event of each column in state DIRECT by three steps of Newton's method, or leave it to slices."""
     use_widest_vectors()
     for i in range(n):

@@ -1,7 +1,8 @@
 """Columns through a piece: rounds of kernels, each over the columns that are in its state.
 
-A round runs the kernel of the state that most columns are in, over the range that holds them; columns of other states
-in that range stay as they are. Where less than half of a range is useful, its columns are exchanged to the front first.
+A round runs the kernel of one state over the range that holds its columns; columns of other states in that range stay
+as they are. States take turns in the order in which a column goes through them, so that most columns are in the same.
+Where a small share of a range is useful, its columns are exchanged to the front first.
 A column's own arithmetic does not depend on which others are with it, so its events do not.
 
 Fast because 16 columns are in flight at once, and because an exchange moves only the rows that a state uses, row by
@@ -13,14 +14,14 @@ over the dead time exactly, with two normal numbers. The new reference is signal
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.noise.hazard import ONE_POLE, exit_speed
 from emulator.sensor.noise.moments import Start, moments_over
-from emulator.sensor.numerics.columns import put, take
+from emulator.sensor.numerics.columns import Packed, put, take
 from emulator.sensor.numerics.compiled import NONE, cached_kernel, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log, use_widest_vectors
 from emulator.sensor.numerics.keyed import high, mix_word, unit
@@ -28,9 +29,7 @@ from emulator.sensor.pixels.crossings import Keys, pack
 from emulator.sensor.pixels.event_time import delay_s
 from emulator.sensor.pixels.passages import bursts, settled
 from emulator.sensor.pixels.passages.rows import (
-    AGED,
     BURST,
-    CUT,
     DIRECT,
     DONE,
     FIRED,
@@ -42,7 +41,6 @@ from emulator.sensor.pixels.passages.rows import (
     IN_SLICES,
     PART,
     PLACED,
-    SEEK,
     SLICE,
     STATES,
     WIDTH,
@@ -72,9 +70,20 @@ _Words = npt.NDArray[np.uint64]
 MOST_PASSAGES = 1024
 """Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
 
-_LIKELIEST: Any = np.int64(State.PART)
-SPARSE = 0.5
-"""Useful share of a range below which its columns are exchanged to the front."""
+_SPARSE_IN = {
+    State.PART: 0.2, State.FIRED: 0.2, State.PLACED: 0.2, State.BURST: 0.2, State.DIRECT: 0.4, State.SLICE: 0.5,
+    State.CUT: 0.1, State.SEEK: 0.4,
+}  # fmt: skip
+"""States in the order in which a column goes through them, and the useful share of a range below which its columns are
+exchanged to the front: that costs as much as two to ten columns in a kernel; but those in slices stay for several."""
+
+_SPARSE_OF = np.array([_SPARSE_IN.get(state, 0.0) for state in State])
+_TURNS = np.array([*_SPARSE_IN, State.PLACED], np.int64)
+_TOO_FEW = 0.1
+"""Share of the columns below which a state is left for the next one."""
+
+_SPARSE = 0.5
+"""The share of those not DONE below which these are."""
 
 _MOST_LOST = 1e9
 _ANY = np.float32(-1)  # instead of a state: all that are not DONE
@@ -164,22 +173,12 @@ def _bring_to_front(columns: Columns, state: np.float32, n: int) -> None:
 def _count(rows: _Float32s, counts: _Int64s, n: int) -> None:
     """Count the columns of each state among the first n; FIRST with SLICE too, whose kernel is the same."""
     use_widest_vectors()
-    part = fired = slice_ = burst = placed = cut = direct = first = seek = aged = np.int32(0)
-    for i in range(n):
-        state = take(rows, Column.STATE + i)
-        part += np.int32(state == PART)
-        fired += np.int32(state == FIRED)
-        slice_ += np.int32(state == SLICE)
-        burst += np.int32(state == BURST)
-        placed += np.int32(state == PLACED)
-        cut += np.int32(state == CUT)
-        direct += np.int32(state == DIRECT)
-        first += np.int32(state == FIRST)
-        seek += np.int32(state == SEEK)
-        aged += np.int32(state == AGED)
-    counts[State.PART], counts[State.FIRED], counts[State.BURST], counts[State.PLACED] = part, fired, burst, placed
-    counts[State.SLICE], counts[State.FIRST], counts[State.CUT] = slice_ + first, first, cut
-    counts[State.DIRECT], counts[State.SEEK], counts[State.AGED] = direct, seek, aged
+    for state in range(1, STATES):
+        of_state, count = np.float32(state), np.int32(0)
+        for i in range(n):
+            count += np.int32(take(rows, Column.STATE + i) == of_state)
+        counts[state] = count
+    counts[State.SLICE] += counts[State.FIRST]
 
 
 @vector_kernel
@@ -204,7 +203,7 @@ def _draw(rows: _Float32s, keys: _Words, n: int) -> None:
 
 
 @vector_kernel
-def _leave(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def _leave(rows: _Float32s, tables: Packed, n: int) -> None:
     """Find value and slope of the noise at the event of each column in state PLACED; N and V hold them from then on.
 
     Whether the event is the noise's is decided too: the signal has gone less than half of the way since the reset.
@@ -297,7 +296,7 @@ def _offset(rows: _Float32s, i: int, stream: np.uint64, reset_ns: int, c: StepCo
 
 @kernel
 def _let_fire(  # noqa: PLR0913, PLR0917
-    visits: Visits, tables: _Float32s, pixels: _Int64s, n: int, keys: Keys, n_keys: int, c: StepConstants
+    visits: Visits, tables: Packed, pixels: _Int64s, n: int, keys: Keys, n_keys: int, c: StepConstants
 ) -> tuple[int, int]:
     """Write the events of the columns in state PLACED, and take these over their dead times.
 
@@ -377,7 +376,7 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
     sliced = best == State.SLICE
     while rows[n - 1] != state and not (sliced and rows[n - 1] == FIRST):
         n -= 1
-    if columns.counts[best] < SPARSE * n and n > WIDTH and not (sliced and columns.counts[State.FIRST] > 0):
+    if columns.counts[best] < _SPARSE_OF[best] * n and n > WIDTH and not (sliced and columns.counts[State.FIRST] > 0):
         _bring_to_front(columns, state, n)
         return int(columns.counts[best])
     return n
@@ -385,22 +384,31 @@ def _front_of(columns: Columns, best: int, active: int) -> int:
 
 @cached_kernel
 def go_through(  # noqa: PLR0912, PLR0913, PLR0917
-    visits: Visits, tables: _Float32s, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
+    visits: Visits, tables: Packed, pixels: _Int64s, at: Progress, keys: Keys, stop: _Bytes, c: StepConstants
 ) -> Progress:
     """Take the columns through their pieces, until all are DONE or `keys` have no room for the events of a round."""
     columns, rows = visits.columns, visits.columns.rows
     active, n_keys = at.active, at.n_keys
     lost = at.lost
+    counts, turn = columns.counts, NONE
+    best = _TURNS[turn]
     while stop[0] == 0 and keys.size - n_keys >= active:
-        _count(rows, columns.counts, whole_vectors(active))
-        total, best = NONE, _LIKELIEST
+        _count(rows, counts, whole_vectors(active))
+        total, likeliest = NONE, NONE
         for state in range(1, STATES):
-            total += columns.counts[state] if state != State.FIRST else NONE
-            if columns.counts[state] > columns.counts[best]:
-                best = state
+            total += counts[state] if state != State.FIRST else NONE
+            if counts[state] > counts[likeliest]:
+                likeliest = state
+        for _ in range(STATES):
+            if counts[best] >= _TOO_FEW * total:
+                break
+            turn = turn + 1 if turn + 1 < _TURNS.size else NONE
+            best = _TURNS[turn]
+        else:
+            best = likeliest
         if total == 0:
             return Progress(NONE, n_keys, lost)
-        if total < SPARSE * active and active > WIDTH:
+        if total < _SPARSE * active and active > WIDTH:
             _bring_to_front(columns, _ANY, active)
             active = total
         n = _front_of(columns, best, active)
@@ -419,10 +427,8 @@ def go_through(  # noqa: PLR0912, PLR0913, PLR0917
             bursts.choose(rows, whole_vectors(n))
         elif best == State.DIRECT:
             bursts.direct(rows, tables, whole_vectors(n))
-        elif best == State.SEEK:
-            bursts.seek(rows, tables, whole_vectors(n))
         else:
-            bursts.age(rows, whole_vectors(n))
+            bursts.seek(rows, tables, whole_vectors(n))
     return Progress(active, n_keys, lost)
 
 

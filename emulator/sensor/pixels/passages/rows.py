@@ -14,9 +14,8 @@ States of a column, and the kernel that takes it to the next state:
     FIRST    values at the start of a slice of a burst are missing bursts.slice_    SLICE
     SLICE    a slice of a burst is next                            bursts.slice_    SLICE, PART, BURST, DONE, CUT
     DIRECT   a fast approach in a burst                            bursts.direct    PLACED, SLICE, FIRST
-    CUT      the event is in the slice that was integrated         bursts.choose    SEEK, AGED
-    SEEK     it is in a slice of an approach                       bursts.seek      AGED
-    AGED     the event has its time; its noise is missing          bursts.age       PLACED
+    CUT      the event is in the slice that was integrated         bursts.choose    SEEK, PLACED
+    SEEK     it is in a slice of an approach                       bursts.seek      PLACED
     PLACED   time and noise of the event are known                 resets.reset     DONE, PART and those of BURST
     DONE     the end of the piece is reached
 """
@@ -159,12 +158,6 @@ class Column(IntEnum):
     OFF_MIDDLE = auto()
     ON_RATE1 = auto()  # at its end
     OFF_RATE1 = auto()
-    ON_C1 = auto()
-    OFF_C1 = auto()
-    ON_NU1 = auto()
-    OFF_NU1 = auto()
-    SLOPE1 = auto()
-    Z1 = auto()
     TELESCOPED = auto()  # bit 0: ON was integrated over the distance, bit 1: OFF was
     # Random numbers of an event, and what follows from it.
     NORMAL = auto()
@@ -188,12 +181,11 @@ class State(IntEnum):
     DIRECT = 7
     FIRST = 8
     SEEK = 9
-    AGED = 10
 
 
 STATES = len(State)
 (
-    DONE, PART, FIRED, SLICE, BURST, PLACED, CUT, DIRECT, FIRST, SEEK, AGED,
+    DONE, PART, FIRED, SLICE, BURST, PLACED, CUT, DIRECT, FIRST, SEEK,
 ) = (np.float32(state) for state in State)  # fmt: skip
 
 GROUPS = tuple(

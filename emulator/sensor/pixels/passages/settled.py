@@ -31,7 +31,7 @@ from emulator.sensor.noise.hazard import (
     steeper_beyond,
 )
 from emulator.sensor.noise.moments import Noise
-from emulator.sensor.numerics.columns import put, take
+from emulator.sensor.numerics.columns import Packed, put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential_less_one, log_of_one_more, use_widest_vectors
 from emulator.sensor.pixels.passages.rows import (
@@ -95,7 +95,7 @@ def near_speed(nu: Real, bend: Real, c: Real, gone: Real) -> Real:
 
 
 @lane
-def integral_of(tables: _Float32s, k: Real, apart: Real, ends: Ends, q: Real, needed: Real) -> Integral:
+def integral_of(tables: Packed, k: Real, apart: Real, ends: Ends, q: Real, needed: Real) -> Integral:
     """Return a threshold's integral over a part of q time constants, in slice k; 0 if not `needed`."""
     travel = ends.c0 - ends.c1
     size, toward = abs(travel), travel > _ZERO
@@ -152,7 +152,7 @@ class Widening(NamedTuple):
 
 
 @lane
-def integrals(tables: _Float32s, curve: Curve, span: Span, widening: Widening, noise: Noise, needed: Real) -> Both:
+def integrals(tables: Packed, curve: Curve, span: Span, widening: Widening, noise: Noise, needed: Real) -> Both:
     """Return both integrals over a part, with the poles of `noise`, and the factors of two thresholds in its middle.
 
     A passage through one threshold is none through the other one.
@@ -179,7 +179,7 @@ def integrals(tables: _Float32s, curve: Curve, span: Span, widening: Widening, n
 
 
 @vector_kernel
-def part(rows: _Float32s, tables: _Float32s, n: int) -> None:
+def part(rows: _Float32s, tables: Packed, n: int) -> None:
     """Integrate the next part of each column in state PART."""
     use_widest_vectors()
     for i in range(n):
@@ -247,7 +247,7 @@ def root_of(at: Bracket, base: Real, curve: Curve) -> Bracket:
 
 
 @vector_kernel
-def locate(rows: _Float32s, tables: _Float32s, n: int) -> None:  # noqa: PLR0915
+def locate(rows: _Float32s, tables: Packed, n: int) -> None:  # noqa: PLR0915
     """Find time, polarity and noise of the event of each column in state FIRED."""
     use_widest_vectors()
     for i in range(n):

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from emulator.sensor.noise.hazard import FARTHEST, ONE_POLE, pair_factors, rate_of, slice_of
 from emulator.sensor.noise.moments import Noise, noise_in, slower_rate
-from emulator.sensor.numerics.columns import pick, put, take
+from emulator.sensor.numerics.columns import Packed, pick, put, take
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, natural_log, use_widest_vectors
 from emulator.sensor.pixels.passages.bursts import LASTS, mean_factor
@@ -91,7 +91,7 @@ def in_pieces(noise: Noise, span: Real) -> Noise:
 
 
 @vector_kernel
-def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
+def book_rest(rows: _Float32s, tables: Packed, n: int, c: Constants) -> None:
     """Lessen what is left of each visited pixel by the integral of the time in which it rested."""
     use_widest_vectors()
     for j in range(n):
@@ -125,7 +125,7 @@ def book_rest(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
 
 
 @vector_kernel
-def look(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:
+def look(rows: _Float32s, tables: Packed, n: int, c: Constants) -> None:
     """Book the integral of a piece for each visited pixel, or flag it. The noise is that of the piece's middle."""
     use_widest_vectors()
     for j in range(n):
@@ -236,7 +236,7 @@ def _limit(steep: Real, hz: Real, nearest: Real) -> Real:
 
 
 @vector_kernel
-def certify(rows: _Float32s, tables: _Float32s, n: int, c: Constants) -> None:  # noqa: PLR0915
+def certify(rows: _Float32s, tables: Packed, n: int, c: Constants) -> None:  # noqa: PLR0915
     """Write the certificate of each visited pixel at the end of its piece."""
     use_widest_vectors()
     for j in range(n):
