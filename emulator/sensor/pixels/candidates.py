@@ -38,10 +38,10 @@ _U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _, _Y = (int(f) * BLOCK
 
 _U0, _V0, _L0, _G0, _A0, _A1, _S, _, _W0, _P0, _, _, _Y0 = BEFORE_ROWS
 
-BATCH, NOISY_BATCH = BLOCK, 5 * BLOCK
+BATCH, NOISY_BATCH = BLOCK, 3 * BLOCK
 """Candidates from which on the table is solved, without noise and with it; a block more fits."""
 
-MOST_WAITING = 1 * BLOCK
+MOST_WAITING = BLOCK
 """Pixels with noise in the table of substeps that wait for those of the next batch, for which there is room."""
 
 # Rows of the table, by their first index in the flat array.

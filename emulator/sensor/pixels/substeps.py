@@ -31,7 +31,7 @@ from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, sl
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 
-CAPACITY = 7 * BLOCK + 16
+CAPACITY = 5 * BLOCK + 16
 """Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
 
 STEP_ROWS = 20
