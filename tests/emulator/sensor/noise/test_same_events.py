@@ -205,15 +205,20 @@ def test_a_copied_state_goes_on_elsewhere(sensor):
     assert same(run(first, light, ends(5, 370, 70)), run(other, light, ends(5, 370, 70)))
 
 
-def test_other_pixels_do_not_matter():
+@pytest.mark.parametrize(
+    ("p", "light"),
+    [(LOUD, sine(0.5, 3.0)), (dataclasses.replace(LOUD, width=128, height=48), sine(2.0, 12.0))],
+    ids=["some pixels", "several batches in substeps"],
+)
+def test_other_pixels_do_not_matter(p, light):
     """A pixel's numbers are keyed by its place; its block's and its batch's other pixels have other light, or none."""
-    light, few = sine(0.5, 3.0), dataclasses.replace(LOUD, height=5)
-    whole, part = events_of(LOUD, light, ends(10, 300)), events_of(few, light, ends(10, 300))
+    few = dataclasses.replace(p, height=5)
+    whole, part = events_of(p, light, ends(10, 300)), events_of(few, light, ends(10, 300))
     below = whole.pixel < few.width * few.height
     assert np.array_equal(whole.rows()[below], part.rows())
-    array = begun(LOUD, light)
-    array.kill(np.arange(few.width * few.height, LOUD.width * LOUD.height))
-    array.reset(frame(LOUD, light, 0))
+    array = begun(p, light)
+    array.kill(np.arange(few.width * few.height, p.width * p.height))
+    array.reset(frame(p, light, 0))
     alone = run(array, light, ends(10, 300))
     assert np.array_equal(alone.rows(), part.rows())
 
