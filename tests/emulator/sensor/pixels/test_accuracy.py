@@ -1,6 +1,5 @@
 """The float32 kernels against the continuous-time pixel in float64, integrated finely, sharing no code with them."""
 
-import dataclasses
 from functools import lru_cache, partial
 
 import numpy as np
@@ -12,28 +11,15 @@ from scipy.special import erf
 from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
-from emulator.sensor.presets import ReadoutParameters, SensorParameters
+from emulator.sensor.presets import ReadoutParameters
+from tests.laboratory.accuracy.rows import row
 
 PIXELS = 60
 FINE_S = 2e-5
 
 
 def sensor(**changes):
-    plain = SensorParameters(
-        width=PIXELS,
-        height=1,
-        threshold_on=0.2,
-        threshold_off=0.2,
-        mismatch=0.03,
-        dark_current_relative=1e-4,
-        corner_hz_at_reference=300.0,
-        corner_min_hz=1.0,
-        corner_max_hz=3000.0,
-        leak_hz=0.1,
-        leak_spread=0.3,
-        readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-    )
-    return dataclasses.replace(plain, **changes)
+    return row(PIXELS, readout=ReadoutParameters(event_ns=80.0, row_ns=80), **changes)
 
 
 def sine(t, hz=20.0, swing=1.73):

@@ -3,7 +3,6 @@
 Held against the continuous-time truth in float64. The full list of assertions is in accuracy/test_assertions.py.
 """
 
-import dataclasses
 import pickle
 from functools import lru_cache
 
@@ -13,28 +12,17 @@ import pytest
 from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
-from emulator.sensor.presets import SensorParameters
 from laboratory.accuracy.scenes import BlurredCheckerboard, Flash, Flicker, MovingEdge, SineGrating
 from laboratory.accuracy.scores import Stream
 from laboratory.accuracy.truth import true_events
+from tests.laboratory.accuracy.rows import row
 
 MS = 1_000_000
 PIXELS, SEED, DURATION_S = 40, 3, 0.3
 
 
 def sensor(**changes):
-    plain = SensorParameters(
-        width=PIXELS,
-        height=1,
-        threshold_on=0.2,
-        threshold_off=0.2,
-        mismatch=0.03,
-        dark_current_relative=1e-4,
-        corner_hz_at_reference=300.0,
-        corner_min_hz=1.0,
-        corner_max_hz=3000.0,
-    )
-    return dataclasses.replace(plain, **changes)
+    return row(**{"pixels": PIXELS, "leak_hz": 0.0, "leak_spread": 0.0} | changes)
 
 
 @lru_cache
@@ -149,7 +137,7 @@ def run(array, times, here=slice(None), since_ns=0):
 
 def started(here=slice(None), since_ns=0, **changes):
     light, rate = picture(0)
-    array = PixelArray(sensor(width=light[here].size, leak_hz=3.0, **changes), SEED)
+    array = PixelArray(sensor(pixels=light[here].size, leak_hz=3.0, **changes), SEED)
     array.reset(LightFrame(since_ns, light[None, here].copy(), rate[None, here].copy()))
     return array
 
@@ -204,7 +192,7 @@ def test_a_slope_that_is_not_one_is_a_slope_that_is_not_known(bad):
 
 
 def test_slopes_that_contradict_the_light_end_and_stay_finite():
-    array, rng = PixelArray(sensor(width=1000), SEED), np.random.default_rng(5)
+    array, rng = PixelArray(sensor(pixels=1000), SEED), np.random.default_rng(5)
     array.reset(LightFrame(0, np.ones((1, 1000), np.float32)))
     for k in range(1, 30):
         light = np.exp(rng.normal(0, 3, (1, 1000))).astype(np.float32)
