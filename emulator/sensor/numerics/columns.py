@@ -11,8 +11,8 @@ the stores never meet the reads. `put` and `take` declare that for `fetch` and `
 `fetch` and `pick` read must not be written in the same loop. A plain load of `rows` in such a loop would join both
 sets.
 
-Fast because 16 look-ups then are one gather: with 32-bit indices, as 64-bit ones make it 8 at a time. A gather takes
-1.5 cycles a lane wherever its entries are, and most look-ups interpolate: so two neighbours are packed in one word.
+Fast because 16 look-ups then are one gather: with 32-bit indices, as 64-bit ones make it 8 at a time. Gathers
+were half of the time of `passages`, and most look-ups interpolate: so two neighbours are packed in one word.
 
     bits 0 to 15     the entry                e in bits 11 to 15, m in bits 0 to 10: (1 + m / 2048) 2^(e - 26)
     bits 16 to 31    the one behind it        the same
