@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.rig.kinds import CAMERA_MODELS
+from emulator.rig.quality import check_rung, with_rung
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
@@ -78,6 +79,10 @@ class Rig(Bounded):
     second_camera: SecondCamera | None = None
     source: RigSource | None = field(default=None, compare=False, repr=False)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_rung(self)
+
 
 def shipped_rigs() -> dict[str, Path]:
     """Return the rigs that come with evstim, by name."""
@@ -119,7 +124,7 @@ def read_rig(path: Path) -> str:
 
 def rig_of_table(table: dict[str, Any], name: str, folder: Path) -> Rig:
     """Make a rig of the tables of a rig file that lies in `folder`; raises TableError."""
-    values = values_of(table)
+    values = values_of(with_rung(table))
     title = name if values["title"] is None else values["title"]
     return beside(Rig(name, **{**values, "title": title}), folder)
 

@@ -116,6 +116,8 @@ class Run:
         and effects that change less are left out (`evstim plan`). 0: steps of `step_us`, nothing left out.
     tolerated_wrong_share : with `tolerance_us`: share of the events that may be wrong, missing or invented. 1: times
         alone limit steps.
+    quality : rung from the most accurate, 0, to the fastest, 5, which stands for other keys: `drawing_us` of bodies and
+        terrain is 1, 2, 4, 4, 8 or 16 steps. `evstim plan` shows all, `evstim tune` what each costs here. -1: none.
     """
 
     seconds: Annotated[float, Meta(ge=0, le=3.2e7)] = 0.0
@@ -134,6 +136,7 @@ class Run:
     threads: Annotated[int, Meta(ge=0, le=64)] = 0
     tolerance_us: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
     tolerated_wrong_share: Share = 0.01
+    quality: Annotated[int, Meta(ge=-1, le=5)] = -1
 
     def __post_init__(self) -> None:
         check_bounds(self)

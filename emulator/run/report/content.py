@@ -224,7 +224,7 @@ def numbers(of: ReportContent) -> dict[str, Any]:
         "schema": SCHEMA, "verdict": of.verdict, "words": verdict_words(of.rules), **of.summary,
         "rules": [rule.as_json() for rule in of.rules], "title": of.rig.title, "test": circumstances.test,
         "rig_file": rig_file(of.rig), "began": _date(circumstances.began), "ended": _date(circumstances.ended),
-        "settings": {"seed": of.rig.run.seed, "pace": of.rig.run.pace, "step_us": of.rig.run.step_us},
+        "settings": {key: getattr(of.rig.run, key) for key in ("seed", "pace", "step_us", "quality")},
         "modelled": None if circumstances.modelled is None else circumstances.modelled.as_json(),
         "timeline": _timeline(of), "pixels": pixel_counts(of.seen), "environment": machine,
         "run": {"evstim": of.version, "machine": machine["system"], "python": machine["python"]},

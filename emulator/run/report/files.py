@@ -154,6 +154,7 @@ def _run(of: ReportContent) -> Section:
         "seed": str(run.seed),
         "pace": run.pace,
         "step": f"{run.step_us} us",
+        "quality": "none" if run.quality < 0 else str(run.quality),
         "stream time": f"{result.sim_seconds:.3f} s in {result.wall_seconds:.3f} s",
         "light frames": result.frames,
         "late steps": f"{late.frames_late} of {result.steps}, worst {late.worst_gap_us:.0f} us",

@@ -1,0 +1,95 @@
+"""Rungs of accuracy against speed: `run.quality` of a rig stands for some keys, which a rig can also give alone.
+
+    rung   run.drawing_us, in steps   camera.sensor.noise.law
+    0      1                          passages
+    1      2                          passages
+    2      4                          passages
+    3      4                          offsets
+    4      8                          offsets
+    5      16                         offsets
+
+Scenes of bodies and terrain alone have exact drawings, and so the first key. A rung changes no value that a rig gives.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from emulator.rig.tables import Run
+from emulator.sensor.parameters import NoiseParameters
+from emulator.tables.toml_text import dotted
+from emulator.tables.typed_table import TableError
+
+_STEPS = (1, 2, 4, 4, 8, 16)
+_FIRST_BY_OFFSETS = 3
+_DRAWING, _LAW = ("run", "drawing_us"), ("camera", "sensor", "noise", "law")
+_DRAWN = ("bodies", "terrain")
+_HAS_LAW = "law" in {field.name for field in dataclasses.fields(NoiseParameters)}
+
+RUNGS = range(len(_STEPS))
+"""Rungs, the most accurate first."""
+
+
+def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str, ...], int | str]:
+    """Return the keys that a rung stands for, each with its value."""
+    keys: dict[tuple[str, ...], int | str] = {}
+    if scene_kind in _DRAWN:
+        keys[_DRAWING] = _STEPS[quality] * step_us
+    if _HAS_LAW:
+        keys[_LAW] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
+    return keys
+
+
+def left_out(quality: int, scene_kind: str) -> str:
+    """Return the parts that a rung leaves out, in words; "" for none."""
+    skipped, parts = _STEPS[quality] - 1, list[str]()
+    if scene_kind in _DRAWN and skipped:
+        parts.append(f"{skipped} of {skipped + 1} exact drawings")
+    if _HAS_LAW and quality >= _FIRST_BY_OFFSETS:
+        parts.append("memory of the noise")
+    return ", ".join(parts)
+
+
+def with_rung(table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the tables of a rig with the keys that `run.quality` stands for.
+
+    A quality, or a key that it depends on, which is no valid value stays for the reader of its table to refuse. Raises
+    TableError where the rig gives another value for such a key.
+    """
+    run, scene = table.get("run"), table.get("scene")
+    if not isinstance(run, dict) or not isinstance(scene, dict):
+        return table
+    quality, step_us = run.get("quality", -1), run.get("step_us", Run.step_us)
+    if type(quality) is not int or type(step_us) is not int or quality not in RUNGS:
+        return table
+    table = copy.deepcopy(dict(table))
+    for path, value in rung_keys(quality, str(scene.get("kind")), step_us).items():
+        inner: Any = table
+        for name in path[:-1]:
+            inner = inner.setdefault(name, {})
+            if not isinstance(inner, dict):
+                return table
+        if (given := inner.setdefault(path[-1], value)) != value:
+            raise TableError(_contrary(quality, path, value, given), path)
+    return table
+
+
+def check_rung(rig: Any) -> None:
+    """Raise ValueError where a rig has another value than its `run.quality` stands for."""
+    quality = rig.run.quality
+    for path, value in rung_keys(quality, rig.scene.kind, rig.run.step_us).items() if quality in RUNGS else ():
+        given = rig
+        for name in path:
+            given = getattr(given, name)
+        if given != value:
+            raise ValueError(f"{dotted(path)}: {_contrary(quality, path, value, given)}")
+
+
+def _contrary(quality: int, path: tuple[str, ...], value: object, given: object) -> str:
+    return (
+        f"run.quality = {quality} stands for {dotted(path)} = {value!r}, and the rig gives {given!r}: leave out one of "
+        "both, or take another rung"
+    )
