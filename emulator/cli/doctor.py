@@ -27,9 +27,9 @@ from emulator.cli.rigs import examined_needs
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.assembly import build_scene, plan_of
-from emulator.run.expected_speed import expected_speed
 from emulator.run.kernels import CODER, DECODER, EVT, parts_of, uncompiled
 from emulator.run.machine import examine, kernel_cache
+from emulator.run.trial import INSTANTS, trial
 from transports.needs import Finding
 
 
@@ -77,19 +77,18 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
     if not lacks:
         prepared(parts_of(rig))
         with build_scene(rig) as scene:
-            speed = expected_speed(rig, scene, None if SCENES[rig.scene.kind].events else plan_of(rig, scene))
-        verdict = "runs" if speed.cost.factor > 1 else "does NOT run"
-        sentence = f"{rig.name} {verdict} in real time on this machine: {speed.line}"
+            speed = trial(rig, scene, None if SCENES[rig.scene.kind].events else plan_of(rig, scene), INSTANTS)
+        sentence = f"{rig.name} {speed.verdict(rig)}"
     value = {
         "findings": [need.finding for need in needed],
         "rig": rig.name,
         "needs": [need.as_json() for need in needed],
-        "real_time": None if speed is None else speed.cost.factor > 1,
-        "times_real_time": None if speed is None else speed.cost.factor,
+        "real_time": None if speed is None else speed.factor > 1,
+        "times_real_time": None if speed is None else speed.factor,
         "expected": None if speed is None else speed.as_json(),
     }
     print_result(as_json, value, [sentence])
-    return LACKING if speed is None else GOOD if speed.cost.factor > 1 else BAD_VERDICT
+    return LACKING if speed is None else GOOD if speed.factor > 1 else BAD_VERDICT
 
 
 def _prepare(names: Sequence[str]) -> None:

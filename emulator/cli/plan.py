@@ -12,8 +12,8 @@ from emulator.plan.plan import Decision, Plan, line_loads
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import load_rig
 from emulator.run.assembly import build_scene, plan_of
-from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.kernels import parts_of
+from emulator.run.trial import INSTANTS, Trial, trial
 from emulator.scene.between import OFTEN, SELDOM
 
 _METHODS = {
@@ -36,7 +36,7 @@ def plan(rig: RigName, /, *, json: Json = False) -> int:
         prepared(parts_of(loaded))
         with build_scene(loaded) as scene:
             planned = plan_of(loaded, scene)
-            speed = expected_speed(loaded, scene, planned)
+            speed = trial(loaded, scene, planned, INSTANTS)
             is_between = scene.refines
     as_json = {**_as_json(planned), "light_between_drawings": is_between, "speed": speed.as_json()}
     print_result(json, as_json, _lines(planned, speed, is_between))
@@ -61,7 +61,7 @@ def _finite(table: dict[str, object]) -> dict[str, object]:
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
 
 
-def _lines(planned: Plan, speed: ExpectedSpeed, is_between: bool) -> Iterator[str]:
+def _lines(planned: Plan, speed: Trial, is_between: bool) -> Iterator[str]:
     """Yield the plan for people; `is_between`: light is moved between drawings."""
     p = planned.probe
     steps, sensor = planned.steps, planned.rig.camera.sensor

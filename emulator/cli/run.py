@@ -35,12 +35,13 @@ from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals,
 from emulator.light import Scene
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.rig.remarks import remarks
-from emulator.run.assembly import build_scene, build_session, link_setups, loads_of, schedule
+from emulator.run.assembly import build_scene, build_session, link_setups, loads_of, plan_of, schedule
 from emulator.run.control import ReadySignal, fault_injection
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
 from emulator.run.pacing import SimulationDrive
 from emulator.run.session import Session
+from emulator.run.trial import runs_alone, trial
 from firmware_protocol.events import Events
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
@@ -202,10 +203,8 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
     reporting, simulation = parts.reporting, parts.simulation
     truth = parts.truth or Truth(rig, files.truth, files.truth_every)
     with build_scene(rig) as scene, truth.begin() as truth_file:
-        if show and scene.renderer:
-            console.print(f"renderer: {scene.renderer}")
-        for note in _notes(rig, scene, is_driven=simulation is not None) if show else ():
-            console.print(f"note: {note}", markup=False)
+        for line in _first_lines(rig, scene, is_driven=simulation is not None) if show else ():
+            console.print(line, markup=False)
         if reporting:
             reporting.plan(scene, is_driven=simulation is not None)
         serving = OptionalPage(rig, files.serve, parts.repeats)
@@ -249,12 +248,21 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
             return session.run(dataclasses.replace(schedule(rig), simulation=simulation), report, take)
 
 
-def _notes(rig: Rig, scene: Scene, *, is_driven: bool) -> Iterator[str]:
-    """Yield remarks on a rig and its scene, and the load of each line that carries less than all expected events."""
-    yield from (*remarks(rig), *scene.notes)
+def _first_lines(rig: Rig, scene: Scene, *, is_driven: bool) -> Iterator[str]:
+    """Yield whether a run is too slow here, its renderer, remarks, and each line that carries not all expected events.
+
+    A run in real time is tried before; that of poses or light from outside is not.
+    """
+    if rig.run.pace == "realtime" and not is_driven and runs_alone(rig):
+        speed = trial(rig, scene, plan_of(rig, scene) if rig.run.tolerance_us else None)
+        if speed.factor < 1:
+            yield f"{rig.name} {speed.verdict(rig)}"
+    if scene.renderer:
+        yield f"renderer: {scene.renderer}"
+    yield from (f"note: {note}" for note in (*remarks(rig), *scene.notes))
     for load in loads_of(rig, None if is_driven else scene):
         if load.share is not None and load.share < 1:
-            yield load.line
+            yield f"note: {load.line}"
 
 
 def _stop(session: Session, repeats: Repeats | None) -> None:

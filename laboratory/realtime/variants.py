@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, find_rig, load_rig, read_rig, rig_of_table
 from emulator.run.assembly import build_scene
+from emulator.run.trial import runs_alone
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.tables.toml_text import read_toml
 from emulator.threads import available_threads
@@ -108,16 +108,11 @@ def distinct(rigs: Iterable[str]) -> dict[str, list[str]]:
     """
     alike: dict[str, list[str]] = {}
     for rig in rigs:
-        if _runs_alone(load_rig(rig)):
+        if runs_alone(load_rig(rig)):
             same = json.dumps(variant_of(rig, SIZES[0]).tables, sort_keys=True)
             alike.setdefault(same, []).append(rig)
     groups = [sorted(group, key=_rank) for group in alike.values()]
     return {first: others for first, *others in groups}
-
-
-def _runs_alone(rig: Rig) -> bool:
-    path = getattr(rig.scene, "camera", None)
-    return not SCENES[rig.scene.kind].events and getattr(path, "kind", "") not in ("live", "basilisk")
 
 
 def _rank(rig: str) -> tuple[bool, int, str]:

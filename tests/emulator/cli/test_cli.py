@@ -13,7 +13,7 @@ from PIL import Image
 from emulator.cli import doctor
 from emulator.cli.app import _main
 from emulator.cli.verbs import VERBS
-from emulator.run.expected_speed import ExpectedSpeed, StepCost
+from emulator.run.trial import Trial
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
 from transports.link.deliveries import digest_of
@@ -144,16 +144,15 @@ def test_doctor_tells_whether_a_rig_runs_in_real_time(step_us, rig, capsys):
     assert told["real_time"] is in_real_time
     assert code == (0 if in_real_time else 1)
     assert step_us > 1 or not in_real_time  # no machine makes a million steps a second
-    assert told["expected"]["links_s"] > 0
+    assert told["expected"]["pixels_s"] > 0
 
 
 def test_a_verdict_has_the_speed_and_what_would_mend_it(rig, monkeypatch, capsys):
-    slow = ExpectedSpeed(StepCost(1e-3, 2e-3, 1e-3, 1e-3), ("run.step_us = 9000",))
-    monkeypatch.setattr(doctor, "expected_speed", lambda *_: slow)
+    monkeypatch.setattr(doctor, "trial", lambda *_: Trial(1e-3, 3e-3, 1e-3))
     assert _main(["doctor", str(rig)]) == 1
     sentence = capsys.readouterr().out.splitlines()[-1]
-    assert sentence.startswith(f"{rig.stem} does NOT run in real time on this machine: 0.25 times real time expected")
-    assert sentence.endswith("run.step_us = 9000 would make it real time")
+    assert sentence.startswith(f"{rig.stem} does NOT run in real time on this machine: 0.25 times real time in a trial")
+    assert sentence.endswith(f"`evstim tune {rig}` shows what would")
 
 
 def test_an_interrupt_within_a_kernel_is_one(rig, monkeypatch, capsys):
@@ -162,7 +161,7 @@ def test_an_interrupt_within_a_kernel_is_one(rig, monkeypatch, capsys):
     def interrupted(*_):
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr(doctor, "expected_speed", interrupted)
+    monkeypatch.setattr(doctor, "trial", interrupted)
     monkeypatch.setattr("emulator.cli.app.ignore_stop_signals", lambda: None)
     assert _main(["doctor", str(rig)]) == 1
     assert "interrupted" in capsys.readouterr().err

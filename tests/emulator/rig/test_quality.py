@@ -40,7 +40,7 @@ def test_a_rung_changes_no_value_that_a_rig_gives():
     with pytest.raises(RigError, match=r"line 8: run.drawing_us: run.quality = 2 stands for .* = 20000, .* gives 5000"):
         made(2, "drawing_us = 5000\n")
     rig = made(2)
-    with pytest.raises(ValueError, match="quality = 2 stands for run.drawing_us = 40000, and the rig gives 20000"):
+    with pytest.raises(ValueError, match=r"= 2 stands for run.drawing_us = 40000, and the rig gives 20000"):
         dataclasses.replace(rig, run=dataclasses.replace(rig.run, step_us=10_000))
 
 
