@@ -46,7 +46,7 @@ from emulator.report.pictures import deep_png
 from emulator.rig.loading import Rig, find_rig, parse_rig, read_rig
 from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.truth.source import RunTruth, TruthArrays, TruthFile, TruthRefused
-from emulator.tables.toml_text import KeyPath, dotted
+from emulator.tables.toml_text import KeyPath, dotted, toml_of
 from emulator.tables.typed_table import TableError
 from firmware_protocol.events import Events, Float32s, Floats, Int64s, Kept, Mask, UInt16s, make_events
 from transports.link.pacing import MonotonicClock
@@ -66,7 +66,6 @@ _REFUSED = {
     ),
 }
 _REFINEMENTS = 4  # of the place at the end of a step; each leaves the error times half a step and the flow's gradient
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True)
@@ -111,8 +110,7 @@ def dataset_source(rig: str | Path, file: Path, sequences: Sequences) -> Source:
     content = {"rig": named, "truth": dataclasses.asdict(truth), "set": settings}
     count = _COUNT if sequences.count is None and table.get("sampling") != "grid" else sequences.count
     table = {"seed": sequences.seed} | table | ({} if count is None else {"count": count}) | content
-    text = "".join(f"{_toml(key)} = {_toml(value)}\n" for key, value in table.items())
-    return Source(str(file), text, str(rig_file), rig_text, *author)
+    return Source(str(file), toml_of(table), str(rig_file), rig_text, *author)
 
 
 def _check_varied(table: Mapping[str, Any]) -> None:
@@ -136,18 +134,6 @@ def _step_us(step_us: int, rate_hz: float) -> int:
     if abs(period_us * rate_hz - 1e6) > 1e-3:
         return min(step_us, int(1e6 / rate_hz))
     return next(step for step in range(min(step_us, period_us), 0, -1) if period_us % step == 0)
-
-
-def _toml(value: Any) -> str:
-    """Return a value on one line of TOML."""
-    if isinstance(value, Mapping):
-        items = (f"{key if _BARE_KEY.fullmatch(key) else _toml(key)} = {_toml(item)}" for key, item in value.items())
-        return "{" + ", ".join(items) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON leaves this one as it is
-    return str(value).lower()
 
 
 def sequence_path(folder: Path, index: int, truth: SequenceTruth) -> Path:

@@ -54,7 +54,7 @@ def fault(
     if kind is None:
         print_result(json, faults, _listed(faults))
         return GOOD
-    table = {"kind": kind, **_keys(keys)}
+    table = {"kind": kind, **keys_of(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
     injected = answer_of(path, {"request": "inject", "fault": table})
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
@@ -107,7 +107,7 @@ def _listed(faults: dict[str, Any]) -> Iterator[str]:
             yield f"  {fault_line(FaultRecord(**record))}"
 
 
-def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
+def keys_of(keys: tuple[str, ...]) -> dict[str, Any]:
     """Return KEY=VALUE pairs as a table; values as in a rig, and plain words as text."""
     table = {}
     for key in keys:

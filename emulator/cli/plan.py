@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.output import GOOD, Json, RigName, print_result
+from emulator.cli.output import GOOD, Json, RigName, aligned, print_result
 from emulator.plan.plan import Decision, Plan, line_loads
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import load_rig
@@ -111,8 +111,7 @@ def _effects(planned: Plan) -> list[str]:
     eps, share = _us(planned.tolerance.eps_us), f"{planned.tolerance.wrong_share:g}"
     rows = [("effect", "verdict", f"time error (< {eps})", f"wrong events (< {share})", "bound")]
     rows += [_row(decision, planned) for decision in planned.decisions]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return aligned(rows)
 
 
 def _row(decision: Decision, planned: Plan) -> tuple[str, str, str, str, str]:

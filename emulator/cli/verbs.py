@@ -44,6 +44,7 @@ _VERBS = {
     "Rigs": {
         "rigs": (f"{_CLI}.rigs:rigs", "List the rigs that are installed with evstim."),
         "check": (f"{_CLI}.rigs:check", "Check a rig file without running it."),
+        "tune": (f"{_CLI}.tune:tune", "Choose the rung of run.quality that runs in real time on this machine."),
         "plan": (f"{_CLI}.plan:plan", "Show the plan of a run: step, effects and expected load."),
         "schema": (f"{_CLI}.rigs:schema", "Print the JSON Schema of rig files, or of reports."),
     },

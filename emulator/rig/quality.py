@@ -5,8 +5,8 @@
     1      2                          passages
     2      4                          passages
     3      4                          offsets
-    4      8                          offsets
-    5      16                         offsets
+    4      6                          offsets
+    5      8                          offsets
 
 Scenes of bodies and terrain alone have exact drawings, and so the first key. A rung changes no value that a rig gives.
 """
@@ -23,7 +23,7 @@ from emulator.sensor.parameters import NoiseParameters
 from emulator.tables.toml_text import dotted
 from emulator.tables.typed_table import TableError
 
-_STEPS = (1, 2, 4, 4, 8, 16)
+_STEPS = (1, 2, 4, 4, 6, 8)
 _FIRST_BY_OFFSETS = 3
 _DRAWING, _LAW = ("run", "drawing_us"), ("camera", "sensor", "noise", "law")
 _DRAWN = ("bodies", "terrain")
@@ -72,8 +72,8 @@ def with_rung(table: Mapping[str, Any]) -> Mapping[str, Any]:
             inner = inner.setdefault(name, {})
             if not isinstance(inner, dict):
                 return table
-        if (given := inner.setdefault(path[-1], value)) != value:
-            raise TableError(_contrary(quality, path, value, given), path)
+        if (other := inner.setdefault(path[-1], value)) != value:
+            raise TableError(_contrary(quality, path, value, other), path)
     return table
 
 
@@ -81,15 +81,15 @@ def check_rung(rig: Any) -> None:
     """Raise ValueError where a rig has another value than its `run.quality` stands for."""
     quality = rig.run.quality
     for path, value in rung_keys(quality, rig.scene.kind, rig.run.step_us).items() if quality in RUNGS else ():
-        given = rig
+        other = rig
         for name in path:
-            given = getattr(given, name)
-        if given != value:
-            raise ValueError(f"{dotted(path)}: {_contrary(quality, path, value, given)}")
+            other = getattr(other, name)
+        if other != value:
+            raise ValueError(_contrary(quality, path, value, other))
 
 
-def _contrary(quality: int, path: tuple[str, ...], value: object, given: object) -> str:
+def _contrary(quality: int, path: tuple[str, ...], value: object, other: object) -> str:
     return (
-        f"run.quality = {quality} stands for {dotted(path)} = {value!r}, and the rig gives {given!r}: leave out one of "
+        f"run.quality = {quality} stands for {dotted(path)} = {value!r}, and the rig gives {other!r}: leave out one of "
         "both, or take another rung"
     )

@@ -83,14 +83,14 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     from emulator.optics.through import Through
 
     seen = veiled(build(size, lens, chip) if kind.lens == "own" else Through(lens, chip, size, build, threads), lens)
-    return _drawn_seldom(seen, rig.run)
+    return drawn_seldom(seen, rig.run)
 
 
 _LEAST_PX = 16  # a side: smaller frames are drawn in no time
 _EACH_IS_DRAWN = "each light frame of this scene, path or method is drawn"
 
 
-def _drawn_seldom(scene: Scene, run: Run) -> Scene:
+def drawn_seldom(scene: Scene, run: Run) -> Scene:
     """Return a scene whose light frames between exact drawings follow the motion of its surfaces, where that is right.
 
     Each frame is drawn where poses come from outside, for the rule of another simulator, with a tolerance of times

@@ -14,16 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.light import Scene, SceneError
+from emulator.light import Scene, SceneError, SceneFrames
 from emulator.plan.plan import Plan
 from emulator.rig.loading import Rig, shipped_rigs
 from emulator.run.assembly import build_frames, build_sensor, is_drawn_here
+from emulator.sensor.sensor import EventSource
 from firmware_protocol.events import Floats
-
-_LONG_S = 0.7
 
 INSTANTS = 4
 """Instants of a trial that is not in the way of a run."""
+_LONG_S = 0.7
 
 
 @dataclass(frozen=True)
@@ -54,23 +54,41 @@ class Trial:
             return f"runs in real time on this machine: {self.line}"
         path = None if rig.source is None else Path(rig.source.path)
         name = rig.name if path is None or path == shipped_rigs().get(rig.name) else str(path)
-        help_text = f"`evstim tune {shlex.quote(name)}` shows what would"
-        return f"does NOT run in real time on this machine: {self.line}; {help_text}"
+        remedy = f"`evstim tune {shlex.quote(name)}` shows what would"
+        return f"does NOT run in real time on this machine: {self.line}; {remedy}"
 
     def as_json(self) -> dict[str, float]:
-        """Return the object `speed` of `evstim plan --json` and `evstim doctor --json`."""
+        """Return the object `speed` of `evstim plan --json`, and `expected` of `evstim doctor --json`."""
         return {"times_real_time": self.factor, **dataclasses.asdict(self)}
 
 
 def runs_alone(rig: Rig) -> bool:
     """Return whether neither light nor poses of a rig come from another program, nor its events from a recording."""
-    paths = [getattr(table, name, None) for table, name in _with_paths(rig)]
-    from_outside = {getattr(path, "kind", "") for path in paths} & {"live", "basilisk"}
-    return is_drawn_here(rig) and rig.scene.kind != "ros2" and not from_outside
+    paths = [getattr(rig.scene, "camera", None), *(body.path for body in getattr(rig.scene, "bodies", ()))]
+    is_driven = any(getattr(path, "kind", "") in ("live", "basilisk") for path in paths)
+    return is_drawn_here(rig) and rig.scene.kind != "ros2" and not is_driven
 
 
-def _with_paths(rig: Rig) -> list[tuple[object, str]]:
-    return [(rig.scene, "camera"), *((body, "path") for body in getattr(rig.scene, "bodies", ()))]
+def step_costs(frames: SceneFrames, source: EventSource, t_ns: int, step_ns: int, wall_s: float) -> list[Floats]:
+    """Return the wall time of light frame and pixels, (2,) s, of each step from `t_ns` on that begins in `wall_s`.
+
+    There is at least one step; raises SceneError where it cannot be drawn.
+    """
+    source.reset(frames.draw(t_ns))
+    costs_s, end_s = list[Floats](), time.perf_counter() + wall_s
+    while not costs_s or time.perf_counter() < end_s:
+        t_ns += step_ns
+        begun_s = time.perf_counter()
+        try:
+            frame = frames.draw(t_ns)
+        except SceneError:  # a scene may end before the trial
+            if not costs_s:
+                raise
+            break
+        drawn_s = time.perf_counter()
+        source.expose(frame)
+        costs_s.append(np.array([drawn_s - begun_s, time.perf_counter() - drawn_s]))
+    return costs_s
 
 
 def trial(rig: Rig, scene: Scene, plan: Plan | None = None, instants: int = 1) -> Trial:
@@ -85,20 +103,7 @@ def trial(rig: Rig, scene: Scene, plan: Plan | None = None, instants: int = 1) -
     step_ns = round((rig.run.step_us if plan is None else plan.steps.step_us) * 1000)
     for k in range(instants):
         t_ns = round(k / instants * (rig.run.seconds or 10.0) * 1e9)
-        source.reset(frames.draw(t_ns))
-        here_s, end_s = list[Floats](), time.perf_counter() + _LONG_S / instants
-        while not here_s or time.perf_counter() < end_s:
-            t_ns += step_ns
-            begun_s = time.perf_counter()
-            try:
-                frame = frames.draw(t_ns)
-            except SceneError:  # a scene may end before the trial
-                if not here_s:
-                    raise
-                break
-            drawn_s = time.perf_counter()
-            source.expose(frame)
-            here_s.append(np.array([drawn_s - begun_s, time.perf_counter() - drawn_s]))
+        here_s = step_costs(frames, source, t_ns, step_ns, _LONG_S / instants)
         costs_s += here_s[1:] or here_s
     cameras = 1 if rig.second_camera is None else 2
     return Trial(step_ns * 1e-9, *(cameras * float(part_s) for part_s in np.mean(costs_s, axis=0)))

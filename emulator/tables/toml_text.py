@@ -7,9 +7,10 @@ bounded length.
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ def shortened(error: BaseException) -> str:
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([A-Za-z0-9_.\-\" ]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"^\s*([A-Za-z0-9_\-\"]+(?:\s*\.\s*[A-Za-z0-9_\-\"]+)*)\s*=")
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 _GIVEN_TWICE = re.compile(r"Cannot overwrite|Cannot declare .* twice|Duplicate")
 
 KeyPath = tuple[str | int, ...]
@@ -90,6 +92,25 @@ def _given_twice(text: str, error: ValueError) -> TomlError:
             return TomlError(f"{repeated} is given twice, first in line {first[path]}: {remedy}", line)
         first[path] = line
     return TomlError(f"not valid TOML: a key or a table is given twice, leave one out: {shortened(error)}")
+
+
+def toml_of(tables: Mapping[str, Any]) -> str:
+    """Return tables, as `read_toml` gives them, as TOML text: a line for each key of the top level."""
+    return "".join(f"{toml_value(key)} = {toml_value(value)}\n" for key, value in tables.items())
+
+
+def toml_value(value: Any) -> str:
+    """Return a value on one line of TOML."""
+    if isinstance(value, Mapping):
+        items = (
+            f"{key if _BARE.fullmatch(key) else toml_value(key)} = {toml_value(item)}" for key, item in value.items()
+        )
+        return "{" + ", ".join(items) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON leaves this one as it is
+    return str(value).lower()
 
 
 def dotted(path: KeyPath) -> str:

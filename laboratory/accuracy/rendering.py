@@ -34,6 +34,7 @@ from emulator.optics.glare import veiled
 from emulator.optics.through import Through
 from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import Rig
+from emulator.run.tuning import quiet
 from emulator.scene.between import LightBetween
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
@@ -41,8 +42,6 @@ from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import TerrainParameters
-from emulator.sensor.parameters import NoiseParameters
-from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import empty_events
 from laboratory.accuracy.sampled_scenes import SampledBodies, SampledTerrain
@@ -226,11 +225,6 @@ class Look:
 def _since(first_ns: int, at: PixelLight | None) -> PixelLight | None:
     """Return the light of single pixels by the time since `first_ns`."""
     return None if at is None else (lambda t_ns, pixels: at(first_ns + t_ns, pixels))
-
-
-def quiet(sensor: SensorParameters) -> SensorParameters:
-    """Return a sensor without leak and noise, whose events follow from the light alone."""
-    return dataclasses.replace(sensor, leak_hz=0.0, noise=NoiseParameters())
 
 
 def fits(rig: Rig) -> bool:

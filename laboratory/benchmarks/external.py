@@ -27,7 +27,7 @@ from emulator.scene.external.table import ExternalParameters
 from evstim.renderer import Renderer
 from firmware_protocol.renderer import Camera
 from laboratory.accuracy.rendering import Look, Stretch, comb_of
-from laboratory.accuracy.scores import PixelEvents, Stream, common_subsequences, compare
+from laboratory.accuracy.scores import Stream, compare
 from transports.renderer import RendererServer
 
 app = App(name="external")
@@ -98,11 +98,9 @@ def truth_of(shown: Look, folder: Path | None) -> Stream:
 
 def row(name: str, stream: Stream, truth: Stream, period_us: float) -> str:
     """Return a row of the table."""
-    ours, true = (PixelEvents(s.t_us, s.on, s.first) for s in (stream, truth))
-    common, scores = int(common_subsequences(ours, true).sum()), compare(stream, truth)
-    wrong = (len(stream) + len(truth) - 2 * common) / 2 / len(truth)
-    middle = comb_of(stream.t_us, period_us).middle_share
-    return f"| {name} | {wrong:.2%} | {scores.t50_us / 1000:.3f} | {scores.t95_us / 1000:.2f} | {middle:.3f} |"
+    scores, middle = compare(stream, truth), comb_of(stream.t_us, period_us).middle_share
+    times = f"{scores.t50_us / 1000:.3f} | {scores.t95_us / 1000:.2f}"
+    return f"| {name} | {scores.wrong_events / 2:.2%} | {times} | {middle:.3f} |"
 
 
 @app.command

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 import evstim
 from emulator.rig.loading import Rig, load_rig
-from laboratory.accuracy.rendering import quiet
+from emulator.run.tuning import quiet
 from laboratory.accuracy.scores import Stream
 
 

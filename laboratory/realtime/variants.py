@@ -18,7 +18,7 @@ from emulator.rig.loading import Rig, find_rig, load_rig, read_rig, rig_of_table
 from emulator.run.assembly import build_scene
 from emulator.run.trial import runs_alone
 from emulator.scene.terrain.table import TerrainParameters
-from emulator.tables.toml_text import read_toml
+from emulator.tables.toml_text import read_toml, toml_of
 from emulator.threads import available_threads
 
 
@@ -156,22 +156,3 @@ def _steps(rig: Rig) -> Iterator[Setting]:
 def _has_rate(rig: Rig) -> bool:
     with build_scene(rig, _SMALLEST) as scene:
         return scene.has_rate
-
-
-def toml_of(tables: Mapping[str, Any]) -> str:
-    """Return tables, as `read_toml` gives them, as TOML text: a line for each key of the top level."""
-    return "".join(f"{_string(key)} = {_value(value)}\n" for key, value in tables.items())
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_string(key)} = {_value(element)}" for key, element in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return _string(value) if isinstance(value, str) else str(value)
-
-
-def _string(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

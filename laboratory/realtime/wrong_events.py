@@ -23,9 +23,10 @@ import numpy as np
 from emulator.light import LightFrame, PixelLight, Scene
 from emulator.rig.loading import Rig
 from emulator.run.assembly import build_frames, build_scene, build_sensor, build_steps, planned_sensor
+from emulator.run.tuning import quiet
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.events import empty_events
-from laboratory.accuracy.rendering import Look, Stretch, comb_of, false_and_missed, fits, looks_of, quiet
+from laboratory.accuracy.rendering import Look, Stretch, comb_of, false_and_missed, fits, looks_of
 from laboratory.accuracy.sampled_scenes import SampledBoard
 from laboratory.accuracy.scores import Stream, compare
 from laboratory.realtime.variants import Variant

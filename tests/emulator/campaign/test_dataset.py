@@ -19,13 +19,14 @@ from scipy.spatial.transform import Rotation
 
 import evstim
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.dataset import Sequences, _toml, dataset_source, displacement
+from emulator.campaign.dataset import Sequences, dataset_source, displacement
 from emulator.campaign.loading import SequenceTruth
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.campaign.table import begin_folder
 from emulator.cli.app import _main
 from emulator.rig.loading import shipped_rigs
 from emulator.run.truth.source import TruthFile
+from emulator.tables.toml_text import toml_value
 from tests.hdf5_times import timed_objects
 from transports.recording.files import read_events
 
@@ -412,7 +413,7 @@ VALUES = st.recursive(
 
 @given(VALUES)
 def test_values_on_one_line_of_toml_are_read_as_they_were(value):
-    line = f"value = {_toml(value)}"
+    line = f"value = {toml_value(value)}"
     assert "\n" not in line
     assert tomllib.loads(line) == {"value": value}
 

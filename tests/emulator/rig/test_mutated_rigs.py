@@ -8,8 +8,8 @@ from contextlib import suppress
 
 from emulator.rig.loading import RigError, parse_rig, shipped_rigs
 from emulator.rig.top_level import TOP_LEVEL
+from emulator.tables.toml_text import toml_of
 from emulator.tables.typed_table import field_types
-from laboratory.realtime.variants import toml_of
 
 SHIPPED = {name: tomllib.loads(path.read_text()) for name, path in shipped_rigs().items()}
 VALUES = (

@@ -18,7 +18,7 @@ def made(quality, more=""):
 def test_a_rung_is_a_set_of_keys_that_a_rig_can_also_give(quality):
     by_rung = made(quality)
     given = {path[-1]: value for path, value in rung_keys(quality, "bodies", 5000).items()}
-    assert by_rung.run.drawing_us == given["drawing_us"] == (1, 2, 4, 4, 8, 16)[quality] * 5000
+    assert by_rung.run.drawing_us == given["drawing_us"] == (1, 2, 4, 4, 6, 8)[quality] * 5000
     alone = made(-1, f"drawing_us = {given['drawing_us']}\n")
     assert dataclasses.replace(by_rung.run, quality=-1) == alone.run
     assert made(quality, f"drawing_us = {given['drawing_us']}\n") == by_rung

@@ -7,8 +7,8 @@ import pytest
 
 from emulator.rig.loading import find_rig, load_rig, parse_rig, read_rig, shipped_rigs
 from emulator.sensor.presets import PRESETS
-from emulator.tables.toml_text import read_toml
-from laboratory.realtime.variants import SHIPPED, SIZES, Setting, distinct, toml_of, variant_of
+from emulator.tables.toml_text import read_toml, toml_of
+from laboratory.realtime.variants import SHIPPED, SIZES, Setting, distinct, variant_of
 from laboratory.realtime.wrong_events import middle_of
 
 

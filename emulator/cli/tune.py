@@ -1,0 +1,220 @@
+"""`evstim tune RIG`."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from emulator.campaign.loading import path_of, with_value
+from emulator.cli.checks import check_output, failures, prepared
+from emulator.cli.fault import keys_of
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    WRONG_USE,
+    Failure,
+    Json,
+    RigName,
+    aligned,
+    failing,
+    print_result,
+    status,
+)
+from emulator.rig.loading import Rig, RigError, load_rig, parse_rig, rig_of_table
+from emulator.rig.quality import RUNGS, left_out, rung_keys
+from emulator.run.kernels import parts_of
+from emulator.run.trial import runs_alone
+from emulator.run.tuning import Ladder, Rung
+from emulator.tables.toml_text import KeyPath, dotted, line_of, read_toml, toml_value
+from emulator.tables.typed_table import TableError
+
+_HEADS = ("rung", "leaves out", "times real time", "slowest piece", "p99 of a step", "wrong events", "memory")
+
+
+def tune(
+    rig: RigName,
+    /,
+    *,
+    at_least: float = 1.3,
+    out: Path | None = None,
+    keys: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    json: Json = False,
+) -> int:
+    """Run pieces of a rig at each rung of run.quality, and choose one for this machine. Ctrl-C ends it with its table.
+
+    Parameters
+    ----------
+    at_least
+        Times real time that the slowest piece must reach.
+    out
+        Write the rig at the chosen rung to this .toml file.
+    keys
+        Values in place of those of the rig: --set run.step_us=40000.
+    """
+    if not 0 < at_least < math.inf:
+        raise Failure(f"--at-least: {at_least:g} must be a number above 0", WRONG_USE)
+    check_output("--out", out, ".toml")
+    with failures():
+        tuned = _Tuned(load_rig(rig), keys, at_least)
+        is_interrupted = tuned.measure()
+        if out is not None and tuned.best is not None:
+            tuned.write(out)
+    lines = [*tuned.lines(), *(["interrupted: not all was measured"] if is_interrupted else [])]
+    print_result(json, {**tuned.as_json(), "interrupted": is_interrupted}, lines)
+    return BAD_VERDICT if tuned.best is None else GOOD
+
+
+class _Tuned:
+    """A rig at each rung, with the keys that were set, and what was measured."""
+
+    def __init__(self, rig: Rig, keys: tuple[str, ...], at_least: float) -> None:
+        if not runs_alone(rig):
+            message = "its light, poses or events come from outside, and no rung makes that faster"
+            raise Failure(f"{rig.name}: {message}", WRONG_USE)
+        assert rig.source is not None
+        self._rig, self._at_least = rig, at_least
+        self._text, self._folder = rig.source.text, Path(rig.source.path).parent
+        with failing(WRONG_USE, ValueError, at="--set"):
+            self._set: dict[KeyPath, Any] = {path_of(key): value for key, value in keys_of(keys).items()}
+        if ("run", "quality") in self._set:
+            raise Failure("--set run.quality: all rungs are tried; leave it out", WRONG_USE)
+        self._refused: dict[int, str] = {}
+        self._at = {quality: made for quality in RUNGS if (made := self._rig_at(quality)) is not None}
+        if not self._at:
+            raise Failure(f"{rig.name}: {self._refused[RUNGS[-1]]}", WRONG_USE)
+        self._measured: dict[int, Rung] = {}
+        self._smaller: dict[str, Any] | None = None
+
+    def _rig_at(self, quality: int) -> Rig | None:
+        """Return the rig at a rung; None where it gives another value for one of its keys. Raises Failure."""
+        table: Any = read_toml(self._text)
+        try:
+            for path, value in {**self._set, ("run", "quality"): quality}.items():
+                table = with_value(table, path, value)
+            return rig_of_table(table, self._rig.name, self._folder)
+        except TableError as error:
+            if error.path not in rung_keys(quality, self._rig.scene.kind, 1):
+                raise Failure(f"--set {dotted(error.path)}: {error}", WRONG_USE) from error
+            self._refused[quality] = str(error)
+            return None
+
+    def measure(self) -> bool:
+        """Measure the rungs, and where none is fast enough half the sides; return whether that was interrupted."""
+        logging.getLogger("emulator").setLevel(logging.WARNING)  # not the state of each piece's links
+        prepared([*{part.key: part for rig in self._at.values() for part in parts_of(rig)}.values()])
+        try:
+            with Ladder(next(iter(self._at.values()))) as ladder:
+                status.print(f"{self._rig.name}: looking for the dearest parts of its run")
+                ladder.sweep()
+                for quality, rig in self._at.items():
+                    if (earlier := self._like(quality)) is not None:
+                        self._measured[quality] = earlier
+                        continue
+                    rung = self._measured[quality] = ladder.climb(rig)
+                    status.print(f"rung {quality}: {rung.slowest:.2g} times real time where it is slowest")
+            if self.best is None:
+                self._measure_smaller()
+        except BaseException as error:  # numba raises SystemError from it
+            if not isinstance(error.__cause__ or error, KeyboardInterrupt) or not self._measured:
+                raise
+            return True
+        return False
+
+    def _like(self, quality: int) -> Rung | None:
+        """Return what was measured at an earlier rung with the same keys."""
+        same = {
+            k: dataclasses.replace(rig, run=dataclasses.replace(rig.run, quality=-1)) for k, rig in self._at.items()
+        }
+        return next((rung for k, rung in self._measured.items() if same[k] == same[quality]), None)
+
+    def _measure_smaller(self) -> None:
+        rig = self._at[self._nearest]
+        width, height = (max(2, side // 2) for side in rig.camera.size)
+        status.print(f"rung {self._nearest} at {width}x{height}")
+        sensor = dataclasses.replace(rig.camera.sensor, width=width, height=height)
+        half = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
+        with Ladder(half) as ladder:
+            ladder.sweep()
+            self._smaller = {"width": width, "height": height, **vars(ladder.climb(half))}
+
+    @property
+    def best(self) -> int | None:
+        """The most accurate rung that is fast enough; None: there is none."""
+        return next((k for k, rung in sorted(self._measured.items()) if rung.slowest >= self._at_least), None)
+
+    @property
+    def _nearest(self) -> int:
+        return max(self._measured, key=lambda k: self._measured[k].slowest)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the table and the choice, for programs."""
+        rungs = []
+        for quality in RUNGS:
+            rig, rung = self._at.get(quality, self._rig), self._measured.get(quality)
+            keys = rung_keys(quality, rig.scene.kind, rig.run.step_us)
+            row = {"quality": quality, "keys": {dotted(path): value for path, value in keys.items()}}
+            row |= {"left_out": left_out(quality, rig.scene.kind), "refused": self._refused.get(quality)}
+            rungs.append({**row, "measured": rung})
+        return {
+            "rig": self._rig.name,
+            "at_least": self._at_least,
+            "rungs": rungs,
+            "best": self.best,
+            "half": self._smaller,
+        }
+
+    def lines(self) -> Iterator[str]:
+        """Yield the table and the choice, for people."""
+        rows, reasons = list[Sequence[str]]([_HEADS]), list[str]()
+        for quality in RUNGS:
+            rung, words = self._measured.get(quality), left_out(quality, self._rig.scene.kind) or "nothing"
+            if rung is not None and rung in [self._measured.get(k) for k in range(quality)]:
+                rows.append((str(quality), "as the rung before", *[""] * (len(_HEADS) - 2)))
+            elif rung is not None:
+                speeds = f"{rung.median:.2f}", f"{rung.slowest:.2f}", f"{rung.p99_ms:.3g} ms"
+                rows.append((str(quality), words, *speeds, f"{rung.wrong_share:.2%}", f"{rung.memory_mib:.0f} MiB"))
+            elif quality in self._refused:
+                reasons.append(f"rung {quality} not tried: {self._refused[quality]}")
+        yield from aligned(rows)
+        yield "wrong events: of the light alone, measured here, beside exact drawings in each step"
+        yield from reasons
+        if self.best is not None:
+            yield f"best: run.quality = {self.best}"
+            return
+        nearest = self._measured[self._nearest]
+        factor = f"{nearest.slowest:.2g} times real time"
+        yield f"none reaches {self._at_least:g}: the nearest is rung {self._nearest} with {factor}"
+        if self._smaller is not None:
+            size = f"{self._smaller['width']}x{self._smaller['height']}"
+            yield f"or, at that rung, a sensor of {size} pixels: {self._smaller['slowest']:.2g} times real time"
+        yield f"or lockstep, in step with a bus: {1 / nearest.slowest:.2g} s for a second of the stream"
+
+    def write(self, out: Path) -> None:
+        """Write the rig's text with the keys that were set and the best rung; raises Failure."""
+        text = self._text
+        for path, value in {**self._set, ("run", "quality"): self.best}.items():
+            text = _with_line(text, path, value)
+        with failing(WRONG_USE, OSError, RigError, at=f"--out: {out}"):
+            if parse_rig(text, str(out), self._rig.name) != self._at[self.best or 0]:
+                raise RigError(f"the rig names files beside it: choose a file in {self._folder}")
+            out.write_text(text, encoding="utf-8")
+
+
+def _with_line(text: str, path: KeyPath, value: object) -> str:
+    """Return the text of a rig with a line for a key: in place of its own, or below the header of its table."""
+    lines, line, table = text.splitlines(), f"{path[-1]} = {toml_value(value)}", f"[{dotted(path[:-1])}]"
+    at = line_of(text, path) or 0
+    if at and re.match(rf"\s*{path[-1]}\s*=", lines[at - 1]):
+        lines[at - 1] = line
+    elif at and lines[at - 1].lstrip().startswith(table):
+        lines.insert(at, line)
+    else:
+        lines += ["", table, line]
+    return "\n".join(lines) + "\n"

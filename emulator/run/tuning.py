@@ -1,0 +1,233 @@
+"""Ladder of a rig on this machine: pieces of its own run at each rung of `run.quality`, where a step costs most.
+
+    sweep   cost of a step with exact drawings at instants spread over the run          -> the dearest instants
+    speed   a session in free pace that jumps from one of these to the next; a loopback stands for each link, whose
+            host reads and decodes all. A jump changes all pixels: the steps that follow it at once do not count
+    events  those of the light alone, without leak and noise, beside those of exact drawings in the same steps
+
+Wrong events are those that must be deleted or inserted in the sequences of polarities of the pixels, over all events.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import resource
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from emulator.light import Light, OtherLight, PixelLight, Scene
+from emulator.rig.kinds import LINKS
+from emulator.rig.loading import Rig
+from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, drawn_seldom, link_setups
+from emulator.run.assembly import schedule as schedule_of
+from emulator.run.trial import step_costs
+from emulator.scene.between import WINDOW
+from emulator.sensor.parameters import NoiseParameters
+from emulator.sensor.presets import SensorParameters
+from firmware_protocol.compiled import entry_of
+from firmware_protocol.events import Events, Int64s, Mask
+from transports.link.pacing import MonotonicClock
+
+_UNLIMITED_S = 180.0  # of a run without end
+_SWEEP, _LEAST_SWEEP, _SWEEP_S, _DEAREST = 16, 4, 5.0, 3
+_PIECE_S, _LONGEST = 0.7, 3  # of wall time; times as much until each has the least steps
+_NOT_COUNTED = 2  # steps after a jump
+_LIGHT_STEPS, _LIGHT_S = 16, 4.0
+
+compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__, error_model="python")
+
+
+@compiled
+def _longest_common(a: Mask, b: Mask) -> int:
+    """Return the length of the longest common subsequence, after the common head and tail."""
+    head = 0
+    while head < min(a.size, b.size) and a[head] == b[head]:
+        head += 1
+    tail = 0
+    while tail < min(a.size, b.size) - head and a[a.size - 1 - tail] == b[b.size - 1 - tail]:
+        tail += 1
+    n, m = a.size - head - tail, b.size - head - tail
+    row = np.zeros(m + 1, np.int64)
+    for i in range(n):
+        corner = 0
+        for j in range(m):
+            above = row[j + 1]
+            row[j + 1] = corner + 1 if a[head + i] == b[head + j] else max(above, row[j])
+            corner = above
+    return head + tail + int(row[m])
+
+
+@compiled
+def common_subsequences(on: Mask, first: Int64s, true_on: Mask, true_first: Int64s) -> Int64s:
+    """Return for each pixel the length of the longest common subsequence of polarities, (pixels,).
+
+    Of each stream `on` has the polarities, sorted by pixel, and `first`, (pixels + 1,), the index of each pixel's.
+    """
+    common = np.empty(first.size - 1, np.int64)
+    for p in range(common.size):
+        common[p] = _longest_common(on[first[p] : first[p + 1]], true_on[true_first[p] : true_first[p + 1]])
+    return common
+
+
+def wrong_share(events: Events, truth: Events, size: tuple[int, int]) -> float:
+    """Return the wrong events, see above, over those of the truth; NaN where it has none."""
+    sorted_by_pixel = list[Any]()
+    for stream in (events, truth):
+        pixel = stream["y"].astype(np.int64) * size[0] + stream["x"]
+        first = np.concatenate([[0], np.cumsum(np.bincount(pixel, minlength=size[0] * size[1]))])
+        sorted_by_pixel += [stream["on"][np.argsort(pixel, kind="stable")].astype(np.bool_), first.astype(np.int64)]
+    common = int(common_subsequences(*sorted_by_pixel).sum())
+    return (len(events) + len(truth) - 2 * common) / len(truth) if len(truth) else float("nan")
+
+
+def quiet(sensor: SensorParameters) -> SensorParameters:
+    """Return a sensor without leak and noise, whose events follow from the light alone."""
+    return dataclasses.replace(sensor, leak_hz=0.0, noise=NoiseParameters())
+
+
+@dataclass(frozen=True)
+class Rung:
+    """Cost and loss of a rig; times are wall time.
+
+    Attributes
+    ----------
+    median, slowest : of the pieces: stream seconds for a wall second.
+    p99_ms : of the time of a step.
+    wrong_share : of the events of the light, see above.
+    memory_mib : of this process, resident.
+    """
+
+    median: float
+    slowest: float
+    p99_ms: float
+    wrong_share: float
+    memory_mib: float
+
+
+class _Part(OtherLight):
+    """Another scene from `begin_ns` on; closing it leaves that open."""
+
+    begin_ns = 0
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self.refines = scene.refines
+
+    def light(self, t_ns: int, out: Light) -> None:
+        self.scene.light(t_ns + self.begin_ns, out)
+        self.changed = self.scene.changed
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        self.scene.light_and_rate(t_ns + self.begin_ns, light, rate)
+        self.changed = self.scene.changed
+
+    @property
+    def pixel_light(self) -> PixelLight | None:
+        at, begin_ns = self.scene.pixel_light, self.begin_ns
+        return None if at is None else lambda t_ns, pixels: at(t_ns + begin_ns, pixels)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class Ladder:
+    """The rungs of a rig, one after another, over the same exact scene; a context manager."""
+
+    def __init__(self, rig: Rig) -> None:
+        run = dataclasses.replace(rig.run, quality=-1, drawing_us=rig.run.step_us, pace="free", lockstep_us=0)
+        links = tuple(LINKS["loopback"].parameters(name=link.name) for link in rig.links)
+        self._exact = dataclasses.replace(rig, run=run, links=links, trigger=None, faults=())
+        self._step_ns = rig.run.step_us * 1000
+        self.end_ns = round((rig.run.seconds or _UNLIMITED_S) * 1e9)
+        self._scene = build_scene(self._exact)
+        self.starts_ns: Sequence[int] = ()
+        self._truth: Sequence[Events] = ()
+
+    def __enter__(self) -> Ladder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._scene.close()
+
+    def sweep(self) -> None:
+        """Find the dearest instants of the run, each on a drawing of every rung."""
+        source = build_sensor(self._exact, quiet(self._exact.camera.sensor))
+        source.warm_up()
+        frames, costs_s = build_frames(self._exact, self._scene), dict[int, float]()
+        grid_ns, end_s = WINDOW * self._step_ns, time.perf_counter() + _SWEEP_S
+        for k in sorted(range(_SWEEP), key=lambda k: f"{k:04b}"[::-1]):  # finer and finer
+            t_ns = k * self.end_ns // _SWEEP // grid_ns * grid_ns
+            if t_ns not in costs_s and (len(costs_s) < _LEAST_SWEEP or time.perf_counter() < end_s):
+                costs_s[t_ns] = float(np.sum(step_costs(frames, source, t_ns, self._step_ns, 0.0)))
+        self.starts_ns = sorted(costs_s, key=costs_s.__getitem__)[-_DEAREST:]
+        self._truth = self._light_events(self._exact, self._scene, _LIGHT_STEPS)
+
+    def climb(self, rig: Rig) -> Rung:
+        """Measure the rung that a rig, equal but for its keys of quality, stands on."""
+        gc.collect()  # what held the rung before goes
+        run = dataclasses.replace(rig.run, pace="free", lockstep_us=0, seconds=0.0)
+        hosted = dataclasses.replace(self._exact, run=run, camera=rig.camera)
+        with drawn_seldom(_Part(self._scene), run) as scene:
+            pieces, memory_mib = self._pieces(hosted, scene)
+            events = self._light_events(hosted, scene, len(self._truth))
+        factors = [self._step_ns * 1e-9 / float(np.mean(piece)) for piece in pieces]
+        return Rung(
+            float(np.median(factors)),
+            min(factors),
+            1e3 * float(np.quantile(np.concatenate(pieces), 0.99)),
+            wrong_share(np.concatenate(events), np.concatenate(self._truth), rig.camera.size),
+            memory_mib,
+        )
+
+    def _pieces(self, rig: Rig, scene: Scene) -> tuple[list[list[float]], float]:
+        """Return the wall time of the steps of each piece, s, and the memory at their end, MiB."""
+        part, ahead = _Part(scene), deque(self.starts_ns)
+        part.begin_ns = ahead.popleft()
+        session = build_session(rig, part, link_setups(rig), MonotonicClock())
+        pieces, memory_mib, skipped = [list[float]()], 0.0, 0
+        last_s = begun_s = 0.0
+        least = max(4, rig.run.drawing_us // rig.run.step_us)
+
+        def take(_: Events) -> None:
+            nonlocal last_s, begun_s, skipped, memory_mib
+            if session.stopping:
+                return
+            now_s = time.perf_counter()
+            if skipped < _NOT_COUNTED:
+                skipped, begun_s = skipped + 1, now_s
+            else:
+                pieces[-1].append(now_s - last_s)
+            last_s, spent_s = now_s, now_s - begun_s
+            is_long = spent_s > _PIECE_S and (len(pieces[-1]) >= least or spent_s > _LONGEST * _PIECE_S)
+            if pieces[-1] and (is_long or session.t_ns + part.begin_ns >= self.end_ns):
+                if not ahead:
+                    memory_mib = _memory_mib()
+                    session.stop()
+                else:
+                    part.begin_ns, skipped = ahead.popleft() - session.t_ns, 0
+                    pieces.append([])
+
+        session.run(schedule_of(rig), on_events=take)
+        return [piece for piece in pieces if piece], memory_mib
+
+    def _light_events(self, rig: Rig, scene: Scene, steps: int) -> list[Events]:
+        """Return the events of so many steps from the dearest instant on; of the exact scene fewer where it is slow."""
+        source, frames = build_sensor(rig, quiet(rig.camera.sensor)), build_frames(rig, scene)
+        t_ns, end_s = self.starts_ns[-1], time.perf_counter() + _LIGHT_S
+        source.reset(frames.draw(t_ns))
+        events = list[Events]()
+        while len(events) < steps and (scene is not self._scene or not events or time.perf_counter() < end_s):
+            t_ns += self._step_ns
+            events.append(source.expose(frames.draw(t_ns)))
+        return events
+
+
+def _memory_mib() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20

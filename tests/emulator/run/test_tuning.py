@@ -1,0 +1,106 @@
+"""Pieces of a run at each rung: where a step costs most, what is measured, and the wrong events of the light."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from emulator.rig.loading import load_rig, parse_rig
+from emulator.run import tuning
+from emulator.run.assembly import link_setups
+from emulator.run.tuning import Ladder, wrong_share
+from firmware_protocol.events import EVENT
+from laboratory.accuracy.scores import Stream, compare
+
+RIG = """
+[scene]
+kind = "bodies"
+[scene.sun]
+direction = [-0.6, -0.3, -0.75]
+[scene.camera]
+kind = "fixed"
+position_m = [0.0, 0.0, -100000.0]
+[[scene.bodies]]
+shape = "eros022540"
+units_m = 1000.0
+[scene.bodies.path]
+kind = "spin"
+pole = [0.0, -1.0, 0.0]
+spin_deg_s = 6.0
+[camera]
+model = "davis346"
+sensor = {width = 64, height = 48}
+lens = {field_of_view_deg = 21.0, f_number = 5.0}
+[run]
+step_us = 40000
+seconds = 20.0
+QUALITY
+[[links]]
+kind = "udp_packets"
+command_port = 1
+"""
+
+
+def rig_at(quality=-1):
+    return parse_rig(RIG.replace("QUALITY", f"quality = {quality}"), "rock.toml", "rock")
+
+
+@pytest.fixture
+def short(monkeypatch):
+    for name, value in (("_SWEEP", 4), ("_PIECE_S", 0.05), ("_DEAREST", 2)):
+        monkeypatch.setattr(tuning, name, value)
+
+
+def stream(rng, n):
+    events = np.zeros(n, EVENT)
+    events["t"] = np.sort(rng.integers(0, 10_000, n))
+    events["x"], events["y"], events["on"] = rng.integers(0, 3, n), rng.integers(0, 2, n), rng.integers(0, 2, n)
+    return events
+
+
+@pytest.mark.parametrize("counts", [(40, 50), (0, 9), (300, 300)])
+def test_wrong_events_are_those_of_the_laboratory(counts):
+    rng = np.random.default_rng(sum(counts))
+    ours, true = (stream(rng, n) for n in counts)
+    expected = compare(Stream.from_events(ours, 3, 2), Stream.from_events(true, 3, 2)).wrong_events
+    assert wrong_share(ours, true, (3, 2)) == pytest.approx(expected)
+    assert wrong_share(true, true, (3, 2)) == 0
+    assert np.isnan(wrong_share(ours, true[:0], (3, 2)))
+
+
+def test_the_dearest_instants_are_on_drawings_of_every_rung(monkeypatch, short):
+    def costs(frames, source, t_ns, step_ns, wall_s):
+        return [np.array([float(t_ns == 7_680_000_000), 1e-3])]
+
+    monkeypatch.setattr(tuning, "step_costs", costs)
+    with Ladder(rig_at()) as ladder:
+        ladder.sweep()
+        assert len(ladder.starts_ns) == 2
+        assert ladder.starts_ns[-1] == 7_680_000_000
+        assert not any(t_ns % (64 * 40_000_000) for t_ns in ladder.starts_ns)
+
+
+def test_a_rung_is_measured_in_a_session_without_the_rigs_own_links(monkeypatch, short):
+    opened = []
+    monkeypatch.setattr(tuning, "link_setups", lambda rig: opened.append(rig.links) or link_setups(rig))
+    with Ladder(rig_at()) as ladder:
+        ladder.sweep()
+        exact, fast = (ladder.climb(rig_at(quality)) for quality in (0, 5))
+    assert [[link.kind for link in links] for links in opened] == [["loopback"]] * 2
+    assert [link.name for link in opened[0]] == ["udp_packets"]
+    assert exact.wrong_share == 0 < fast.wrong_share < 1
+    for rung in (exact, fast):
+        assert 0 < rung.slowest <= rung.median
+        assert rung.p99_ms > 0
+        assert rung.memory_mib > 10
+
+
+def test_pieces_end_with_the_run(short):
+    rig = load_rig("checkerboard")
+    sensor = dataclasses.replace(rig.camera.sensor, width=32, height=24)
+    camera, run = dataclasses.replace(rig.camera, sensor=sensor), dataclasses.replace(rig.run, seconds=0.02)
+    rig = dataclasses.replace(rig, run=run, camera=camera, links=())
+    with Ladder(rig) as ladder:
+        ladder.sweep()
+        assert ladder.starts_ns == [0]
+        assert ladder.climb(rig).slowest > 0
