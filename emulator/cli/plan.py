@@ -5,16 +5,20 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
+from typing import Any
 
 from emulator.cli.checks import failures, prepared
 from emulator.cli.output import GOOD, Json, RigName, aligned, print_result
 from emulator.plan.plan import Decision, Plan, line_loads
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
-from emulator.rig.loading import load_rig
+from emulator.rig.loading import Rig, load_rig
+from emulator.rig.quality import left_out, rung_keys
 from emulator.run.assembly import build_scene, plan_of
 from emulator.run.kernels import parts_of
-from emulator.run.trial import INSTANTS, Trial, trial
+from emulator.run.trial import INSTANTS, Trial, runs_alone, trial
+from emulator.run.tuning import Ladder
 from emulator.scene.between import OFTEN, SELDOM
+from emulator.tables.toml_text import dotted
 
 _METHODS = {
     "hermite": "cubic in log light from value and derivative, low-pass solved in warped time",
@@ -38,8 +42,9 @@ def plan(rig: RigName, /, *, json: Json = False) -> int:
             planned = plan_of(loaded, scene)
             speed = trial(loaded, scene, planned, INSTANTS)
             is_between = scene.refines
-    as_json = {**_as_json(planned), "light_between_drawings": is_between, "speed": speed.as_json()}
-    print_result(json, as_json, _lines(planned, speed, is_between))
+        rung = _rung(loaded)
+    as_json = {**_as_json(planned), "light_between_drawings": is_between, "speed": speed.as_json(), "rung": rung}
+    print_result(json, as_json, _lines(planned, speed, is_between, rung))
     return GOOD
 
 
@@ -56,12 +61,26 @@ def _as_json(planned: Plan) -> dict[str, object]:
     }
 
 
+def _rung(rig: Rig) -> dict[str, Any] | None:
+    """Return the keys that the quality of a rig stands for, what it leaves out, and its wrong events; None for none."""
+    quality, kind = rig.run.quality, rig.scene.kind
+    if quality < 0:
+        return None
+    wrong = None
+    if runs_alone(rig):
+        with Ladder(rig) as ladder:
+            ladder.sweep()
+            wrong = ladder.wrong_share(rig)
+    keys = {dotted(path): value for path, value in rung_keys(quality, kind, rig.run.step_us).items()}
+    return {"quality": quality, "keys": keys, "left_out": left_out(quality, kind), "wrong_share": wrong}
+
+
 def _finite(table: dict[str, object]) -> dict[str, object]:
     """Return the table with null for infinity and NaN, which JSON does not have."""
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
 
 
-def _lines(planned: Plan, speed: Trial, is_between: bool) -> Iterator[str]:
+def _lines(planned: Plan, speed: Trial, is_between: bool, rung: dict[str, Any] | None) -> Iterator[str]:
     """Yield the plan for people; `is_between`: light is moved between drawings."""
     p = planned.probe
     steps, sensor = planned.steps, planned.rig.camera.sensor
@@ -84,6 +103,12 @@ def _lines(planned: Plan, speed: Trial, is_between: bool) -> Iterator[str]:
         every_us = planned.rig.run.drawing_us
         every = f"every {every_us} us" if every_us else f"every {OFTEN} steps, or {SELDOM} where the image moves fast"
         yield f"drawing  {every}; in between light follows the motion of the surfaces (run.drawing_us)"
+    if rung is not None:
+        keys = " and ".join(f"{key} = {value!r}" for key, value in rung["keys"].items()) or "no key of this scene"
+        wrong = (
+            "" if rung["wrong_share"] is None else f"; {rung['wrong_share']:.2%} of the events of the light wrong here"
+        )
+        yield f"quality  {rung['quality']}: {keys}; leaves out {rung['left_out'] or 'nothing'}{wrong}"
     for load in line_loads(planned.rig, p.events_per_s):
         yield f"line     {load.line}"
     yield f"speed    {speed.line}\n"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,7 +31,7 @@ from emulator.rig.quality import RUNGS, left_out, rung_keys
 from emulator.run.kernels import parts_of
 from emulator.run.trial import runs_alone
 from emulator.run.tuning import Ladder, Rung
-from emulator.tables.toml_text import KeyPath, dotted, line_of, read_toml, toml_value
+from emulator.tables.toml_text import dotted, read_toml, toml_of
 from emulator.tables.typed_table import TableError
 
 _HEADS = ("rung", "leaves out", "times real time", "slowest piece", "p99 of a step", "wrong events", "memory")
@@ -54,7 +53,7 @@ def tune(
     at_least
         Times real time that the slowest piece must reach.
     out
-        Write the rig at the chosen rung to this .toml file.
+        Write the rig at the chosen rung to this .toml file, without comments.
     keys
         Values in place of those of the rig: --set run.step_us=40000.
     """
@@ -80,25 +79,25 @@ class _Tuned:
             raise Failure(f"{rig.name}: {message}", WRONG_USE)
         assert rig.source is not None
         self._rig, self._at_least = rig, at_least
-        self._text, self._folder = rig.source.text, Path(rig.source.path).parent
-        with failing(WRONG_USE, ValueError, at="--set"):
-            self._set: dict[KeyPath, Any] = {path_of(key): value for key, value in keys_of(keys).items()}
-        if ("run", "quality") in self._set:
-            raise Failure("--set run.quality: all rungs are tried; leave it out", WRONG_USE)
+        self._folder = Path(rig.source.path).parent
+        table: Any = read_toml(rig.source.text)
+        with failing(WRONG_USE, ValueError, TableError, at="--set"):
+            for key, value in keys_of(keys).items():
+                if (path := path_of(key)) == ("run", "quality"):
+                    raise ValueError("run.quality: all rungs are tried; leave it out")
+                table = with_value(table, path, value)
+        self._tables = {quality: with_value(table, ("run", "quality"), quality) for quality in RUNGS}
         self._refused: dict[int, str] = {}
         self._at = {quality: made for quality in RUNGS if (made := self._rig_at(quality)) is not None}
         if not self._at:
-            raise Failure(f"{rig.name}: {self._refused[RUNGS[-1]]}", WRONG_USE)
+            raise Failure(f"{rig.name}: {self._refused[0]}", WRONG_USE)
         self._measured: dict[int, Rung] = {}
-        self._smaller: dict[str, Any] | None = None
+        self._half: Mapping[str, Any] | None = None
 
     def _rig_at(self, quality: int) -> Rig | None:
         """Return the rig at a rung; None where it gives another value for one of its keys. Raises Failure."""
-        table: Any = read_toml(self._text)
         try:
-            for path, value in {**self._set, ("run", "quality"): quality}.items():
-                table = with_value(table, path, value)
-            return rig_of_table(table, self._rig.name, self._folder)
+            return rig_of_table(self._tables[quality], self._rig.name, self._folder)
         except TableError as error:
             if error.path not in rung_keys(quality, self._rig.scene.kind, 1):
                 raise Failure(f"--set {dotted(error.path)}: {error}", WRONG_USE) from error
@@ -107,20 +106,19 @@ class _Tuned:
 
     def measure(self) -> bool:
         """Measure the rungs, and where none is fast enough half the sides; return whether that was interrupted."""
-        logging.getLogger("emulator").setLevel(logging.WARNING)  # not the state of each piece's links
+        logging.getLogger("emulator").setLevel(logging.WARNING)  # not the state of the links of each piece
         prepared([*{part.key: part for rig in self._at.values() for part in parts_of(rig)}.values()])
         try:
             with Ladder(next(iter(self._at.values()))) as ladder:
                 status.print(f"{self._rig.name}: looking for the dearest parts of its run")
                 ladder.sweep()
                 for quality, rig in self._at.items():
-                    if (earlier := self._like(quality)) is not None:
-                        self._measured[quality] = earlier
-                        continue
-                    rung = self._measured[quality] = ladder.climb(rig)
-                    status.print(f"rung {quality}: {rung.slowest:.2g} times real time where it is slowest")
+                    if (rung := self._like(quality)) is None:
+                        rung = ladder.climb(rig)
+                        status.print(f"rung {quality}: {rung.slowest:.2g} times real time where it is slowest")
+                    self._measured[quality] = rung
             if self.best is None:
-                self._measure_smaller()
+                self._measure_half(self._at[self._nearest])
         except BaseException as error:  # numba raises SystemError from it
             if not isinstance(error.__cause__ or error, KeyboardInterrupt) or not self._measured:
                 raise
@@ -134,20 +132,19 @@ class _Tuned:
         }
         return next((rung for k, rung in self._measured.items() if same[k] == same[quality]), None)
 
-    def _measure_smaller(self) -> None:
-        rig = self._at[self._nearest]
+    def _measure_half(self, rig: Rig) -> None:
         width, height = (max(2, side // 2) for side in rig.camera.size)
-        status.print(f"rung {self._nearest} at {width}x{height}")
         sensor = dataclasses.replace(rig.camera.sensor, width=width, height=height)
         half = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
+        status.print(f"rung {rig.run.quality} at {width}x{height}")
         with Ladder(half) as ladder:
             ladder.sweep()
-            self._smaller = {"width": width, "height": height, **vars(ladder.climb(half))}
+            self._half = {"width": width, "height": height, **vars(ladder.climb(half))}
 
     @property
     def best(self) -> int | None:
         """The most accurate rung that is fast enough; None: there is none."""
-        return next((k for k, rung in sorted(self._measured.items()) if rung.slowest >= self._at_least), None)
+        return next((k for k, rung in self._measured.items() if rung.slowest >= self._at_least), None)
 
     @property
     def _nearest(self) -> int:
@@ -157,64 +154,44 @@ class _Tuned:
         """Return the table and the choice, for programs."""
         rungs = []
         for quality in RUNGS:
-            rig, rung = self._at.get(quality, self._rig), self._measured.get(quality)
+            rig = self._at.get(quality, self._rig)
             keys = rung_keys(quality, rig.scene.kind, rig.run.step_us)
             row = {"quality": quality, "keys": {dotted(path): value for path, value in keys.items()}}
             row |= {"left_out": left_out(quality, rig.scene.kind), "refused": self._refused.get(quality)}
-            rungs.append({**row, "measured": rung})
+            rungs.append({**row, "measured": self._measured.get(quality)})
         return {
             "rig": self._rig.name,
             "at_least": self._at_least,
             "rungs": rungs,
             "best": self.best,
-            "half": self._smaller,
+            "half": self._half,
         }
 
     def lines(self) -> Iterator[str]:
         """Yield the table and the choice, for people."""
-        rows, reasons = list[Sequence[str]]([_HEADS]), list[str]()
-        for quality in RUNGS:
-            rung, words = self._measured.get(quality), left_out(quality, self._rig.scene.kind) or "nothing"
-            if rung is not None and rung in [self._measured.get(k) for k in range(quality)]:
-                rows.append((str(quality), "as the rung before", *[""] * (len(_HEADS) - 2)))
-            elif rung is not None:
-                speeds = f"{rung.median:.2f}", f"{rung.slowest:.2f}", f"{rung.p99_ms:.3g} ms"
-                rows.append((str(quality), words, *speeds, f"{rung.wrong_share:.2%}", f"{rung.memory_mib:.0f} MiB"))
-            elif quality in self._refused:
-                reasons.append(f"rung {quality} not tried: {self._refused[quality]}")
+        rows = list[Sequence[str]]([_HEADS])
+        for quality, rung in self._measured.items():
+            words = left_out(quality, self._rig.scene.kind) or "nothing"
+            speeds = f"{rung.median:.2f}", f"{rung.slowest:.2f}", f"{rung.p99_ms:.3g} ms"
+            wrong = "-" if rung.wrong_share is None else f"{rung.wrong_share:.2%}"
+            rows.append((str(quality), words, *speeds, wrong, f"{rung.memory_mib:.0f} MiB"))
         yield from aligned(rows)
         yield "wrong events: of the light alone, measured here, beside exact drawings in each step"
-        yield from reasons
+        yield from (f"rung {quality} not tried: {reason}" for quality, reason in self._refused.items())
         if self.best is not None:
             yield f"best: run.quality = {self.best}"
             return
-        nearest = self._measured[self._nearest]
-        factor = f"{nearest.slowest:.2g} times real time"
-        yield f"none reaches {self._at_least:g}: the nearest is rung {self._nearest} with {factor}"
-        if self._smaller is not None:
-            size = f"{self._smaller['width']}x{self._smaller['height']}"
-            yield f"or, at that rung, a sensor of {size} pixels: {self._smaller['slowest']:.2g} times real time"
-        yield f"or lockstep, in step with a bus: {1 / nearest.slowest:.2g} s for a second of the stream"
+        slowest = self._measured[self._nearest].slowest
+        yield f"none reaches {self._at_least:g}: the nearest is rung {self._nearest} with {slowest:.2g} times real time"
+        if (half := self._half) is not None:
+            size = f"{half['width']}x{half['height']}"
+            yield f"or, there, a sensor of {size} pixels: {half['slowest']:.2g} times real time"
+        yield f"or lockstep, in step with a bus: {1 / slowest:.2g} s for a second of the stream"
 
     def write(self, out: Path) -> None:
-        """Write the rig's text with the keys that were set and the best rung; raises Failure."""
-        text = self._text
-        for path, value in {**self._set, ("run", "quality"): self.best}.items():
-            text = _with_line(text, path, value)
+        """Write the rig at the best rung; raises Failure."""
+        text = toml_of(self._tables[self.best or 0])
         with failing(WRONG_USE, OSError, RigError, at=f"--out: {out}"):
             if parse_rig(text, str(out), self._rig.name) != self._at[self.best or 0]:
                 raise RigError(f"the rig names files beside it: choose a file in {self._folder}")
             out.write_text(text, encoding="utf-8")
-
-
-def _with_line(text: str, path: KeyPath, value: object) -> str:
-    """Return the text of a rig with a line for a key: in place of its own, or below the header of its table."""
-    lines, line, table = text.splitlines(), f"{path[-1]} = {toml_value(value)}", f"[{dotted(path[:-1])}]"
-    at = line_of(text, path) or 0
-    if at and re.match(rf"\s*{path[-1]}\s*=", lines[at - 1]):
-        lines[at - 1] = line
-    elif at and lines[at - 1].lstrip().startswith(table):
-        lines.insert(at, line)
-    else:
-        lines += ["", table, line]
-    return "\n".join(lines) + "\n"

@@ -15,10 +15,9 @@ import gc
 import resource
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,60 +30,15 @@ from emulator.run.trial import step_costs
 from emulator.scene.between import WINDOW
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.compiled import entry_of
-from firmware_protocol.events import Events, Int64s, Mask
+from firmware_protocol.events import Events
 from transports.link.pacing import MonotonicClock
+from transports.registry import imported
 
 _UNLIMITED_S = 180.0  # of a run without end
 _SWEEP, _LEAST_SWEEP, _SWEEP_S, _DEAREST = 16, 4, 5.0, 3
 _PIECE_S, _LONGEST = 0.7, 3  # of wall time; times as much until each has the least steps
 _NOT_COUNTED = 2  # steps after a jump
 _LIGHT_STEPS, _LIGHT_S = 16, 4.0
-
-compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__, error_model="python")
-
-
-@compiled
-def _longest_common(a: Mask, b: Mask) -> int:
-    """Return the length of the longest common subsequence, after the common head and tail."""
-    head = 0
-    while head < min(a.size, b.size) and a[head] == b[head]:
-        head += 1
-    tail = 0
-    while tail < min(a.size, b.size) - head and a[a.size - 1 - tail] == b[b.size - 1 - tail]:
-        tail += 1
-    n, m = a.size - head - tail, b.size - head - tail
-    row = np.zeros(m + 1, np.int64)
-    for i in range(n):
-        corner = 0
-        for j in range(m):
-            above = row[j + 1]
-            row[j + 1] = corner + 1 if a[head + i] == b[head + j] else max(above, row[j])
-            corner = above
-    return head + tail + int(row[m])
-
-
-@compiled
-def common_subsequences(on: Mask, first: Int64s, true_on: Mask, true_first: Int64s) -> Int64s:
-    """Return for each pixel the length of the longest common subsequence of polarities, (pixels,).
-
-    Of each stream `on` has the polarities, sorted by pixel, and `first`, (pixels + 1,), the index of each pixel's.
-    """
-    common = np.empty(first.size - 1, np.int64)
-    for p in range(common.size):
-        common[p] = _longest_common(on[first[p] : first[p + 1]], true_on[true_first[p] : true_first[p + 1]])
-    return common
-
-
-def wrong_share(events: Events, truth: Events, size: tuple[int, int]) -> float:
-    """Return the wrong events, see above, over those of the truth; NaN where it has none."""
-    sorted_by_pixel = list[Any]()
-    for stream in (events, truth):
-        pixel = stream["y"].astype(np.int64) * size[0] + stream["x"]
-        first = np.concatenate([[0], np.cumsum(np.bincount(pixel, minlength=size[0] * size[1]))])
-        sorted_by_pixel += [stream["on"][np.argsort(pixel, kind="stable")].astype(np.bool_), first.astype(np.int64)]
-    common = int(common_subsequences(*sorted_by_pixel).sum())
-    return (len(events) + len(truth) - 2 * common) / len(truth) if len(truth) else float("nan")
 
 
 def quiet(sensor: SensorParameters) -> SensorParameters:
@@ -100,14 +54,14 @@ class Rung:
     ----------
     median, slowest : of the pieces: stream seconds for a wall second.
     p99_ms : of the time of a step.
-    wrong_share : of the events of the light, see above.
+    wrong_share : of the events of the light, see above; None: the light has none.
     memory_mib : of this process, resident.
     """
 
     median: float
     slowest: float
     p99_ms: float
-    wrong_share: float
+    wrong_share: float | None
     memory_mib: float
 
 
@@ -176,15 +130,18 @@ class Ladder:
         hosted = dataclasses.replace(self._exact, run=run, camera=rig.camera)
         with drawn_seldom(_Part(self._scene), run) as scene:
             pieces, memory_mib = self._pieces(hosted, scene)
-            events = self._light_events(hosted, scene, len(self._truth))
         factors = [self._step_ns * 1e-9 / float(np.mean(piece)) for piece in pieces]
-        return Rung(
-            float(np.median(factors)),
-            min(factors),
-            1e3 * float(np.quantile(np.concatenate(pieces), 0.99)),
-            wrong_share(np.concatenate(events), np.concatenate(self._truth), rig.camera.size),
-            memory_mib,
-        )
+        p99_ms = 1e3 * float(np.quantile(np.concatenate(pieces), 0.99))
+        return Rung(float(np.median(factors)), min(factors), p99_ms, self.wrong_share(rig), memory_mib)
+
+    def wrong_share(self, rig: Rig) -> float | None:
+        """Return the wrong events of the light of a rung, see `Rung`."""
+        if not any(map(len, self._truth)):
+            return None
+        with drawn_seldom(_Part(self._scene), rig.run) as scene:
+            events = self._light_events(rig, scene, len(self._truth))
+        compare = imported("laboratory.accuracy.scores:wrong_share")
+        return float(compare(np.concatenate(events), np.concatenate(self._truth), *rig.camera.size))
 
     def _pieces(self, rig: Rig, scene: Scene) -> tuple[list[list[float]], float]:
         """Return the wall time of the steps of each piece, s, and the memory at their end, MiB."""

@@ -95,22 +95,31 @@ def _given_twice(text: str, error: ValueError) -> TomlError:
 
 
 def toml_of(tables: Mapping[str, Any]) -> str:
-    """Return tables, as `read_toml` gives them, as TOML text: a line for each key of the top level."""
-    return "".join(f"{toml_value(key)} = {toml_value(value)}\n" for key, value in tables.items())
+    """Return tables, as `read_toml` gives them, as TOML text: those of the top level by headers, others inline."""
+    lines, blocks = list[str](), list[str]()
+    for key, value in tables.items():
+        is_list = isinstance(value, list) and bool(value) and all(isinstance(item, Mapping) for item in value)
+        header = f"[[{_key(key)}]]" if is_list else f"[{_key(key)}]"
+        for table in value if is_list else [value] if isinstance(value, Mapping) else ():
+            blocks += ["", header, *(f"{_key(name)} = {toml_value(item)}" for name, item in table.items())]
+        if not is_list and not isinstance(value, Mapping):
+            lines.append(f"{_key(key)} = {toml_value(value)}")
+    return "\n".join([*lines, *blocks, ""])
 
 
 def toml_value(value: Any) -> str:
     """Return a value on one line of TOML."""
     if isinstance(value, Mapping):
-        items = (
-            f"{key if _BARE.fullmatch(key) else toml_value(key)} = {toml_value(item)}" for key, item in value.items()
-        )
-        return "{" + ", ".join(items) + "}"
+        return "{" + ", ".join(f"{_key(key)} = {toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON leaves this one as it is
     return str(value).lower()
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else toml_value(key)
 
 
 def dotted(path: KeyPath) -> str:

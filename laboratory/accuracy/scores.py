@@ -30,7 +30,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.run.tuning import common_subsequences
 from firmware_protocol.compiled import entry_of
 from firmware_protocol.events import Events, Floats, Int64s, Mask
 
@@ -46,6 +45,35 @@ class PixelEvents(NamedTuple):
 
 
 compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__, error_model="python")
+
+
+@compiled
+def _longest_common(a: _Bools, b: _Bools) -> int:
+    """Return the length of the longest common subsequence, after the common head and tail."""
+    head = 0
+    while head < min(a.size, b.size) and a[head] == b[head]:
+        head += 1
+    tail = 0
+    while tail < min(a.size, b.size) - head and a[a.size - 1 - tail] == b[b.size - 1 - tail]:
+        tail += 1
+    n, m = a.size - head - tail, b.size - head - tail
+    row = np.zeros(m + 1, np.int64)
+    for i in range(n):
+        corner = 0
+        for j in range(m):
+            above = row[j + 1]
+            row[j + 1] = corner + 1 if a[head + i] == b[head + j] else max(above, row[j])
+            corner = above
+    return head + tail + int(row[m])
+
+
+@compiled
+def common_subsequences(a: PixelEvents, b: PixelEvents) -> Int64s:
+    """Return for each pixel the length of the longest common subsequence of polarities, (pixels,)."""
+    common = np.empty(a.first.size - 1, np.int64)
+    for p in range(common.size):
+        common[p] = _longest_common(a.on[a.first[p] : a.first[p + 1]], b.on[b.first[p] : b.first[p + 1]])
+    return common
 
 
 @compiled
@@ -195,7 +223,7 @@ def compare(stream: Stream, truth: Stream) -> Scores:
     """Compare a stream with the truth; raises ValueError where they have different numbers of pixels."""
     _check_pixels(stream, truth)
     ours, known = (PixelEvents(s.t_us, s.on, s.first) for s in (stream, truth))
-    common = common_subsequences(stream.on, stream.first, truth.on, truth.first)
+    common = common_subsequences(ours, known)
     active = (stream.counts > 0) | (truth.counts > 0)
     right = active & (common == stream.counts) & (common == truth.counts)
     errors = np.abs(stream.t_us[right[stream.pixel]] - truth.t_us[right[truth.pixel]])
@@ -213,6 +241,11 @@ def compare(stream: Stream, truth: Stream) -> Scores:
         events=n,
         true_events=m,
     )
+
+
+def wrong_share(events: Events, truth: Events, width: int, height: int) -> float:
+    """Return the wrong events of EVENT arrays of a sensor of that size, over the true ones."""
+    return compare(*(Stream.from_events(part, width, height) for part in (events, truth))).wrong_events
 
 
 def _check_pixels(stream: Stream, truth: Stream) -> None:

@@ -10,7 +10,7 @@ from emulator.rig.loading import load_rig
 from emulator.run.tuning import Rung
 
 RIG = """\
-[scene]   # a rock
+[scene]
 kind = "bodies"
 [[scene.bodies]]
 shape = "eros022540"
@@ -77,12 +77,12 @@ def test_where_none_is_fast_enough_the_nearest_and_other_ways_are_shown(rig, cap
     assert _main(["tune", str(rig), "--at-least", "2.5"]) == 1
     lines = capsys.readouterr().out.splitlines()[-3:]
     assert lines[0] == "none reaches 2.5: the nearest is rung 5 with 1.5 times real time"
-    assert lines[1] == "or, at that rung, a sensor of 173x130 pixels: 3 times real time"
+    assert lines[1] == "or, there, a sensor of 173x130 pixels: 3 times real time"
     assert lines[2] == "or lockstep, in step with a bus: 0.67 s for a second of the stream"
     assert climbed["rigs"] == [346, 173]
 
 
-@pytest.mark.parametrize("given", ["", "quality = 0\n", "quality = 0   # exact\n"])
+@pytest.mark.parametrize("given", ["", "quality = 0\n"])
 def test_the_chosen_rig_is_written_as_the_rig_with_its_rung(given, rig, tmp_path, capsys):
     rig.write_text(RIG.replace("step_us = 5000\n", f"step_us = 5000\n{given}"))
     out = tmp_path / "fast.toml"
@@ -91,7 +91,6 @@ def test_the_chosen_rig_is_written_as_the_rig_with_its_rung(given, rig, tmp_path
     written = load_rig(str(out))
     assert (written.run.quality, written.run.step_us, written.run.drawing_us) == (5, 8000, 64_000)
     assert (written.camera.serial, written.verdict.max_drop) == ("00000009", 0.5)
-    assert "# a rock" in out.read_text()
 
 
 def test_a_rung_that_a_key_of_the_rig_excludes_is_not_tried(rig, capsys):

@@ -8,9 +8,7 @@ import pytest
 from emulator.rig.loading import load_rig, parse_rig
 from emulator.run import tuning
 from emulator.run.assembly import link_setups
-from emulator.run.tuning import Ladder, wrong_share
-from firmware_protocol.events import EVENT
-from laboratory.accuracy.scores import Stream, compare
+from emulator.run.tuning import Ladder
 
 RIG = """
 [scene]
@@ -49,23 +47,6 @@ def rig_at(quality=-1):
 def short(monkeypatch):
     for name, value in (("_SWEEP", 4), ("_PIECE_S", 0.05), ("_DEAREST", 2)):
         monkeypatch.setattr(tuning, name, value)
-
-
-def stream(rng, n):
-    events = np.zeros(n, EVENT)
-    events["t"] = np.sort(rng.integers(0, 10_000, n))
-    events["x"], events["y"], events["on"] = rng.integers(0, 3, n), rng.integers(0, 2, n), rng.integers(0, 2, n)
-    return events
-
-
-@pytest.mark.parametrize("counts", [(40, 50), (0, 9), (300, 300)])
-def test_wrong_events_are_those_of_the_laboratory(counts):
-    rng = np.random.default_rng(sum(counts))
-    ours, true = (stream(rng, n) for n in counts)
-    expected = compare(Stream.from_events(ours, 3, 2), Stream.from_events(true, 3, 2)).wrong_events
-    assert wrong_share(ours, true, (3, 2)) == pytest.approx(expected)
-    assert wrong_share(true, true, (3, 2)) == 0
-    assert np.isnan(wrong_share(ours, true[:0], (3, 2)))
 
 
 def test_the_dearest_instants_are_on_drawings_of_every_rung(monkeypatch, short):
