@@ -30,13 +30,13 @@ from emulator.run.trial import step_costs
 from emulator.scene.between import WINDOW
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, Floats
 from transports.link.pacing import MonotonicClock
 from transports.registry import imported
 
 _UNLIMITED_S = 180.0  # of a run without end
 _SWEEP, _LEAST_SWEEP, _SWEEP_S, _DEAREST = 16, 4, 5.0, 3
-_PIECE_S, _LONGEST = 0.7, 3  # of wall time; times as much until each has the least steps
+_PIECE_S, _LONGEST = 0.7, 3  # of wall time, and times as much to come to the next drawing
 _NOT_COUNTED = 2  # steps after a jump
 _LIGHT_STEPS, _LIGHT_S = 16, 4.0
 
@@ -130,8 +130,8 @@ class Ladder:
         hosted = dataclasses.replace(self._exact, run=run, camera=rig.camera)
         with drawn_seldom(_Part(self._scene), run) as scene:
             pieces, memory_mib = self._pieces(hosted, scene)
-        factors = [self._step_ns * 1e-9 / float(np.mean(piece)) for piece in pieces]
-        p99_ms = 1e3 * float(np.quantile(np.concatenate(pieces), 0.99))
+        factors = [float(np.divide(*np.sum(piece, axis=0))) for piece in pieces]
+        p99_ms = 1e3 * float(np.quantile(np.concatenate(pieces)[:, 1], 0.99))
         return Rung(float(np.median(factors)), min(factors), p99_ms, self.wrong_share(rig), memory_mib)
 
     def wrong_share(self, rig: Rig) -> float | None:
@@ -143,36 +143,36 @@ class Ladder:
         compare = imported("laboratory.accuracy.scores:wrong_share")
         return float(compare(np.concatenate(events), np.concatenate(self._truth), *rig.camera.size))
 
-    def _pieces(self, rig: Rig, scene: Scene) -> tuple[list[list[float]], float]:
-        """Return the wall time of the steps of each piece, s, and the memory at their end, MiB."""
+    def _pieces(self, rig: Rig, scene: Scene) -> tuple[list[Floats], float]:
+        """Return stream and wall time, s, of the steps of each piece, (n, 2), and the memory at their end, MiB."""
         part, ahead = _Part(scene), deque(self.starts_ns)
         part.begin_ns = ahead.popleft()
         session = build_session(rig, part, link_setups(rig), MonotonicClock())
-        pieces, memory_mib, skipped = [list[float]()], 0.0, 0
-        last_s = begun_s = 0.0
-        least = max(4, rig.run.drawing_us // rig.run.step_us)
+        pieces, memory_mib, skipped = [list[tuple[float, float]]()], 0.0, 0
+        last, begun = (0, 0.0), (0, 0.0)  # stream time, ns, and wall time, s
 
         def take(_: Events) -> None:
-            nonlocal last_s, begun_s, skipped, memory_mib
+            nonlocal last, begun, skipped, memory_mib
             if session.stopping:
                 return
-            now_s = time.perf_counter()
+            now = session.t_ns, time.perf_counter()
             if skipped < _NOT_COUNTED:
-                skipped, begun_s = skipped + 1, now_s
+                skipped, begun = skipped + 1, now
             else:
-                pieces[-1].append(now_s - last_s)
-            last_s, spent_s = now_s, now_s - begun_s
-            is_long = spent_s > _PIECE_S and (len(pieces[-1]) >= least or spent_s > _LONGEST * _PIECE_S)
-            if pieces[-1] and (is_long or session.t_ns + part.begin_ns >= self.end_ns):
+                pieces[-1].append(((now[0] - last[0]) * 1e-9, now[1] - last[1]))
+            last, spent_s = now, now[1] - begun[1]
+            is_period = now[0] - begun[0] >= rig.run.drawing_us * 1000
+            is_long = spent_s > _PIECE_S and (is_period or spent_s > _LONGEST * _PIECE_S)
+            if pieces[-1] and (is_long or now[0] + part.begin_ns >= self.end_ns):
                 if not ahead:
                     memory_mib = _memory_mib()
                     session.stop()
                 else:
-                    part.begin_ns, skipped = ahead.popleft() - session.t_ns, 0
+                    part.begin_ns, skipped = ahead.popleft() - now[0], 0
                     pieces.append([])
 
         session.run(schedule_of(rig), on_events=take)
-        return [piece for piece in pieces if piece], memory_mib
+        return [np.array(piece) for piece in pieces if piece], memory_mib
 
     def _light_events(self, rig: Rig, scene: Scene, steps: int) -> list[Events]:
         """Return the events of so many steps from the dearest instant on; of the exact scene fewer where it is slow."""
