@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import math
 import resource
 import time
 from collections import deque
@@ -35,10 +36,11 @@ from transports.link.pacing import MonotonicClock
 from transports.registry import imported
 
 _UNLIMITED_S = 180.0  # of a run without end
-_SWEEP, _LEAST_SWEEP, _SWEEP_S, _DEAREST = 16, 4, 5.0, 3
-_PIECE_S, _LONGEST = 0.7, 3  # of wall time, and times as much to come to the next drawing
+_SWEEP, _LEAST_SWEEP, _DEAREST = 16, 4, 3
+_SWEEP_S, _RUNG_S, _LIGHT_S = 4.0, 3.0, 2.0  # after which no further instant, piece or step of the exact light begins
+_PIECE_S, _LONGEST = 0.7, 2  # of wall time, and times as much to come to the next drawing
 _NOT_COUNTED = 2  # steps after a jump
-_LIGHT_STEPS, _LIGHT_S = 16, 4.0
+_LIGHT_STEPS = 16
 
 
 def quiet(sensor: SensorParameters) -> SensorParameters:
@@ -120,7 +122,7 @@ class Ladder:
             t_ns = k * self.end_ns // _SWEEP // grid_ns * grid_ns
             if t_ns not in costs_s and (len(costs_s) < _LEAST_SWEEP or time.perf_counter() < end_s):
                 costs_s[t_ns] = float(np.sum(step_costs(frames, source, t_ns, self._step_ns, 0.0)))
-        self.starts_ns = sorted(costs_s, key=costs_s.__getitem__)[-_DEAREST:]
+        self.starts_ns = sorted(costs_s, key=costs_s.__getitem__)[: -_DEAREST - 1 : -1]
         self._truth = self._light_events(self._exact, self._scene, _LIGHT_STEPS)
 
     def climb(self, rig: Rig) -> Rung:
@@ -149,13 +151,15 @@ class Ladder:
         part.begin_ns = ahead.popleft()
         session = build_session(rig, part, link_setups(rig), MonotonicClock())
         pieces, memory_mib, skipped = [list[tuple[float, float]]()], 0.0, 0
+        end_s = math.inf
         last, begun = (0, 0.0), (0, 0.0)  # stream time, ns, and wall time, s
 
         def take(_: Events) -> None:
-            nonlocal last, begun, skipped, memory_mib
+            nonlocal last, begun, skipped, memory_mib, end_s
             if session.stopping:
                 return
             now = session.t_ns, time.perf_counter()
+            end_s = min(end_s, now[1] + _RUNG_S)
             if skipped < _NOT_COUNTED:
                 skipped, begun = skipped + 1, now
             else:
@@ -164,7 +168,7 @@ class Ladder:
             is_period = now[0] - begun[0] >= rig.run.drawing_us * 1000
             is_long = spent_s > _PIECE_S and (is_period or spent_s > _LONGEST * _PIECE_S)
             if pieces[-1] and (is_long or now[0] + part.begin_ns >= self.end_ns):
-                if not ahead:
+                if not ahead or now[1] > end_s:
                     memory_mib = _memory_mib()
                     session.stop()
                 else:
@@ -177,7 +181,7 @@ class Ladder:
     def _light_events(self, rig: Rig, scene: Scene, steps: int) -> list[Events]:
         """Return the events of so many steps from the dearest instant on; of the exact scene fewer where it is slow."""
         source, frames = build_sensor(rig, quiet(rig.camera.sensor)), build_frames(rig, scene)
-        t_ns, end_s = self.starts_ns[-1], time.perf_counter() + _LIGHT_S
+        t_ns, end_s = self.starts_ns[0], time.perf_counter() + _LIGHT_S
         source.reset(frames.draw(t_ns))
         events = list[Events]()
         while len(events) < steps and (scene is not self._scene or not events or time.perf_counter() < end_s):
