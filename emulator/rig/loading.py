@@ -168,9 +168,13 @@ def second_rig(rig: Rig) -> Rig:
     """Return the rig as its second camera has it; raises RigError where its scene has no path to mount it on."""
     second = rig.second_camera
     assert second is not None
+    camera = _second_model(rig.camera, second)
+    if rig.run.quality >= 0:  # both are on one rung
+        noise = dataclasses.replace(camera.sensor.noise, grade=rig.camera.sensor.noise.grade)
+        camera = dataclasses.replace(camera, sensor=dataclasses.replace(camera.sensor, noise=noise))
     return dataclasses.replace(
         rig,
-        camera=_second_model(rig.camera, second),
+        camera=camera,
         links=tuple(link for link in rig.links if carries_second(rig, link.name)),
         run=dataclasses.replace(rig.run, seed=rig.run.seed + 1),
         scene=_moved(rig, second),

@@ -1,6 +1,6 @@
 """Rungs of accuracy against speed: `run.quality` of a rig stands for some keys, which a rig can also give alone.
 
-    rung   run.drawing_us, in steps   camera.sensor.noise.law
+    rung   run.drawing_us, in steps   camera.sensor.noise.grade
     0      1                          passages
     1      2                          passages
     2      4                          passages
@@ -14,20 +14,19 @@ Scenes of bodies and terrain alone have exact drawings, and so the first key. A 
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 from emulator.rig.tables import Run
 from emulator.sensor.parameters import NoiseParameters
 from emulator.tables.toml_text import dotted
-from emulator.tables.typed_table import TableError
+from emulator.tables.typed_table import TableError, field_types
 
 _STEPS = (1, 2, 4, 4, 6, 8)
 _FIRST_BY_OFFSETS = 3
-_DRAWING, _LAW = ("run", "drawing_us"), ("camera", "sensor", "noise", "law")
+_DRAWING, _NOISE = ("run", "drawing_us"), ("camera", "sensor", "noise", "grade")
 _DRAWN = ("bodies", "terrain")
-_HAS_LAW = "law" in {field.name for field in dataclasses.fields(NoiseParameters)}
+_HAS_OFFSETS = "offsets" in get_args(field_types(NoiseParameters)["grade"])
 
 RUNGS = range(len(_STEPS))
 """Rungs, the most accurate first."""
@@ -38,8 +37,8 @@ def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str,
     keys: dict[tuple[str, ...], int | str] = {}
     if scene_kind in _DRAWN:
         keys[_DRAWING] = _STEPS[quality] * step_us
-    if _HAS_LAW:
-        keys[_LAW] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
+    if _HAS_OFFSETS:
+        keys[_NOISE] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
     return keys
 
 
@@ -48,8 +47,8 @@ def left_out(quality: int, scene_kind: str) -> str:
     skipped, parts = _STEPS[quality] - 1, list[str]()
     if scene_kind in _DRAWN and skipped:
         parts.append(f"{skipped} of {skipped + 1} exact drawings")
-    if _HAS_LAW and quality >= _FIRST_BY_OFFSETS:
-        parts.append("memory of the noise")
+    if _HAS_OFFSETS and quality >= _FIRST_BY_OFFSETS:
+        parts.append("bursts of the noise")
     return ", ".join(parts)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from emulator.rig.loading import RigError, parse_rig
+from emulator.rig.loading import RigError, parse_rig, second_rig, shipped_rigs
 from emulator.rig.quality import RUNGS, left_out, rung_keys
 
 BODIES = '[scene]\nkind = "bodies"\n[[scene.bodies]]\nshape = "eros022540"\n[run]\nstep_us = 5000\nquality = {}\n'
@@ -48,3 +48,14 @@ def test_a_rung_changes_no_value_that_a_rig_gives():
 def test_a_wrong_table_beside_a_rung_is_refused_as_without_one(more):
     with pytest.raises(RigError):
         made(3, more)
+
+
+@pytest.mark.parametrize("quality", RUNGS)
+def test_a_second_camera_stands_on_the_rung_of_the_first(quality):
+    path = shipped_rigs()["stars-two-families"]
+    text = path.read_text().replace("[run]", f"[run]\nquality = {quality}")
+    rig = parse_rig(text, str(path), path.stem)
+    second = second_rig(rig)
+    assert second.camera.model != rig.camera.model
+    assert second.run.quality == quality
+    assert second.camera.sensor.noise.grade == rig.camera.sensor.noise.grade
