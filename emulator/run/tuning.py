@@ -10,6 +10,7 @@ Wrong events are those that must be deleted or inserted in the sequences of pola
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import gc
 import math
@@ -127,7 +128,8 @@ class Ladder:
 
     def climb(self, rig: Rig) -> Rung:
         """Measure the rung that a rig, equal but for its keys of quality, stands on."""
-        gc.collect()  # what held the rung before goes
+        gc.collect()  # what the rung before held goes, as far as the system's allocator gives it back
+        getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
         run = dataclasses.replace(rig.run, pace="free", lockstep_us=0, seconds=0.0)
         hosted = dataclasses.replace(self._exact, run=run, camera=rig.camera)
         with drawn_seldom(_Part(self._scene), run) as scene:

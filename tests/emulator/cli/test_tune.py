@@ -130,3 +130,22 @@ def test_wrong_use(options, reason, rig, capsys):
 def test_poses_from_outside_cannot_be_tuned(rig, capsys):
     rig.write_text(RIG.replace("[run]", '[scene.bodies.path]\nkind = "live"\n[run]'))
     assert "from outside" in result_of(capsys, 2, rig)["error"]
+
+
+def test_a_plan_shows_the_keys_of_the_rung_and_its_wrong_events(tmp_path, capsys):
+    path = tmp_path / "rock.toml"
+    scene = '[scene]\nkind = "bodies"\n[scene.camera]\nkind = "fixed"\nposition_m = [0.0, 0.0, -90.0]\n'
+    body = '[[scene.bodies]]\nshape = "eros022540"\n[scene.bodies.path]\nkind = "spin"\nspin_deg_s = 6.0\n'
+    camera = "[camera]\nsensor = {width = 64, height = 48}\nlens = {field_of_view_deg = 21.0, f_number = 5.0}\n"
+    path.write_text(f"{scene}{body}{camera}[run]\nstep_us = 40000\nseconds = 5.0\nquality = 5\n")
+    assert _main(["plan", str(path), "--json"]) == 0
+    rung = json.loads(capsys.readouterr().out.splitlines()[-1])["rung"]
+    assert rung["keys"]["run.drawing_us"] == 320_000
+    assert 0 < rung["wrong_share"] < 1
+    assert _main(["plan", str(path)]) == 0
+    shown = capsys.readouterr().out
+    line = next(line for line in shown.splitlines() if line.startswith("quality"))
+    assert line.startswith("quality  5: run.drawing_us = 320000")
+    assert line.endswith(
+        f"leaves out {rung['left_out']}; {rung['wrong_share']:.2%} of the events of the light wrong here"
+    )
