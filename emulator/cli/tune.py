@@ -182,10 +182,10 @@ class _Tuned:
             yield f"best: run.quality = {self.best}"
             return
         slowest = self._measured[self._nearest].slowest
-        yield f"none reaches {self._at_least:g}: the nearest is rung {self._nearest} with {slowest:.2g} times real time"
+        yield f"none reaches {self._at_least:g}: the nearest is rung {self._nearest} with {slowest:.2f} times real time"
         if (half := self._half) is not None:
             size = f"{half['width']}x{half['height']}"
-            yield f"or, there, a sensor of {size} pixels: {half['slowest']:.2g} times real time"
+            yield f"or, there, a sensor of {size} pixels: {half['slowest']:.2f} times real time"
         yield f"or lockstep, in step with a bus: {1 / slowest:.2g} s for a second of the stream"
 
     def write(self, out: Path) -> None:

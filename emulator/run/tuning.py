@@ -2,7 +2,8 @@
 
     sweep   cost of a step with exact drawings at instants spread over the run          -> the dearest instants
     speed   a session in free pace that jumps from one of these to the next; a loopback stands for each link, whose
-            host reads and decodes all. A jump changes all pixels: the steps that follow it at once do not count
+            host reads and decodes all; frames and inertial samples are left out. A jump changes all pixels: the steps
+            that follow it at once do not count
     events  those of the light alone, without leak and noise, beside those of exact drawings in the same steps
 
 Wrong events are those that must be deleted or inserted in the sequences of polarities of the pixels, over all events.
@@ -28,6 +29,7 @@ from emulator.rig.kinds import LINKS
 from emulator.rig.loading import Rig
 from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, drawn_seldom, link_setups
 from emulator.run.assembly import schedule as schedule_of
+from emulator.run.link_process import LinkFailed
 from emulator.run.trial import step_costs
 from emulator.scene.between import WINDOW
 from emulator.sensor.parameters import NoiseParameters
@@ -131,7 +133,8 @@ class Ladder:
         gc.collect()  # what the rung before held goes, as far as the system's allocator gives it back
         getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
         run = dataclasses.replace(rig.run, pace="free", lockstep_us=0, seconds=0.0)
-        hosted = dataclasses.replace(self._exact, run=run, camera=rig.camera)
+        camera = dataclasses.replace(rig.camera, frames=None, imu=None)
+        hosted = dataclasses.replace(self._exact, run=run, camera=camera)
         with drawn_seldom(_Part(self._scene), run) as scene:
             pieces, memory_mib = self._pieces(hosted, scene)
         factors = [float(np.divide(*np.sum(piece, axis=0))) for piece in pieces]
@@ -177,7 +180,9 @@ class Ladder:
                     part.begin_ns, skipped = ahead.popleft() - now[0], 0
                     pieces.append([])
 
-        session.run(schedule_of(rig), on_events=take)
+        result = session.run(schedule_of(rig), on_events=take)
+        if trouble := next((link.error for link in result.links.values() if link.error), result.scene_trouble):
+            raise LinkFailed(f"{rig.name}: a piece of its run failed: {trouble}")
         return [np.array(piece) for piece in pieces if piece], memory_mib
 
     def _light_events(self, rig: Rig, scene: Scene, steps: int) -> list[Events]:

@@ -76,8 +76,8 @@ def test_the_best_rung_is_the_most_accurate_that_is_fast_enough(rig, capsys):
 def test_where_none_is_fast_enough_the_nearest_and_other_ways_are_shown(rig, capsys, climbed):
     assert _main(["tune", str(rig), "--at-least", "2.5"]) == 1
     lines = capsys.readouterr().out.splitlines()[-3:]
-    assert lines[0] == "none reaches 2.5: the nearest is rung 5 with 1.5 times real time"
-    assert lines[1] == "or, there, a sensor of 173x130 pixels: 3 times real time"
+    assert lines[0] == "none reaches 2.5: the nearest is rung 5 with 1.50 times real time"
+    assert lines[1] == "or, there, a sensor of 173x130 pixels: 3.00 times real time"
     assert lines[2] == "or lockstep, in step with a bus: 0.67 s for a second of the stream"
     assert climbed["rigs"] == [346, 173]
 

@@ -8,6 +8,8 @@ import pytest
 from emulator.rig.loading import load_rig, parse_rig
 from emulator.run import tuning
 from emulator.run.assembly import link_setups
+from emulator.run.link_process import LinkFailed
+from emulator.run.session import Session
 from emulator.run.tuning import Ladder
 
 RIG = """
@@ -85,3 +87,24 @@ def test_pieces_end_with_the_run(short):
         ladder.sweep()
         assert ladder.starts_ns == [0]
         assert ladder.climb(rig).slowest > 0
+
+
+def test_the_links_read_a_rig_with_an_inertial_unit_without_error(short):
+    rig = load_rig("stars-dvxplorer-micro")
+    assert rig.camera.imu is not None
+    with Ladder(rig) as ladder:
+        ladder.sweep()
+        assert ladder.climb(rig).memory_mib > 10
+
+
+def test_a_piece_that_fails_is_an_error(monkeypatch, short):
+    run, rig = Session.run, dataclasses.replace(load_rig("stars"), links=())
+
+    def failing(*arguments, **named):
+        return dataclasses.replace(run(*arguments, **named), scene_trouble="the scene is gone")
+
+    monkeypatch.setattr(Session, "run", failing)
+    with Ladder(rig) as ladder:
+        ladder.sweep()
+        with pytest.raises(LinkFailed, match="the scene is gone"):
+            ladder.climb(rig)
