@@ -88,7 +88,7 @@ class _Tuned:
                 table = with_value(table, path, value)
         self._tables = {quality: with_value(table, ("run", "quality"), quality) for quality in RUNGS}
         self._refused: dict[int, str] = {}
-        self._at = {quality: made for quality in RUNGS if (made := self._rig_at(quality)) is not None}
+        self._at = {quality: rung for quality in RUNGS if (rung := self._rig_at(quality)) is not None}
         if not self._at:
             raise Failure(f"{rig.name}: {self._refused[0]}", WRONG_USE)
         self._measured: dict[int, Rung] = {}

@@ -24,14 +24,13 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.light import Light, OtherLight, PixelLight, Scene
+from emulator.light import Light, OtherLight, PixelLight, Scene, SceneError
 from emulator.rig.kinds import LINKS
 from emulator.rig.loading import Rig
 from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, drawn_seldom, link_setups
 from emulator.run.assembly import schedule as schedule_of
 from emulator.run.link_process import LinkFailed
 from emulator.run.trial import step_costs
-from emulator.scene.between import WINDOW
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events, Floats
@@ -39,6 +38,7 @@ from transports.link.pacing import MonotonicClock
 from transports.registry import imported
 
 _UNLIMITED_S = 180.0  # of a run without end
+_GRID = 24  # steps: every rung has drawings there
 _SWEEP, _LEAST_SWEEP, _DEAREST = 16, 4, 3
 _SWEEP_S, _RUNG_S, _LIGHT_S = 4.0, 3.0, 2.0  # after which no further instant, piece or step of the exact light begins
 _PIECE_S, _LONGEST = 0.7, 2  # of wall time, and times as much to come to the next drawing
@@ -116,15 +116,19 @@ class Ladder:
         self._scene.close()
 
     def sweep(self) -> None:
-        """Find the dearest instants of the run, each on a drawing of every rung."""
+        """Find the dearest instants of the run, the dearest first."""
         source = build_sensor(self._exact, quiet(self._exact.camera.sensor))
         source.warm_up()
         frames, costs_s = build_frames(self._exact, self._scene), dict[int, float]()
-        grid_ns, end_s = WINDOW * self._step_ns, time.perf_counter() + _SWEEP_S
+        grid_ns, end_s = _GRID * self._step_ns, time.perf_counter() + _SWEEP_S
         for k in sorted(range(_SWEEP), key=lambda k: f"{k:04b}"[::-1]):  # finer and finer
             t_ns = k * self.end_ns // _SWEEP // grid_ns * grid_ns
             if t_ns not in costs_s and (len(costs_s) < _LEAST_SWEEP or time.perf_counter() < end_s):
-                costs_s[t_ns] = float(np.sum(step_costs(frames, source, t_ns, self._step_ns, 0.0)))
+                try:
+                    costs_s[t_ns] = float(np.sum(step_costs(frames, source, t_ns, self._step_ns, 0.0)))
+                except SceneError:  # it ends before
+                    if not costs_s:
+                        raise
         self.starts_ns = sorted(costs_s, key=costs_s.__getitem__)[: -_DEAREST - 1 : -1]
         self._truth = self._light_events(self._exact, self._scene, _LIGHT_STEPS)
 
@@ -137,6 +141,8 @@ class Ladder:
         hosted = dataclasses.replace(self._exact, run=run, camera=camera)
         with drawn_seldom(_Part(self._scene), run) as scene:
             pieces, memory_mib = self._pieces(hosted, scene)
+        if not pieces:
+            raise SceneError(f"{rig.name}: its scene ends within {_NOT_COUNTED} steps")
         factors = [float(np.divide(*np.sum(piece, axis=0))) for piece in pieces]
         p99_ms = 1e3 * float(np.quantile(np.concatenate(pieces)[:, 1], 0.99))
         return Rung(float(np.median(factors)), min(factors), p99_ms, self.wrong_share(rig), memory_mib)
@@ -155,13 +161,12 @@ class Ladder:
         part, ahead = _Part(scene), deque(self.starts_ns)
         part.begin_ns = ahead.popleft()
         session = build_session(rig, part, link_setups(rig), MonotonicClock())
-        pieces, memory_mib, skipped = [list[tuple[float, float]]()], 0.0, 0
-        end_s = math.inf
+        pieces, skipped, end_s = [list[tuple[float, float]]()], 0, math.inf
         last, begun = (0, 0.0), (0, 0.0)  # stream time, ns, and wall time, s
 
         def take(_: Events) -> None:
-            nonlocal last, begun, skipped, memory_mib, end_s
-            if session.stopping:
+            nonlocal last, begun, skipped, end_s
+            if session.stopping or session.t_ns == last[0]:  # what the read-out held
                 return
             now = session.t_ns, time.perf_counter()
             end_s = min(end_s, now[1] + _RUNG_S)
@@ -174,16 +179,17 @@ class Ladder:
             is_long = spent_s > _PIECE_S and (is_period or spent_s > _LONGEST * _PIECE_S)
             if pieces[-1] and (is_long or now[0] + part.begin_ns >= self.end_ns):
                 if not ahead or now[1] > end_s:
-                    memory_mib = _memory_mib()
                     session.stop()
                 else:
                     part.begin_ns, skipped = ahead.popleft() - now[0], 0
                     pieces.append([])
 
         result = session.run(schedule_of(rig), on_events=take)
-        if trouble := next((link.error for link in result.links.values() if link.error), result.scene_trouble):
-            raise LinkFailed(f"{rig.name}: a piece of its run failed: {trouble}")
-        return [np.array(piece) for piece in pieces if piece], memory_mib
+        for link in result.links.values():
+            if link.error:
+                raise LinkFailed(f"{rig.name}: the host in place of a link: {link.error}")
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return [np.array(piece) for piece in pieces if piece], pages * resource.getpagesize() / 2**20
 
     def _light_events(self, rig: Rig, scene: Scene, steps: int) -> list[Events]:
         """Return the events of so many steps from the dearest instant on; of the exact scene fewer where it is slow."""
@@ -193,9 +199,8 @@ class Ladder:
         events = list[Events]()
         while len(events) < steps and (scene is not self._scene or not events or time.perf_counter() < end_s):
             t_ns += self._step_ns
-            events.append(source.expose(frames.draw(t_ns)))
+            try:
+                events.append(source.expose(frames.draw(t_ns)))
+            except SceneError:  # it ends before
+                break
         return events
-
-
-def _memory_mib() -> float:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20

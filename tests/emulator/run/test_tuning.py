@@ -5,12 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from emulator.light import SceneEnded, SceneError
 from emulator.rig.loading import load_rig, parse_rig
 from emulator.run import tuning
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkFailed
 from emulator.run.session import Session
 from emulator.run.tuning import Ladder
+from emulator.scene.checkerboard.checkerboard import Checkerboard
+from transports.link.report import LinkReport
 
 RIG = """
 [scene]
@@ -53,14 +56,14 @@ def short(monkeypatch):
 
 def test_the_dearest_instants_are_on_drawings_of_every_rung(monkeypatch, short):
     def costs(frames, source, t_ns, step_ns, wall_s):
-        return [np.array([float(t_ns == 7_680_000_000), 1e-3])]
+        return [np.array([float(t_ns == 9_600_000_000), 1e-3])]
 
     monkeypatch.setattr(tuning, "step_costs", costs)
     with Ladder(rig_at()) as ladder:
         ladder.sweep()
         assert len(ladder.starts_ns) == 2
-        assert ladder.starts_ns[0] == 7_680_000_000
-        assert not any(t_ns % (64 * 40_000_000) for t_ns in ladder.starts_ns)
+        assert ladder.starts_ns[0] == 9_600_000_000
+        assert not any(t_ns % (24 * 40_000_000) for t_ns in ladder.starts_ns)
 
 
 def test_a_rung_is_measured_in_a_session_without_the_rigs_own_links(monkeypatch, short):
@@ -101,10 +104,32 @@ def test_a_piece_that_fails_is_an_error(monkeypatch, short):
     run, rig = Session.run, dataclasses.replace(load_rig("stars"), links=())
 
     def failing(*arguments, **named):
-        return dataclasses.replace(run(*arguments, **named), scene_trouble="the scene is gone")
+        failed = LinkReport(state="failed", error="the host is gone")
+        return dataclasses.replace(run(*arguments, **named), links={"usbip": failed})
 
-    monkeypatch.setattr(Session, "run", failing)
     with Ladder(rig) as ladder:
         ladder.sweep()
-        with pytest.raises(LinkFailed, match="the scene is gone"):
+        monkeypatch.setattr(Session, "run", failing)
+        with pytest.raises(LinkFailed, match="the host is gone"):
             ladder.climb(rig)
+
+
+@pytest.mark.parametrize("last_step", [0, 1, 2, 5, 20])
+def test_a_scene_that_ends_early_is_measured_up_to_its_end(last_step, monkeypatch, short):
+    rig = dataclasses.replace(load_rig("checkerboard"), links=())
+    draw = Checkerboard.light_and_rate
+
+    def ends(self, t_ns, *arrays):
+        if t_ns > last_step * rig.run.step_us * 1000:
+            raise SceneEnded("no more light")
+        draw(self, t_ns, *arrays)
+
+    monkeypatch.setattr(Checkerboard, "light_and_rate", ends)
+    with Ladder(rig) as ladder:
+        if last_step:
+            ladder.sweep()
+        if last_step > 2:
+            assert ladder.climb(rig).slowest > 0
+            return
+        with pytest.raises(SceneError):
+            ladder.climb(rig) if last_step else ladder.sweep()
