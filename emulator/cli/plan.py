@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from typing import Any
 
 from emulator.cli.checks import failures, prepared
@@ -12,13 +13,12 @@ from emulator.cli.output import GOOD, Json, RigName, aligned, print_result
 from emulator.plan.plan import Decision, Plan, line_loads
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import Rig, load_rig
-from emulator.rig.quality import left_out, rung_keys
+from emulator.rig.quality import described
 from emulator.run.assembly import build_scene, plan_of
 from emulator.run.kernels import parts_of
 from emulator.run.trial import INSTANTS, Trial, runs_alone, trial
 from emulator.run.tuning import Ladder
 from emulator.scene.between import OFTEN, SELDOM
-from emulator.tables.toml_text import dotted
 
 _METHODS = {
     "hermite": "cubic in log light from value and derivative, low-pass solved in warped time",
@@ -62,17 +62,12 @@ def _as_json(planned: Plan) -> dict[str, object]:
 
 
 def _rung(rig: Rig) -> dict[str, Any] | None:
-    """Return the keys that the quality of a rig stands for, what it leaves out, and its wrong events; None for none."""
-    quality, kind = rig.run.quality, rig.scene.kind
-    if quality < 0:
+    """Return the rung of a rig, with its wrong events where it runs alone; None for none."""
+    if rig.run.quality < 0:
         return None
-    wrong = None
-    if runs_alone(rig):
-        with Ladder(rig) as ladder:
-            ladder.sweep()
-            wrong = ladder.wrong_share(rig)
-    keys = {dotted(path): value for path, value in rung_keys(quality, kind, rig.run.step_us).items()}
-    return {"quality": quality, "keys": keys, "left_out": left_out(quality, kind), "wrong_share": wrong}
+    with Ladder(rig) if runs_alone(rig) else nullcontext() as ladder:
+        wrong_share = None if ladder is None else ladder.wrong_share(rig)
+    return {**described(rig.run.quality, rig), "wrong_share": wrong_share}
 
 
 def _finite(table: dict[str, object]) -> dict[str, object]:

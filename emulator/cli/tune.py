@@ -27,7 +27,7 @@ from emulator.cli.output import (
     status,
 )
 from emulator.rig.loading import Rig, RigError, load_rig, parse_rig, rig_of_table
-from emulator.rig.quality import RUNGS, left_out, rung_keys
+from emulator.rig.quality import RUNG, RUNGS, described
 from emulator.run.kernels import parts_of
 from emulator.run.trial import runs_alone
 from emulator.run.tuning import Ladder, Rung
@@ -83,10 +83,10 @@ class _Tuned:
         table: Any = read_toml(rig.source.text)
         with failing(WRONG_USE, ValueError, TableError, at="--set"):
             for key, value in keys_of(keys).items():
-                if (path := path_of(key)) == ("run", "quality"):
+                if (path := path_of(key)) == RUNG:
                     raise ValueError("run.quality: all rungs are tried; leave it out")
                 table = with_value(table, path, value)
-        self._tables = {quality: with_value(table, ("run", "quality"), quality) for quality in RUNGS}
+        self._tables = {quality: with_value(table, RUNG, quality) for quality in RUNGS}
         self._refused: dict[int, str] = {}
         self._at = {quality: rung for quality in RUNGS if (rung := self._rig_at(quality)) is not None}
         if not self._at:
@@ -99,7 +99,7 @@ class _Tuned:
         try:
             return rig_of_table(self._tables[quality], self._rig.name, self._folder)
         except TableError as error:
-            if error.path not in rung_keys(quality, self._rig.scene.kind, 1):
+            if error.path != RUNG:
                 raise Failure(f"--set {dotted(error.path)}: {error}", WRONG_USE) from error
             self._refused[quality] = str(error)
             return None
@@ -109,9 +109,8 @@ class _Tuned:
         logging.getLogger("emulator").setLevel(logging.WARNING)  # not the state of the links of each piece
         prepared([*{part.key: part for rig in self._at.values() for part in parts_of(rig)}.values()])
         try:
+            status.print(f"{self._rig.name}: looking for the dearest parts of its run")
             with Ladder(next(iter(self._at.values()))) as ladder:
-                status.print(f"{self._rig.name}: looking for the dearest parts of its run")
-                ladder.sweep()
                 for quality, rig in self._at.items():
                     if (rung := self._like(quality)) is None:
                         rung = ladder.climb(rig)
@@ -138,7 +137,6 @@ class _Tuned:
         half = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
         status.print(f"rung {rig.run.quality} at {width}x{height}")
         with Ladder(half) as ladder:
-            ladder.sweep()
             self._half = {"width": width, "height": height, **vars(ladder.climb(half))}
 
     @property
@@ -152,13 +150,14 @@ class _Tuned:
 
     def as_json(self) -> dict[str, Any]:
         """Return the table and the choice, for programs."""
-        rungs = []
-        for quality in RUNGS:
-            rig = self._at.get(quality, self._rig)
-            keys = rung_keys(quality, rig.scene.kind, rig.run.step_us)
-            row = {"quality": quality, "keys": {dotted(path): value for path, value in keys.items()}}
-            row |= {"left_out": left_out(quality, rig.scene.kind), "refused": self._refused.get(quality)}
-            rungs.append({**row, "measured": self._measured.get(quality)})
+        rungs = [
+            {
+                **described(k, self._at.get(k, self._rig)),
+                "refused": self._refused.get(k),
+                "measured": self._measured.get(k),
+            }
+            for k in RUNGS
+        ]
         return {
             "rig": self._rig.name,
             "at_least": self._at_least,
@@ -171,7 +170,7 @@ class _Tuned:
         """Yield the table and the choice, for people."""
         rows = list[Sequence[str]]([_HEADS])
         for quality, rung in self._measured.items():
-            words = left_out(quality, self._rig.scene.kind) or "nothing"
+            words = described(quality, self._rig)["left_out"] or "nothing"
             speeds = f"{rung.median:.2f}", f"{rung.slowest:.2f}", f"{rung.p99_ms:.3g} ms"
             wrong = "-" if rung.wrong_share is None else f"{rung.wrong_share:.2%}"
             rows.append((str(quality), words, *speeds, wrong, f"{rung.memory_mib:.0f} MiB"))

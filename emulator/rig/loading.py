@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.rig.kinds import CAMERA_MODELS
-from emulator.rig.quality import check_rung, with_rung
+from emulator.rig.quality import RUNG, check_rung, with_rung
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
@@ -126,7 +126,10 @@ def rig_of_table(table: dict[str, Any], name: str, folder: Path) -> Rig:
     """Make a rig of the tables of a rig file that lies in `folder`; raises TableError."""
     values = values_of(with_rung(table))
     title = name if values["title"] is None else values["title"]
-    return beside(Rig(name, **{**values, "title": title}), folder)
+    try:
+        return beside(Rig(name, **{**values, "title": title}), folder)
+    except ValueError as error:  # of its rung
+        raise TableError(str(error), RUNG) from error
 
 
 def parse_rig(text: str, file: str, name: str) -> Rig:

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any, get_args
 
 from emulator.rig.tables import Run
 from emulator.sensor.parameters import NoiseParameters
 from emulator.tables.toml_text import dotted
-from emulator.tables.typed_table import TableError, field_types
+from emulator.tables.typed_table import field_types
 
 _STEPS = (1, 2, 4, 4, 6, 8)
 _FIRST_BY_OFFSETS = 3
@@ -28,35 +29,31 @@ _DRAWING, _NOISE = ("run", "drawing_us"), ("camera", "sensor", "noise", "grade")
 _DRAWN = ("bodies", "terrain")
 _HAS_OFFSETS = "offsets" in get_args(field_types(NoiseParameters)["grade"])
 
-RUNGS = range(len(_STEPS))
-"""Rungs, the most accurate first."""
+RUNG, RUNGS = ("run", "quality"), range(len(_STEPS))
+"""Path of the key, and its values, the most accurate first."""
 
 
 def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str, ...], int | str]:
     """Return the keys that a rung stands for, each with its value."""
-    keys: dict[tuple[str, ...], int | str] = {}
-    if scene_kind in _DRAWN:
-        keys[_DRAWING] = _STEPS[quality] * step_us
-    if _HAS_OFFSETS:
-        keys[_NOISE] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
-    return keys
+    drawing = {_DRAWING: _STEPS[quality] * step_us} if scene_kind in _DRAWN else {}
+    return {**drawing, **({_NOISE: "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"} if _HAS_OFFSETS else {})}
 
 
-def left_out(quality: int, scene_kind: str) -> str:
-    """Return the parts that a rung leaves out, in words; "" for none."""
+def described(quality: int, rig: Any) -> dict[str, Any]:
+    """Return a rung of a rig for JSON: its keys, and the parts that it leaves out in words, "" for none."""
+    keys = rung_keys(quality, rig.scene.kind, rig.run.step_us)
     skipped, parts = _STEPS[quality] - 1, list[str]()
-    if scene_kind in _DRAWN and skipped:
+    if _DRAWING in keys and skipped:
         parts.append(f"{skipped} of {skipped + 1} exact drawings")
-    if _HAS_OFFSETS and quality >= _FIRST_BY_OFFSETS:
+    if keys.get(_NOISE) == "offsets":
         parts.append("bursts of the noise")
-    return ", ".join(parts)
+    return {"quality": quality, "keys": {dotted(key): keys[key] for key in keys}, "left_out": ", ".join(parts)}
 
 
 def with_rung(table: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the tables of a rig with the keys that `run.quality` stands for.
+    """Return the tables of a rig with the keys that `run.quality` stands for, where it lacks them.
 
-    A quality, or a key that it depends on, which is no valid value stays for the reader of its table to refuse. Raises
-    TableError where the rig gives another value for such a key.
+    A value that is not valid, also of a key on which these depend, stays for the reader of its table to refuse.
     """
     run, scene = table.get("run"), table.get("scene")
     if not isinstance(run, dict) or not isinstance(scene, dict):
@@ -68,11 +65,9 @@ def with_rung(table: Mapping[str, Any]) -> Mapping[str, Any]:
     for path, value in rung_keys(quality, str(scene.get("kind")), step_us).items():
         inner: Any = table
         for name in path[:-1]:
-            inner = inner.setdefault(name, {})
-            if not isinstance(inner, dict):
-                return table
-        if (other := inner.setdefault(path[-1], value)) != value:
-            raise TableError(_contrary(quality, path, value, other), path)
+            inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
+        if isinstance(inner, dict):
+            inner.setdefault(path[-1], value)
     return table
 
 
@@ -80,15 +75,9 @@ def check_rung(rig: Any) -> None:
     """Raise ValueError where a rig has another value than its `run.quality` stands for."""
     quality = rig.run.quality
     for path, value in rung_keys(quality, rig.scene.kind, rig.run.step_us).items() if quality in RUNGS else ():
-        other = rig
-        for name in path:
-            other = getattr(other, name)
+        other = reduce(getattr, path, rig)
         if other != value:
-            raise ValueError(_contrary(quality, path, value, other))
-
-
-def _contrary(quality: int, path: tuple[str, ...], value: object, other: object) -> str:
-    return (
-        f"run.quality = {quality} stands for {dotted(path)} = {value!r}, and the rig gives {other!r}: leave out one of "
-        "both, or take another rung"
-    )
+            raise ValueError(
+                f"run.quality = {quality} stands for {dotted(path)} = {value!r}, and the rig gives {other!r}: leave "
+                "out one of both, or take another rung"
+            )

@@ -34,16 +34,17 @@ from emulator.run.trial import step_costs
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events, Floats
+from transports import Closing
 from transports.link.pacing import MonotonicClock
 from transports.registry import imported
 
 _UNLIMITED_S = 180.0  # of a run without end
 _GRID = 24  # steps: every rung has drawings there
-_SWEEP, _LEAST_SWEEP, _DEAREST = 16, 4, 3
-_SWEEP_S, _RUNG_S, _LIGHT_S = 4.0, 3.0, 2.0  # after which no further instant, piece or step of the exact light begins
+_SWEEP, _LEAST_SWEEP = 16, 4  # instants: at most, and also where that takes long
+_SWEEP_S, _DEAREST = 4.0, 3
 _PIECE_S, _LONGEST = 0.7, 2  # of wall time, and times as much to come to the next drawing
-_NOT_COUNTED = 2  # steps after a jump
-_LIGHT_STEPS = 16
+_RUNG_S, _NOT_COUNTED = 3.0, 2  # after which no further piece begins; steps after a jump
+_LIGHT_S, _LIGHT_STEPS = 2.0, 16  # fewer steps where exact drawings take longer
 
 
 def quiet(sensor: SensorParameters) -> SensorParameters:
@@ -96,8 +97,8 @@ class _Part(OtherLight):
         """Do nothing."""
 
 
-class Ladder:
-    """The rungs of a rig, one after another, over the same exact scene; a context manager."""
+class Ladder(Closing):
+    """The rungs of a rig, one after another, over the same exact scene, whose dearest instants are sought first."""
 
     def __init__(self, rig: Rig) -> None:
         run = dataclasses.replace(rig.run, quality=-1, drawing_us=rig.run.step_us, pace="free", lockstep_us=0)
@@ -106,17 +107,19 @@ class Ladder:
         self._step_ns = rig.run.step_us * 1000
         self.end_ns = round((rig.run.seconds or _UNLIMITED_S) * 1e9)
         self._scene = build_scene(self._exact)
-        self.starts_ns: Sequence[int] = ()
-        self._truth: Sequence[Events] = ()
+        try:
+            self.starts_ns = self._sweep()
+            self._truth = self._light_events(self._exact, self._scene, _LIGHT_STEPS)
+        except BaseException:
+            self.close()
+            raise
 
-    def __enter__(self) -> Ladder:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Close the scene."""
         self._scene.close()
 
-    def sweep(self) -> None:
-        """Find the dearest instants of the run, the dearest first."""
+    def _sweep(self) -> Sequence[int]:
+        """Return the dearest instants of the run, ns, the dearest first."""
         source = build_sensor(self._exact, quiet(self._exact.camera.sensor))
         source.warm_up()
         frames, costs_s = build_frames(self._exact, self._scene), dict[int, float]()
@@ -129,8 +132,7 @@ class Ladder:
                 except SceneError:  # it ends before
                     if not costs_s:
                         raise
-        self.starts_ns = sorted(costs_s, key=costs_s.__getitem__)[: -_DEAREST - 1 : -1]
-        self._truth = self._light_events(self._exact, self._scene, _LIGHT_STEPS)
+        return sorted(costs_s, key=costs_s.__getitem__)[: -_DEAREST - 1 : -1]
 
     def climb(self, rig: Rig) -> Rung:
         """Measure the rung that a rig, equal but for its keys of quality, stands on."""
@@ -161,7 +163,8 @@ class Ladder:
         part, ahead = _Part(scene), deque(self.starts_ns)
         part.begin_ns = ahead.popleft()
         session = build_session(rig, part, link_setups(rig), MonotonicClock())
-        pieces, skipped, end_s = [list[tuple[float, float]]()], 0, math.inf
+        pieces = [list[tuple[float, float]]()]
+        skipped, end_s = 0, math.inf
         last, begun = (0, 0.0), (0, 0.0)  # stream time, ns, and wall time, s
 
         def take(_: Events) -> None:

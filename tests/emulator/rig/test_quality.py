@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig, second_rig, shipped_rigs
-from emulator.rig.quality import RUNGS, left_out, rung_keys
+from emulator.rig.quality import RUNGS, described, rung_keys
 
 BODIES = '[scene]\nkind = "bodies"\n[[scene.bodies]]\nshape = "eros022540"\n[run]\nstep_us = 5000\nquality = {}\n'
 
@@ -22,7 +22,7 @@ def test_a_rung_is_a_set_of_keys_that_a_rig_can_also_give(quality):
     alone = made(-1, f"drawing_us = {given['drawing_us']}\n")
     assert dataclasses.replace(by_rung.run, quality=-1) == alone.run
     assert made(quality, f"drawing_us = {given['drawing_us']}\n") == by_rung
-    assert bool(left_out(quality, "bodies")) is (quality > 0)
+    assert bool(described(quality, by_rung)["left_out"]) is (quality > 0)
 
 
 def test_without_a_rung_each_key_is_as_the_rig_gives_it():
@@ -37,7 +37,7 @@ def test_a_rung_is_a_whole_number_of_the_ladder(quality):
 
 
 def test_a_rung_changes_no_value_that_a_rig_gives():
-    with pytest.raises(RigError, match=r"line 8: run.drawing_us: run.quality = 2 stands for .* = 20000, .* gives 5000"):
+    with pytest.raises(RigError, match=r"line 7: run.quality: run.quality = 2 stands for .* = 20000, .* gives 5000"):
         made(2, "drawing_us = 5000\n")
     rig = made(2)
     with pytest.raises(ValueError, match=r"= 2 stands for run.drawing_us = 40000, and the rig gives 20000"):
