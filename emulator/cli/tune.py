@@ -150,21 +150,11 @@ class _Tuned:
 
     def as_json(self) -> dict[str, Any]:
         """Return the table and the choice, for programs."""
-        rungs = [
-            {
-                **described(k, self._at.get(k, self._rig)),
-                "refused": self._refused.get(k),
-                "measured": self._measured.get(k),
-            }
-            for k in RUNGS
-        ]
-        return {
-            "rig": self._rig.name,
-            "at_least": self._at_least,
-            "rungs": rungs,
-            "best": self.best,
-            "half": self._half,
-        }
+        rungs = [described(quality, self._at.get(quality, self._rig)) for quality in RUNGS]
+        for k, row in enumerate(rungs):
+            row |= {"refused": self._refused.get(k), "measured": self._measured.get(k)}
+        choice = {"best": self.best, "half": self._half}
+        return {"rig": self._rig.name, "at_least": self._at_least, "rungs": rungs, **choice}
 
     def lines(self) -> Iterator[str]:
         """Yield the table and the choice, for people."""

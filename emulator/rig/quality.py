@@ -35,8 +35,12 @@ RUNG, RUNGS = ("run", "quality"), range(len(_STEPS))
 
 def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str, ...], int | str]:
     """Return the keys that a rung stands for, each with its value."""
-    drawing = {_DRAWING: _STEPS[quality] * step_us} if scene_kind in _DRAWN else {}
-    return {**drawing, **({_NOISE: "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"} if _HAS_OFFSETS else {})}
+    keys: dict[tuple[str, ...], int | str] = {}
+    if scene_kind in _DRAWN:
+        keys[_DRAWING] = _STEPS[quality] * step_us
+    if _HAS_OFFSETS:
+        keys[_NOISE] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
+    return keys
 
 
 def described(quality: int, rig: Any) -> dict[str, Any]:
