@@ -11,15 +11,18 @@ import shlex
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emulator.light import Scene, SceneError, SceneFrames
-from emulator.plan.plan import Plan
 from emulator.rig.loading import Rig, shipped_rigs
 from emulator.run.assembly import build_frames, build_sensor, is_drawn_here
 from emulator.sensor.sensor import EventSource
 from firmware_protocol.events import Floats
+
+if TYPE_CHECKING:
+    from emulator.plan.plan import Plan
 
 INSTANTS = 4
 """Instants of a trial that is not in the way of a run."""
