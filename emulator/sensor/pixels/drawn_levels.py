@@ -30,6 +30,7 @@ from emulator.sensor.pixels.offsets import (
     enter_reset,
     is_of_noise,
     store_reset,
+    way_from,
     way_until,
 )
 from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Memory, Pixels, StepConstants, noise_stream, slot
@@ -58,11 +59,11 @@ def gather_draws(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None
         rows[row.DUE + j] = (pixels.fields[at + _UNTIL] - c.since_epoch_0) / c.h
         rows[row.SIGN + j] = pixels.fields[at + _SIGN]
         bits = word(noise_stream(pixels, pixel, c), c.t0_ns)
-        more = mix_word(bits)
-        rows[row.UNIFORM + j] = np.float32(unit(low(mix_word(more))))
+        second = mix_word(bits)
+        rows[row.UNIFORM + j] = np.float32(unit(low(mix_word(second))))
         rows[row.KEPT + j], rows[row.KEPT2 + j] = np.float32(unit(high(bits))), np.float32(unit(low(bits)))
-        rows[row.FRESH + j] = np.float32(-math.log1p(-unit(high(more))))
-        rows[row.FRESH2 + j] = np.float32(-math.log1p(-unit(low(more))))
+        rows[row.FRESH + j] = np.float32(-math.log1p(-unit(high(second))))
+        rows[row.FRESH2 + j] = np.float32(-math.log1p(-unit(low(second))))
 
 
 class Clock(NamedTuple):
@@ -91,9 +92,9 @@ def thinned(tables: Packed, clock: Clock, tick: Tick, kept: Real, fresh: Real, a
     moved = (clock.begins + clock.step * min(max(tick.due, _ZERO), _ONE)) / noise.sigma
     on = min(rate_of(tables, k, apart, clock.on.c0 - moved, _ZERO, _NEEDED), before_on)
     off = min(rate_of(tables, k, apart, clock.off.c0 + moved, _ZERO, _NEEDED), before_off)
-    both, place = before_on + before_off, kept * (before_on + before_off)
+    total, place = before_on + before_off, kept * (before_on + before_off)
     is_out = armed & (tick.due <= _ONE) & (place > on + off)
-    later = max(tick.due, _ZERO) + fresh / max(clock.rate * both, _LEAST_RATE)
+    later = max(tick.due, _ZERO) + fresh / max(clock.rate * total, _LEAST_RATE)
     sign = _ONE if place < on else -_ONE
     return Tick(later if is_out else tick.due, sign if armed & ~is_out & (tick.due <= _ONE) else tick.sign)
 
@@ -115,11 +116,15 @@ def place_levels(rows: _Float32s, tables: Packed, n: int, c: StepConstants) -> N
         v0 = take(rows, row.D0 + j) + leak * c.since_epoch_0 - reference
         v1 = take(rows, row.D1 + j) + leak * c.since_epoch_1 - reference
         armed = reference == reference
+        since = take(rows, row.SINCE + j)
         step = (take(rows, row.D1 + j) - take(rows, row.D0 + j)) / h + leak
-        mean = v1 / max(take(rows, row.SINCE + j), _LEAST_S) if armed else _ZERO
+        mean = v1 / max(since, _LEAST_S) if armed else _ZERO
         to_on, to_off = Way(noise, k, (on + after) * inverse), Way(noise, k, (off - after) * inverse)
-        way_on = way_until(tables, to_on, take(rows, row.ON_LEFT + j), max(step, mean))
-        way_off = way_until(tables, to_off, take(rows, row.OFF_LEFT + j), max(-step, -mean))
+        on_s, off_s = since * min(_ONE, on / abs(v1)), since * min(_ONE, off / abs(v1))
+        from_on = way_from(noise, k, on, after, on_s if armed else c.h)
+        from_off = way_from(noise, k, off, -after, off_s if armed else c.h)
+        way_on = way_until(tables, from_on, take(rows, row.ON_LEFT + j), max(step, mean))
+        way_off = way_until(tables, from_off, take(rows, row.OFF_LEFT + j), max(-step, -mean))
         behind_on, behind_off = armed & (v0 >= way_on), armed & (v0 <= -way_off)
         # The clock has the hazard of where the last reset was. A pixel that has moved away has less: thin events out.
         clock = Clock(to_on, to_off, noise.rate * h, v0, v1 - v0)
@@ -185,10 +190,10 @@ def draw_next(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
         rows[row.OF_NOISE + j] = is_of_noise(table.draws, i)
     draw_all(table.draws, pixels, k, c)
     for i in range(k):
-        j, drawn = listed[i], table.draws.rows
+        j, results = listed[i], table.draws.rows
         dt_ns = min(int(rows[row.Z + j] * c.h_ns), c.h_ns) + int(rows[row.LATE + j] * c.h_ns)
-        rows[row.NEXT_ON + j], rows[row.NEXT_OFF + j] = drawn[Draw.ON_LEVEL + i], drawn[Draw.OFF_LEVEL + i]
-        rows[row.NEXT_SIGN + j] = drawn[Draw.SIGN + i]
+        rows[row.NEXT_ON + j], rows[row.NEXT_OFF + j] = results[Draw.ON_LEVEL + i], results[Draw.OFF_LEVEL + i]
+        rows[row.NEXT_SIGN + j] = results[Draw.SIGN + i]
         reset_ns = c.t0_ns + dt_ns + c.refractory_ns
         rows[row.NEXT_DUE + j] = store_reset(table.draws, i, pixels, table.pixels[j], reset_ns, c)
 

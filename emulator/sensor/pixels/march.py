@@ -216,7 +216,7 @@ def _fire(  # noqa: PLR0913, PLR0917
 ) -> tuple[int, int, int]:
     """Write the events of the columns that fire; return the numbers of events in `keys`, written, and lost."""
     rows = table.rows
-    fired = lost = drawn = NONE
+    fired = lost = resets = NONE
     if c.drawn:
         _draw(pixels, table, draws, n, c)
     for j in range(n):
@@ -231,7 +231,7 @@ def _fire(  # noqa: PLR0913, PLR0917
         z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
         late = _late(rows, j, c)
         dt_ns = _event_ns(rows, j, late, c)
-        number = 2 * pixel + is_of_noise(draws, drawn) if c.drawn else pixel
+        number = 2 * pixel + is_of_noise(draws, resets) if c.drawn else pixel
         keys[n_keys] = pack(dt_ns, number, rows[row.UP + j] != _ZERO, c.pixel_bits)
         n_keys += 1
         rows[row.COUNT + j] += _ONE
@@ -245,11 +245,11 @@ def _fire(  # noqa: PLR0913, PLR0917
             rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + (late + c.refractory)
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
         if c.drawn:
-            rows[row.FIRES_ON + j] = draws.rows[Draw.ON_LEVEL + drawn]
-            rows[row.FIRES_OFF + j] = draws.rows[Draw.OFF_LEVEL + drawn]
-            rows[row.SIGN + j] = draws.rows[Draw.SIGN + drawn]
-            rows[row.DUE + j] = store_reset(draws, drawn, pixels, pixel, c.t0_ns + dt_ns + c.refractory_ns, c)
-            drawn += 1
+            rows[row.FIRES_ON + j] = draws.rows[Draw.ON_LEVEL + resets]
+            rows[row.FIRES_OFF + j] = draws.rows[Draw.OFF_LEVEL + resets]
+            rows[row.SIGN + j] = draws.rows[Draw.SIGN + resets]
+            rows[row.DUE + j] = store_reset(draws, resets, pixels, pixel, c.t0_ns + dt_ns + c.refractory_ns, c)
+            resets += 1
     return n_keys, fired, lost
 
 

@@ -70,6 +70,7 @@ _NEEDED = np.bool_(True)
 _LEAST_C = np.float32(-3.5)  # deviations: an event follows at once
 _LEAST_WAY = np.float32(1e-6)  # ln units
 _LEAST_S, _LEAST_HZ, _LONGEST_S, _LEAST_INTEGRAL = (np.float32(x) for x in (1e-7, 1e-9, 1e9, 1e-12))
+_LEAST_VARIANCE, _LEAST_SPEED = np.float32(1e-3), np.float32(1e-6)
 _PUSHED, _SPREAD = np.float32(math.sqrt(math.pi / 2)), np.float32(2 - math.pi / 2)  # of a slope by Rayleigh's law
 _OF_RESET, _SECOND, _THIRD = (np.uint64(n) for n in (0xD6E8FEB86659FD93, 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9))
 _S32, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
@@ -132,28 +133,40 @@ class Way(NamedTuple):
 
 
 @lane
-def _nearest(tables: Packed, way: Way, left: Real, speed: Real) -> Real:
+def way_from(noise: Noise, k: Real, threshold: Real, after: Real, t_s: Real) -> Way:
+    """Return the way to a threshold that is passed about `t_s` after a reset at which the noise was `after` towards it.
+
+    Noise that has not forgotten the reset is less broad, and its mean is still a part of what it was.
+    """
+    single, m = noise.z > ONE_POLE, moments_over(max(t_s, _LEAST_S), noise)
+    kept, variance = (m.e if single else m.p11), max(_ONE - m.e * m.e if single else m.v, _LEAST_VARIANCE)
+    settling = Noise(noise.sigma * np.sqrt(variance), noise.rate / variance, noise.z, noise.apart, noise.a1, noise.a2)
+    return Way(settling, k, max((threshold + after - kept * after) / settling.sigma, _LEAST_C))
+
+
+@lane
+def _nearest(tables: Packed, to: Way, left: Real, speed: Real) -> Real:
     """Return ln units below those of `way_until` at the same speed or a faster one: without the share of the clock."""
-    noise, k, c0 = way.noise, way.k, way.c0
+    noise, c0 = to.noise, to.c0
     nu = max(speed / (noise.sigma * noise.rate), NEAR)
     rho = rho_of(nu)
-    passed = integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart), c0 < FARTHEST)
-    c = place_of(tables, k, rho, left * rho + passed, _NEEDED)
+    passed = integral_beyond(tables, to.k, rho, c0 + farther(c0, nu, noise.apart), c0 < FARTHEST)
+    c = place_of(tables, to.k, rho, left * rho + passed, _NEEDED)
     return max((c0 - c + farther(c, nu, noise.apart)) * noise.sigma, _LEAST_WAY)
 
 
 @lane
-def way_until(tables: Packed, way: Way, left: Real, speed: Real) -> Real:
+def way_until(tables: Packed, to: Way, left: Real, speed: Real) -> Real:
     """Return the ln units that a signal goes at a speed until it passes a threshold, if `left` is its drawn number."""
-    noise, k, c0 = way.noise, way.k, way.c0
+    noise, c0 = to.noise, to.c0
     nu = max(speed / (noise.sigma * noise.rate), NEAR)
     rho = rho_of(nu)
-    passed = integral_beyond(tables, k, rho, c0 + farther(c0, nu, noise.apart), c0 < FARTHEST)
-    still = rate_of(tables, k, noise.apart, c0, _ZERO, _NEEDED)
+    passed = integral_beyond(tables, to.k, rho, c0 + farther(c0, nu, noise.apart), c0 < FARTHEST)
+    still = rate_of(tables, to.k, noise.apart, c0, _ZERO, _NEEDED)
     # The clock takes the hazard at c0 all the way, whose length is not known at first.
-    c = place_of(tables, k, rho, left * rho + passed, _NEEDED)
+    c = place_of(tables, to.k, rho, left * rho + passed, _NEEDED)
     gone = max(c0 - c + farther(c, nu, noise.apart), _ZERO)
-    c = place_of(tables, k, rho, (left + still * gone / nu) * rho + passed, _NEEDED)
+    c = place_of(tables, to.k, rho, (left + still * gone / nu) * rho + passed, _NEEDED)
     return max((c0 - c + farther(c, nu, noise.apart)) * noise.sigma, _LEAST_WAY)
 
 
@@ -162,10 +175,11 @@ def _draw_numbers(rows: _Float32s, keys: _Words, n: int) -> None:
     """Draw the random numbers of n resets by their keys, apart from `_draw`, whose gathers 64-bit words would halve."""
     use_widest_vectors()
     for i in range(n):
-        bits, more, last = mix_word(keys[i]), mix_word(keys[i] + _SECOND), mix_word(keys[i] + _THIRD)
+        bits, second = mix_word(keys[i]), mix_word(keys[i] + _SECOND)
+        last = mix_word(keys[i] + _THIRD)
         put(rows, Draw.NORMAL + i, normal_float(bits))
-        put(rows, Draw.ON_LEFT + i, exponential_float(more >> _S32))
-        put(rows, Draw.OFF_LEFT + i, exponential_float(more & _LOW))
+        put(rows, Draw.ON_LEFT + i, exponential_float(second >> _S32))
+        put(rows, Draw.OFF_LEFT + i, exponential_float(second & _LOW))
         put(rows, Draw.ON_CLOCK + i, exponential_float(last >> _S32))
         put(rows, Draw.OFF_CLOCK + i, exponential_float(last & _LOW))
         put(rows, Draw.FRESH + i, exponential_float(mix_word(last) >> _S32))
@@ -185,8 +199,8 @@ def _draw(rows: _Float32s, tables: Packed, n: int, pole: np.float32, high: np.fl
         pushed = _ZERO if single else _PUSHED * noise.sigma * m.b12
         lost = decay(_TWO * noise.rate * dead) if single else max(m.v + _SPREAD * m.b12 * m.b12, _ZERO)
         before = take(rows, Draw.NOISE + i)
-        drawn = kept * before + up * pushed + noise.sigma * np.sqrt(lost) * take(rows, Draw.NORMAL + i)
-        after = before if up == _ZERO else drawn
+        fresh = kept * before + up * pushed + noise.sigma * np.sqrt(lost) * take(rows, Draw.NORMAL + i)
+        after = before if up == _ZERO else fresh
         inverse, k = _ONE / noise.sigma, slice_of(noise.z)
         c_on, c_off = max((on + after) * inverse, _LEAST_C), max((off - after) * inverse, _LEAST_C)
         # The clock, which begins when the noise has decayed from the reference.
@@ -213,7 +227,8 @@ def _draw(rows: _Float32s, tables: Packed, n: int, pole: np.float32, high: np.fl
         put(rows, Draw.SIGN + i, _ONE if on_wait < off_wait else -_ONE)
         # The ways.
         on_left, off_left = take(rows, Draw.ON_LEFT + i), take(rows, Draw.OFF_LEFT + i)
-        to_on, to_off = Way(noise, k, c_on), Way(noise, k, c_off)
+        to_on = way_from(noise, k, on, after, on / max(abs(speed), _LEAST_SPEED))
+        to_off = way_from(noise, k, off, -after, off / max(abs(speed), _LEAST_SPEED))
         put(rows, Draw.N + i, after)
         put(rows, Draw.ON_LEVEL + i, way_until(tables, to_on, on_left, speed))
         put(rows, Draw.OFF_LEVEL + i, way_until(tables, to_off, off_left, -speed))
@@ -236,8 +251,10 @@ class Passage(NamedTuple):
 def enter_reset(draws: Draws, i: int, pixels: Pixels, pixel: int, passage: Passage, c: StepConstants) -> None:
     """Enter the reset behind an event of a pixel in place i of the draws."""
     rows, at = draws.rows, slot(pixel)
-    on, off, before = pixels.fields[at + _ON], pixels.fields[at + _OFF], pixels.memory[pixel * MEMORY + Memory.N]
-    rows[Draw.RATE + i], rows[Draw.SPEED + i], rows[Draw.DEAD + i] = passage.rate, passage.speed, passage.dead_s
+    on, off = pixels.fields[at + _ON], pixels.fields[at + _OFF]
+    before = pixels.memory[pixel * MEMORY + Memory.N]
+    rows[Draw.RATE + i], rows[Draw.SPEED + i] = passage.rate, passage.speed
+    rows[Draw.DEAD + i] = passage.dead_s
     rows[Draw.RMS + i] = np.float32(c.noise_rms) * pixels.memory[pixel * MEMORY + Memory.SCALE]
     rows[Draw.ON + i], rows[Draw.OFF + i] = on, off
     rows[Draw.UP + i], rows[Draw.MOVED + i] = (_ONE if passage.up else -_ONE), passage.moved
@@ -258,15 +275,16 @@ def is_of_noise(draws: Draws, i: int) -> int:
 @kernel
 def draw_all(draws: Draws, pixels: Pixels, n: int, c: StepConstants) -> None:
     """Draw the first n resets."""
-    whole = (n + 15) // 16 * 16
-    _draw_numbers(draws.rows, draws.keys, whole)
-    _draw(draws.rows, pixels.tables, whole, np.float32(c.noise_pole), np.float32(c.high_rate))
+    columns = (n + 15) // 16 * 16
+    _draw_numbers(draws.rows, draws.keys, columns)
+    _draw(draws.rows, pixels.tables, columns, np.float32(c.noise_pole), np.float32(c.high_rate))
 
 
 @kernel
 def store_reset(draws: Draws, i: int, pixels: Pixels, pixel: int, reset_ns: int, c: StepConstants) -> np.float32:
     """Write what was drawn in place i to the state of a pixel; return when its clock runs out, in steps."""
-    rows, at, memory = draws.rows, slot(pixel), pixel * MEMORY
+    rows, at = draws.rows, slot(pixel)
+    memory = pixel * MEMORY
     pixels.fields[at + _ON_LIMIT], pixels.fields[at + _OFF_LIMIT] = rows[Draw.ON_LIMIT + i], rows[Draw.OFF_LIMIT + i]
     armed_s, wait_s = np.float64(reset_ns - c.t0_ns) * 1e-9, np.float64(rows[Draw.WAIT + i])
     rest_s = np.float64(c.h_ns) * 1e-9 - armed_s
@@ -284,15 +302,12 @@ def store_reset(draws: Draws, i: int, pixels: Pixels, pixel: int, reset_ns: int,
 @cached_entry
 def draw_anew(first: int, last: int, pixels: Pixels, draws: Draws, c: StepConstants) -> None:
     """Draw ways and clocks of pixels first to last - 1 at the end of a step, for the noise that each has kept."""
-    rows, fields, n, begin = draws.rows, pixels.fields, 0, first
+    rows, fields = draws.rows, pixels.fields
+    now_ns = c.t0_ns + c.h_ns
+    n, begin = 0, first
     for pixel in range(first, last):
-        at, memory = slot(pixel), pixel * MEMORY
-        rows[Draw.RATE + n], rows[Draw.SPEED + n], rows[Draw.DEAD + n] = fields[at + _RATE], _ZERO, _ZERO
-        rows[Draw.RMS + n] = np.float32(c.noise_rms) * pixels.memory[memory + Memory.SCALE]
-        rows[Draw.ON + n], rows[Draw.OFF + n] = fields[at + _ON], fields[at + _OFF]
-        rows[Draw.UP + n], rows[Draw.NOISE + n] = _ZERO, pixels.memory[memory + Memory.N]
-        now_ns = c.t0_ns + c.h_ns
-        draws.keys[n] = mix_word(noise_stream(pixels, pixel, c) ^ (np.uint64(now_ns) * _OF_RESET))
+        enter_reset(draws, n, pixels, pixel, Passage(_ZERO, True, fields[slot(pixel) + _RATE], _ZERO, _ZERO, now_ns), c)
+        rows[Draw.UP + n], rows[Draw.NOISE + n] = _ZERO, pixels.memory[pixel * MEMORY + Memory.N]
         n += 1
         if n == BLOCK or pixel == last - 1:
             draw_all(draws, pixels, n, c)

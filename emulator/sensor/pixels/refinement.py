@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from emulator.light import PixelLight
 from emulator.sensor.numerics.compiled import cached_entry
-from emulator.sensor.pixels.candidates import Table
+from emulator.sensor.pixels.candidate_table import Table
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
