@@ -30,6 +30,7 @@ from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, rms, still_hz
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, merged
+from emulator.sensor.pixels.event_time import MOST_EVENTS
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.passages.rounds import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
@@ -153,7 +154,8 @@ def longest_step_ns(p: SensorParameters) -> int:
     if p.noise.rms and p.noise.grade == "grid":
         grids_ns.append(imported("laboratory.methods.grid:grid_ns")(p))
     most_ns = [_MOST_RANDOM / random_hz * 1e9] if random_hz else []
-    most_ns += [MOST_PASSAGES / 2 / most_hz * 1e9] if p.noise.rms else []
+    most_of_pixel = MOST_EVENTS if p.noise.grade == "offsets" else MOST_PASSAGES
+    most_ns += [most_of_pixel / 2 / most_hz * 1e9] if p.noise.rms else []
     most_ns += [_MOST_MOVED / pixels * step_ns for step_ns in grids_ns]
     return max(round(min(*most_ns, 2.0**62, 2.0**62)), 1000)
 

@@ -78,18 +78,21 @@ class Start(NamedTuple):
 
 
 class RigStep(NamedTuple):
-    """Median processor time of a step's pixels with noise and without, s, and their events a step in the mean."""
+    """Median processor time of a step's pixels with noise, with that of offsets, and without, s, and mean events."""
 
     rig: str
     noise_s: float
+    offsets_s: float
     without_s: float
     events: float
+    events_offsets: float
     events_without: float
 
     def __str__(self) -> str:
         return (
-            f"{self.rig:12} {self.noise_s * 1e3:.1f} ms a step ({self.events:.0f} events), without noise"
-            f" {self.without_s * 1e3:.1f} ms ({self.events_without:.0f})"
+            f"{self.rig:12} {self.noise_s * 1e3:.1f} ms a step ({self.events:.0f} events), offsets"
+            f" {self.offsets_s * 1e3:.1f} ms ({self.events_offsets:.0f}), without noise {self.without_s * 1e3:.1f} ms"
+            f" ({self.events_without:.0f})"
         )
 
 
@@ -150,7 +153,9 @@ def stepped(name: str, size: tuple[int, int] = START_SIZE) -> RigStep:
     """Return the times of the pixels of `imx636` in the light of a shipped rig, from 0 s, on one thread."""
     rig = load_rig(name)
     taken: list[tuple[float, int]] = []
-    arrays = [PixelArray(parameters("imx636", size, noise=noise), 1, threads=1) for noise in (True, False)]
+    full, without = (parameters("imx636", size, noise=noise) for noise in (True, False))
+    offsets = dataclasses.replace(full, noise=dataclasses.replace(full.noise, grade="offsets"))
+    arrays = [PixelArray(p, 1, threads=1) for p in (full, offsets, without)]
     with build_scene(rig, size) as scene:
         for k in range(RIG_STEPS + 1):
             light, rate = np.zeros((2, *size[::-1]), np.float32)

@@ -25,7 +25,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import cached_entry, kernel, vector_kernel
+from emulator.sensor.numerics.compiled import cached_entry, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import natural_log
 from firmware_protocol.device import clock as keyed_draws
 from firmware_protocol.device.clock import GOLDEN, as_words, mix, normal_of, words_of
@@ -102,6 +102,7 @@ _UNIT = 2.0**-32
 
 _S16, _S40, _MASK = (np.uint64(n) for n in (16, 40, 0xFFFFFF))
 _ONE_32, _HALF, _MINUS_TWO, _UNIT_24 = (np.float32(x) for x in (1, 0.5, -2, 2.0**-24))
+_UNIT_32, _FEW = np.float32(2.0**-32), np.float32(1e-3)
 # cos(2 pi z) - 1 in powers of z^2, fitted to |z| <= 1/2.
 _C1, _C2, _C3, _C4, _C5 = (np.float32(c) for c in (-19.7390496, 64.9302786, -85.2868440, 58.8524982, -21.1624988))
 
@@ -157,16 +158,28 @@ def normal_from(bits: np.uint64) -> float:
     return math.sqrt(-2 * math.log(unit(high(bits)))) * math.cos(2 * math.pi * np.float64(low(bits)) * _UNIT)
 
 
+@lane
+def normal_float(bits: np.uint64) -> np.float32:
+    """Return a normal float32 by Box-Muller on 48 bits of a word: 24 for the radius, 24 for the angle."""
+    # The angle as turns from 1/2, where the cosine is even.
+    radius = np.sqrt(_MINUS_TWO * natural_log((np.float32(bits >> _S40) + _HALF) * _UNIT_24))
+    half = np.float32((bits >> _S16) & _MASK) * _UNIT_24 - _HALF
+    z = half * half
+    cosine = -(((((_C5 * z + _C4) * z + _C3) * z + _C2) * z + _C1) * z + _ONE_32)  # of 2 pi turns, within 2e-6
+    return np.float32(radius * cosine)
+
+
+@lane
+def exponential_float(half: np.uint64) -> np.float32:
+    """Return an exponential float32 from 32 random bits, with the digits of a small one."""
+    u = (np.float32(half) + _HALF) * _UNIT_32
+    return np.float32(-natural_log(_ONE_32 - u) if u > _FEW else u + _HALF * u * u)
+
+
 @vector_kernel
 def _fill(streams: npt.NDArray[np.uint64], index: int, out: npt.NDArray[np.float32]) -> None:
     for k in range(out.size):
-        # Box-Muller: 24 bits for the radius, 24 for the angle; the angle as turns from 1/2, where the cosine is even.
-        bits = word(streams[k], index)
-        radius = np.sqrt(_MINUS_TWO * natural_log((np.float32(bits >> _S40) + _HALF) * _UNIT_24))
-        half = np.float32((bits >> _S16) & _MASK) * _UNIT_24 - _HALF
-        z = half * half
-        cosine = -(((((_C5 * z + _C4) * z + _C3) * z + _C2) * z + _C1) * z + _ONE_32)  # of 2 pi turns, within 2e-6
-        out[k] = radius * cosine
+        out[k] = normal_float(word(streams[k], index))
 
 
 @cached_entry

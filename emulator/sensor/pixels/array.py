@@ -24,12 +24,13 @@ from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
 from emulator.sensor.pixels import state as layout
-from emulator.sensor.pixels.candidates import new_table
+from emulator.sensor.pixels.candidate_table import new_table
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import STOP, Capabilities, PixelMethod, StepInterrupted, time_of
 from emulator.sensor.pixels.noisy import settle
+from emulator.sensor.pixels.offsets import draw_anew
 from emulator.sensor.pixels.state import Field, Memory
 from emulator.sensor.pixels.step import (
     SHORTEST_NS,
@@ -95,6 +96,7 @@ class PixelArray(PixelMethod):
         self._whole = Region(0, parameters.height, 0, parameters.width)
         self._pixels = parameters.width * parameters.height
         self._flag_bits = int(parameters.noise.rms > 0)  # behind a pixel's number: whether the event is the noise's
+        self._is_drawn = parameters.noise.rms > 0 and parameters.noise.grade == "offsets"
         self._pixel_bits = max(1, (self._pixels - 1).bit_length()) + self._flag_bits
         self._refractory_ns = _refractory_ns(parameters)
         self._light_constants = layout.light_constants(parameters)
@@ -169,7 +171,10 @@ class PixelArray(PixelMethod):
         self.parameters, self._light_constants = after, layout.light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinements = {}
-        layout.put_field(self.state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))  # no certificate holds now
+        if self._is_drawn:
+            self._draw_anew()
+        elif after.noise.rms:
+            layout.put_field(self.state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))  # no certificate holds now
         self.wake()
 
     def _scale_threshold(self, field: Field, ratio: float) -> None:
@@ -209,6 +214,8 @@ class PixelArray(PixelMethod):
         flat[layout.field_index(pixel, Field.ON)] = layout.DEAD_THRESHOLD
         flat[layout.field_index(pixel, Field.OFF)] = layout.DEAD_THRESHOLD
         flat[layout.field_index(pixel, Field.LEAK)] = 0
+        if self._is_drawn:
+            self._draw_anew()
         self.wake()
 
     def leak_hz(self) -> npt.NDArray[np.float64]:
@@ -228,7 +235,8 @@ class PixelArray(PixelMethod):
         certified = layout.field_index(pixel, Field.UNTIL)  # for the leak of before
         with np.errstate(divide="ignore", invalid="ignore"):
             until_s = since_epoch_s + _LITTLE * self.parameters.noise.rms / np.abs(change)
-        flat[certified] = np.fmin(flat[certified], until_s)
+        if not self._is_drawn:
+            flat[certified] = np.fmin(flat[certified], until_s)
         self.wake()
 
     def compile_part(self, part: str) -> None:
@@ -281,6 +289,9 @@ class PixelArray(PixelMethod):
         del current, log_light, filter_rate, lit_slope, phase, on, leak, settled  # half as large as the state
         if p.noise.rms:
             self._settle()
+        if self._is_drawn:
+            self._set_apart()
+            self._draw_anew()
         self._clear_counters()
         self._replacing = None
         self.wake()
@@ -328,6 +339,18 @@ class PixelArray(PixelMethod):
         finally:
             pool.close()
 
+    def _set_apart(self) -> None:
+        """Keep the noise of the last reset beside the references, which are those of the signal alone."""
+        state, memory = self.state, self.state.memory.reshape(-1, layout.MEMORY)[: self._pixels]
+        at = memory[:, Memory.SEEN]  # value at the start, from the reference
+        memory[:, Memory.N] = np.where(np.isfinite(at), -at, 0)
+        reference = layout.take_field(state.fields, Field.REFERENCE, self._pixels)
+        layout.put_field(state.fields, Field.REFERENCE, reference - memory[:, Memory.N])
+
+    def _draw_anew(self) -> None:
+        """Draw how far each pixel goes to its next event, and when it comes in still light, as after a reset."""
+        c = self._constants(self.state.t_ns - _CERTIFIED_NS, self.state.t_ns)
+        draw_anew(0, self._pixels, self._flat_state(), self._workers.buffers[0].table.draws, c)
     def step(self, frame: LightFrame) -> Crossings:
         """Move from the last time to that of `frame`.
 
@@ -497,7 +520,8 @@ class PixelArray(PixelMethod):
             on_delay=p.comparator.on_us * 1e-6,
             off_delay=p.comparator.off_us * 1e-6,
             contrast_per_e=float(p.comparator.contrast_per_e),
-            noisy=p.noise.rms > 0,
+            noisy=p.noise.rms > 0 and not self._is_drawn,
+            drawn=self._is_drawn,
             noise_rms=float(p.noise.rms),
             noise_pole=2 * math.pi * (p.noise.corner_hz or p.source_follower_hz),
             noise_root=self._noise_root,

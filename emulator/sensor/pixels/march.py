@@ -18,6 +18,7 @@ from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocate
 from emulator.sensor.pixels import event_time, state
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import photocurrent
+from emulator.sensor.pixels.offsets import Draw, Draws, Passage, draw_all, enter_reset, is_of_noise, store_reset
 from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants
 from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on, store_filters
 
@@ -48,8 +49,8 @@ def _bracket(rows: _Float32s, j: int) -> event_time.Bracket:
 def _find_firing_part(rows: _Float32s, n: int) -> None:
     """Find for each column the next monotone part of its curve on which it fires; read a new level where re-armed."""
     for j in range(n):
-        on = rows[row.ON + j]
-        off = rows[row.OFF + j]
+        on = rows[row.FIRES_ON + j]
+        off = rows[row.FIRES_OFF + j]
         level = rows[row.LEVEL + j]
         x = rows[row.X + j]
         g = _cubic(rows, j)
@@ -76,7 +77,10 @@ def _find_firing_part(rows: _Float32s, n: int) -> None:
         change = g0 if at_once else (g1 if by1 else (g2 if by2 else g3))
         rows[row.LEVEL + j] = level
         rows[row.X + j] = x if armed else rows[row.X + j]
-        rows[row.FIRES + j] = _ONE if armed & (at_once | by1 | by2 | by3) else _ZERO
+        crosses = armed & (at_once | by1 | by2 | by3)
+        is_due = armed & (rows[row.DUE + j] - rows[row.Z + j] <= rows[row.SPAN + j])
+        rows[row.CROSSES + j] = _ONE if crosses else _ZERO
+        rows[row.FIRES + j] = _ONE if crosses | is_due else _ZERO
         rows[row.LOW + j] = x if at_once | by1 else (turn if by2 else turn2)
         rows[row.HIGH + j] = end
         rows[row.TO + j] = level + (on if change > _ZERO else -off)
@@ -92,6 +96,42 @@ def _cross(rows: _Float32s, n: int) -> None:
         secant = at.low + (at.high - at.low) * (at.level - at_low) / (at_high - at_low)
         guess = secant if (secant >= at.low) & (secant <= at.high) else at.high
         rows[row.HIT + j], rows[row.MISS + j] = event_time.newton(g, at, guess)
+        rows[row.UP + j] = _ONE if at.rising else _ZERO
+
+
+@vector_kernel
+def _take_due(rows: _Float32s, n: int) -> None:
+    """Let each column fire where its clock runs out, if that is before its crossing."""
+    for j in range(n):
+        due = (rows[row.DUE + j] - rows[row.Z + j]) / rows[row.SPAN + j]
+        crossed = rows[row.HIT + j] if rows[row.CROSSES + j] != _ZERO else _BEHIND
+        first, at = due <= crossed, max(due, rows[row.X + j])
+        rows[row.HIT + j] = at if first else rows[row.HIT + j]
+        rows[row.MISS + j] = _ZERO if first else rows[row.MISS + j]
+        rows[row.UP + j] = max(rows[row.SIGN + j], _ZERO) if first else rows[row.UP + j]
+        rows[row.TO + j] = event_time.value(_cubic(rows, j), at) if first else rows[row.TO + j]
+
+
+@kernel
+def _draw(pixels: Pixels, table: SubstepTable, draws: Draws, n: int, c: StepConstants) -> None:
+    """Draw the resets of the columns that fire, in their order."""
+    rows, k = table.rows, NONE
+    for j in range(n):
+        if rows[row.FIRES + j] == _ZERO or rows[row.COUNT + j] >= event_time.MOST_EVENTS:
+            continue
+        hit, span = rows[row.HIT + j], rows[row.SPAN + j]
+        g, armed = _cubic(rows, j), min(hit + c.refractory / span, _ONE)
+        speed = ((_THREE * g.c3 * armed + _TWO * g.c2) * armed + g.c1) / (span * c.h)
+        rate = c.rate_at_reference * photocurrent(rows[row.U0 + j] + hit * (rows[row.U1 + j] - rows[row.U0 + j]))
+        late = _late(rows, j, c)
+        reset_ns = c.t0_ns + _event_ns(rows, j, late, c) + c.refractory_ns
+        dead_s = (late + c.refractory) * c.h
+        moved = event_time.value(g, hit) - rows[row.LEVEL + j]
+        rate = min(max(rate, c.rate_min), c.rate_max)
+        passage = Passage(moved, rows[row.UP + j] != _ZERO, rate, speed, dead_s, reset_ns)
+        enter_reset(draws, k, pixels, table.pixels[j], passage, c)
+        k += 1
+    draw_all(draws, pixels, k, c)
 
 
 @kernel
@@ -160,16 +200,25 @@ def _late(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
         return _ZERO
     g, x = _cubic(rows, j), rows[row.HIT + j]
     slope = ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1) / (rows[row.SPAN + j] * c.h)
-    return np.float32(event_time.delay_s(np.float64(abs(slope)), rows[row.TO + j] > rows[row.LEVEL + j], c) / c.h)
+    return np.float32(event_time.delay_s(np.float64(abs(slope)), rows[row.UP + j] != _ZERO, c) / c.h)
 
 
 @kernel
-def _fire(
-    pixels: Pixels, table: SubstepTable, n: int, keys: Keys, n_keys: int, c: StepConstants
+def _event_ns(rows: _Float32s, j: int, late: np.float32, c: StepConstants) -> int:
+    """Return the time of column j's event in the step: that of its crossing, and the delay of the comparator."""
+    z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
+    return min(int(z * c.h_ns), c.h_ns) + int(late * c.h_ns)
+
+
+@kernel
+def _fire(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, table: SubstepTable, draws: Draws, n: int, keys: Keys, n_keys: int, c: StepConstants
 ) -> tuple[int, int, int]:
     """Write the events of the columns that fire; return the numbers of events in `keys`, written, and lost."""
     rows = table.rows
-    fired = lost = NONE
+    fired = lost = resets = NONE
+    if c.drawn:
+        _draw(pixels, table, draws, n, c)
     for j in range(n):
         if rows[row.FIRES + j] == _ZERO:
             continue
@@ -177,13 +226,13 @@ def _fire(
         if rows[row.COUNT + j] >= event_time.MOST_EVENTS:
             lost += _pass_over(rows, j) if c.refractory_ns == 0 else _pass_over_waiting(pixels, table, j, c)
             continue
-        # The event: its time in the step is the crossing's, and the delay of the comparator.
         pixel = table.pixels[j]
         level = rows[row.TO + j]
         z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
         late = _late(rows, j, c)
-        dt_ns = min(int(z * c.h_ns), c.h_ns) + int(late * c.h_ns)
-        keys[n_keys] = pack(dt_ns, pixel, level > rows[row.LEVEL + j], c.pixel_bits)
+        dt_ns = _event_ns(rows, j, late, c)
+        number = 2 * pixel + is_of_noise(draws, resets) if c.drawn else pixel
+        keys[n_keys] = pack(dt_ns, number, rows[row.UP + j] != _ZERO, c.pixel_bits)
         n_keys += 1
         rows[row.COUNT + j] += _ONE
         # The reset: the crossed level is the new reference, or with a refractory period the level at its end.
@@ -195,6 +244,12 @@ def _fire(
         if c.refractory > _ZERO:
             rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + (late + c.refractory)
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
+        if c.drawn:
+            rows[row.FIRES_ON + j] = draws.rows[Draw.ON_LEVEL + resets]
+            rows[row.FIRES_OFF + j] = draws.rows[Draw.OFF_LEVEL + resets]
+            rows[row.SIGN + j] = draws.rows[Draw.SIGN + resets]
+            rows[row.DUE + j] = store_reset(draws, resets, pixels, pixel, c.t0_ns + dt_ns + c.refractory_ns, c)
+            resets += 1
     return n_keys, fired, lost
 
 
@@ -241,8 +296,8 @@ def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) 
 
 
 @kernel_that_allocates
-def solve_substeps(
-    pixels: Pixels, table: SubstepTable, n: int, keys: Keys, n_keys: int, c: StepConstants
+def solve_substeps(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, table: SubstepTable, draws: Draws, n: int, keys: Keys, n_keys: int, c: StepConstants
 ) -> tuple[Keys, int, int, int]:
     """Take the n columns of the table through the step.
 
@@ -262,8 +317,10 @@ def solve_substeps(
             keys = reserve(keys, n_keys + n)
             _find_firing_part(table.rows, state.whole_vectors(n))
             _cross(table.rows, state.whole_vectors(n))
+            if c.drawn:
+                _take_due(table.rows, state.whole_vectors(n))
             _bisect_unsettled(table, n)
-            n_keys, fired, passed = _fire(pixels, table, n, keys, n_keys, c)
+            n_keys, fired, passed = _fire(pixels, table, draws, n, keys, n_keys, c)
             lost += passed
         n = _end_substep(pixels, table, n, c)
     return keys, n_keys, lost, undersampled

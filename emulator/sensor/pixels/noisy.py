@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-import emulator.sensor.pixels.candidates as row
+import emulator.sensor.pixels.candidate_table as row
 import emulator.sensor.pixels.substeps as sub
 from emulator.sensor.noise.law import LAST_LOGIT, SHARES, SHARES_A_LOGIT
 from emulator.sensor.numerics.columns import Packed, put
@@ -26,7 +26,8 @@ from emulator.sensor.numerics.compiled import (
 from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
 from emulator.sensor.numerics.keyed import high, mix_word, stream, unit, word
 from emulator.sensor.pixels import state
-from emulator.sensor.pixels.candidates import Table, enter, make_curves
+from emulator.sensor.pixels.candidate_table import Table
+from emulator.sensor.pixels.candidates import enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import Swing, fastest, photocurrent
 from emulator.sensor.pixels.idle import Idle, hold_back
@@ -59,11 +60,11 @@ def _make_pieces(rows: _Float32s, n: int) -> None:
     """Turn values and slopes of each candidate's curve into a cubic relative to its start, exact in float32."""
     use_widest_vectors()
     for j in range(n):
-        rise = rows[row.C_D1 + j] - rows[row.C_D0 + j]
-        m0, m1 = rows[row.C_C1 + j], rows[row.C_C2 + j]
-        rows[row.C_BASE + j] = rows[row.C_D0 + j]
-        rows[row.C_C2 + j] = _THREE * rise - _TWO * m0 - m1
-        rows[row.C_C3 + j] = m0 + m1 - _TWO * rise
+        rise = rows[row.D1 + j] - rows[row.D0 + j]
+        m0, m1 = rows[row.C1 + j], rows[row.C2 + j]
+        rows[row.BASE + j] = rows[row.D0 + j]
+        rows[row.C2 + j] = _THREE * rise - _TWO * m0 - m1
+        rows[row.C3 + j] = m0 + m1 - _TWO * rise
 
 
 @vector_kernel
@@ -72,24 +73,24 @@ def _visit_whole(visits: _Float32s, rows: _Float32s, n: int, c: StepConstants) -
     use_widest_vectors()
     for j in range(n):
         still = (
-            (rows[row.C_U0 + j] == rows[row.C_U1 + j]) & (rows[row.C_A0 + j] == _ZERO) & (rows[row.C_A1 + j] == _ZERO)
+            (rows[row.U0 + j] == rows[row.U1 + j]) & (rows[row.A0 + j] == _ZERO) & (rows[row.A1 + j] == _ZERO)
         )
-        u1, v1 = rows[row.C_U1 + j], rows[row.C_V1 + j]
-        l1 = c.h * rows[row.C_L1 + j]
-        swing = Swing(u1 - rows[row.C_U0 + j], rows[row.C_A0 + j], rows[row.C_A1 + j], abs(u1 - v1))
-        swift = max(fastest(swing, l1, l1), abs(v1 - rows[row.C_V0 + j]))
-        put(visits, Visit.FASTEST + j, max(swift, c.second * abs(v1 - rows[row.C_W1 + j])) / c.h)
-        put(visits, Visit.C1 + j, rows[row.C_C1 + j])
-        put(visits, Visit.C2 + j, rows[row.C_C2 + j])
-        put(visits, Visit.C3 + j, rows[row.C_C3 + j])
-        put(visits, Visit.BASE + j, rows[row.C_BASE + j])
+        u1, v1 = rows[row.U1 + j], rows[row.V1 + j]
+        l1 = c.h * rows[row.L1 + j]
+        swing = Swing(u1 - rows[row.U0 + j], rows[row.A0 + j], rows[row.A1 + j], abs(u1 - v1))
+        swift = max(fastest(swing, l1, l1), abs(v1 - rows[row.V0 + j]))
+        put(visits, Visit.FASTEST + j, max(swift, c.second * abs(v1 - rows[row.W1 + j])) / c.h)
+        put(visits, Visit.C1 + j, rows[row.C1 + j])
+        put(visits, Visit.C2 + j, rows[row.C2 + j])
+        put(visits, Visit.C3 + j, rows[row.C3 + j])
+        put(visits, Visit.BASE + j, rows[row.BASE + j])
         put(visits, Visit.BEGIN + j, _ZERO)
         put(visits, Visit.SPAN + j, c.h)
-        put(visits, Visit.RATE0 + j, rows[row.C_L0 + j])
-        put(visits, Visit.RATE1 + j, rows[row.C_L1 + j])
-        put(visits, Visit.ON + j, rows[row.C_ON + j])
-        put(visits, Visit.OFF + j, rows[row.C_OFF + j])
-        put(visits, Visit.LIT + j, rows[row.C_LIT + j] if c.parasitic > _ZERO else _ZERO)
+        put(visits, Visit.RATE0 + j, rows[row.L0 + j])
+        put(visits, Visit.RATE1 + j, rows[row.L1 + j])
+        put(visits, Visit.ON + j, rows[row.ON + j])
+        put(visits, Visit.OFF + j, rows[row.OFF + j])
+        put(visits, Visit.LIT + j, rows[row.LIT + j] if c.parasitic > _ZERO else _ZERO)
         put(visits, Visit.STILL + j, _ONE if still else _ZERO)
         put(visits, Visit.COUNT + j, _ZERO)
 
@@ -189,16 +190,16 @@ def _visit_as_whole(
     rows, visits = table.rows, table.visits
     in_substeps = waiting
     for j in range(n):
-        visits.rows[Visit.LEAK + j], visits.rows[Visit.REFERENCE + j] = rows[row.C_LEAK + j], rows[row.C_REF + j]
-        rows[row.C_LEAK + j] = _ZERO  # added by `_complete`
-        rows[row.C_REF + j] = _NAN  # no curve is relative to a reference, which depends on the step
+        visits.rows[Visit.LEAK + j], visits.rows[Visit.REFERENCE + j] = rows[row.LEAK + j], rows[row.REF + j]
+        rows[row.LEAK + j] = _ZERO  # added by `_complete`
+        rows[row.REF + j] = _NAN  # no curve is relative to a reference, which depends on the step
     make_curves(pixels, table, n, c)
     _make_pieces(rows, whole_vectors(n))
     _visit_whole(visits.rows, rows, whole_vectors(n), c)
     _gather(visits, pixels, table.pixels, n, c)
     _complete(visits.rows, whole_vectors(n), np.float32(c.noise_rms), c)
     for j in range(n):
-        if rows[row.C_KIND + j] == row.NEEDS_SUBSTEPS:
+        if rows[row.KIND + j] == row.NEEDS_SUBSTEPS:
             enter(table, j, in_substeps, c)
             in_substeps += 1
             visits.rows[Visit.RESET + j] = _TWO  # takes no part
@@ -215,9 +216,9 @@ def _end_whole(  # noqa: PLR0913, PLR0917
     rounds.end(visits, columns)
     certify(visits.rows, pixels.tables, whole_vectors(n), constants)
     for j in range(n):
-        if rows[row.C_KIND + j] != row.NEEDS_SUBSTEPS:
+        if rows[row.KIND + j] != row.NEEDS_SUBSTEPS:
             _leave(visits, j, pixels, table.pixels[j])
-            _finish(visits, j, pixels, table.pixels[j], np.float64(rows[row.C_P1 + j]), idle, c)
+            _finish(visits, j, pixels, table.pixels[j], np.float64(rows[row.P1 + j]), idle, c)
 
 
 @kernel

@@ -284,6 +284,20 @@ def _test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -
 
 
 @vector_kernel
+def _test_limits(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
+    """Write 1 to `may_fire` where a pixel may meet a drawn level, its clock runs out, or its step is not smooth."""
+    use_widest_vectors()
+    for i in range(BLOCK):
+        leak, reference = s[_LEAK + i], s[_REF + i]
+        high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
+        low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
+        inside = (high < s[_ON_LIMIT + i] - _MARGIN) & (low > _MARGIN - s[_OFF_LIMIT + i])
+        d, threshold = s[_U + i] - before[_U0 + i], min(s[_ON + i], s[_OFF + i])
+        smooth = curve.is_smooth(d, before[_A0 + i], before[_A1 + i], threshold, c.unseen_share)
+        may_fire[i] = 0 if inside & (c.since_epoch_1 < s[_UNTIL + i]) & smooth else 1
+
+
+@vector_kernel
 def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
     """Write 1 to `may_fire` where a pixel with noise leaves its certificate or its step is not smooth, else 0.
 
@@ -353,6 +367,8 @@ def move_quietly(
         _add_parasitic(s, before, c)
     if c.noisy:
         _test_certificates(s, before, may_fire, c)
+    elif c.drawn:
+        _test_limits(s, before, may_fire, c)
     else:
         _test(s, before, may_fire, c)
 

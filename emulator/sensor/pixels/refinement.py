@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from emulator.light import PixelLight
 from emulator.sensor.numerics.compiled import cached_entry
-from emulator.sensor.pixels.candidates import Table
+from emulator.sensor.pixels.candidate_table import Table
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
@@ -149,8 +149,9 @@ class Refinement:
         buffers = self._buffers[level + 1]
         self._keys, n_keys, counts = advance(half.end, pixels, buffers, self._keys, self._share, c)
         later_ns = half.t0_ns - self._step.t0_ns
+        flag_bits = int(self._step.noisy or self._step.drawn)
         self._lists.append(
-            _renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits, int(self._step.noisy))
+            _renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits, flag_bits)
         )
         self._tallies.append(Tally(*counts))
         if refined := self._tallies[-1].refined:

@@ -67,6 +67,7 @@ class Field(IntEnum):
     LEAKED = 9  # parasitic leak since the pixel's last event, less that of the present light since the epoch, ln units
     # The certificate of a pixel with noise, see `noisy`: limits of the compared value from the reference, ln units,
     # its largest speed, ln units a second, below 0 for still light, and the time since the epoch until which it holds.
+    # Of grade "offsets": limits, polarity of the event that comes in still light, and its time.
     ON_LIMIT = 10
     OFF_LIMIT = 11
     SPEED_LIMIT = 12
@@ -116,6 +117,7 @@ class Memory(IntEnum):
     SCALE = 2  # rms over that of the sensor
     NUMBER = 3  # of the pixel in the sensor, which keys its random numbers
     LEFT = 4  # what is left of the number drawn at the last reset, against which the hazard is integrated
+    OFF_LEFT = 1  # of V: the number of OFF, where `offsets` draws one for each threshold
     SEEN_S = 5  # time since the epoch of the last visit, s, and the value then, from the reference, ln units
     SEEN = 6
 
@@ -176,6 +178,7 @@ class StepConstants(NamedTuple):
     off_delay: float = 0.0
     contrast_per_e: float = 1.0
     noisy: bool = False  # events are first passages of signal and noise
+    drawn: bool = False  # noise sets thresholds at each reset, see `offsets`
     noise_rms: float = 0.0  # behind the receptor, ln units
     noise_pole: float = 0.0  # rate of the fixed pole behind it, 1/s; 0: none
     noise_root: np.uint64 = np.uint64(0)  # of the pixels' streams

@@ -30,7 +30,7 @@ from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel,
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels import idle as rest
 from emulator.sensor.pixels import state
-from emulator.sensor.pixels.candidates import (
+from emulator.sensor.pixels.candidate_table import (
     BATCH,
     MOST_WAITING,
     NOISY_BATCH,
@@ -40,8 +40,8 @@ from emulator.sensor.pixels.candidates import (
     gather_rare,
     new_table,
     select,
-    solve,
 )
+from emulator.sensor.pixels.candidates import solve
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import completed, is_undersampled
 from emulator.sensor.pixels.idle import Idle, Touched
@@ -55,7 +55,8 @@ _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _UNTIL, _Y = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, *_CERTIFICATE, _Y = (int(f) * BLOCK for f in Field)
+_ON_LIMIT, _OFF_LIMIT, _SIGN, _UNTIL = _CERTIFICATE
 _U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _, _Y0 = BEFORE_ROWS
 _ZERO, _PAST, _NO_FLAGS = np.float32(0), np.float32(-np.inf), np.uint64(0)
 
@@ -151,12 +152,13 @@ def _gather_undersampled(  # noqa: PLR0913, PLR0917
         subset.fields[to + _V] = v0
         subset.fields[to + _L] = before[entry_at(_L0, i)]
         subset.fields[to + _G] = before[entry_at(_G0, i)]
-        for row in (_REF, _ON, _OFF, _LEAK):
+        for row in (_REF, _ON, _OFF, _LEAK, _ON_LIMIT, _OFF_LIMIT, _SIGN, _UNTIL):
             subset.fields[to + row] = s[entry_at(row, i)]
         subset.fields[to + _W] = before[entry_at(_W0, i)] if c.second > _ZERO else s[entry_at(_W, i)]
         subset.fields[to + _Y] = before[entry_at(_Y0, i)] if c.high > _ZERO else s[entry_at(_Y, i)]
         subset.fields[to + _P] = before[entry_at(_P0, i)] if c.parasitic > _ZERO else s[entry_at(_P, i)]
-        subset.fields[to + _UNTIL] = _PAST  # it has left its certificate
+        if c.noisy:
+            subset.fields[to + _UNTIL] = _PAST  # it has left its certificate
     return remaining, n
 
 
@@ -314,7 +316,7 @@ def _fill(
     """
     scratch, idle = buffers.scratch, share.idle
     block, packed = at.block, at.packed
-    while at.n <= (NOISY_BATCH if c.noisy else BATCH):
+    while at.n <= (NOISY_BATCH if c.noisy | c.drawn else BATCH):
         block = _past_resting(block, frame.light.size, share, c)
         first = _first_of(block, share)
         if first >= frame.light.size:

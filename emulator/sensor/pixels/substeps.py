@@ -34,20 +34,24 @@ _Int64s = npt.NDArray[np.int64]
 CAPACITY = 5 * BLOCK + 16
 """Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
 
-STEP_ROWS = 20
+STEP_ROWS = 24
 # Light: value at the start, change, both slopes, its form and where that changes, width of a substep. State: filter,
 # second pole, high-pass, parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds,
-# leak, number of events, offset of the reference after the last reset.
+# leak, number of events, offset of the reference after the last reset. Distances from the level at which the column
+# fires; share of the step after which it fires in still light, 2: never, and with which polarity.
 (
     U, D, A0, A1, FORM, KNOT, WIDTH, V, W, Y, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT, RESET,
+    FIRES_ON, FIRES_OFF, DUE, SIGN,
 ) = (k * CAPACITY for k in range(STEP_ROWS))  # fmt: skip
 # The curve of a substep g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its width and end; the position x,
-# whether it fires and where, bounds and level of that crossing, the last Newton correction; light at both ends.
+# whether it fires and where, bounds and level of that crossing, the last Newton correction; light at both ends. Whether
+# it crosses a level, and upward.
 (
     D0, C1, C2, C3, TURN, TURN2, SPAN, V1, W1, Y1, P1, Z1,
     X, FIRES, HIT, LOW, HIGH, TO, MISS, UNDERSAMPLED, U0, U1, SLOPE0, SLOPE1, D1, M1,
-) = (k * CAPACITY for k in range(STEP_ROWS, STEP_ROWS + 26))  # fmt: skip
-_ROWS = STEP_ROWS + 26
+    CROSSES, UP,
+) = (k * CAPACITY for k in range(STEP_ROWS, STEP_ROWS + 28))  # fmt: skip
+_ROWS = STEP_ROWS + 28
 
 
 class SubstepTable(NamedTuple):

@@ -24,7 +24,7 @@ from emulator.sensor.noise.moments import Start, moments_over
 from emulator.sensor.numerics.columns import Packed, put, take
 from emulator.sensor.numerics.compiled import NONE, cached_kernel, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log, use_widest_vectors
-from emulator.sensor.numerics.keyed import high, mix_word, unit
+from emulator.sensor.numerics.keyed import exponential_float, high, mix_word, unit
 from emulator.sensor.pixels.crossings import Keys, pack
 from emulator.sensor.pixels.event_time import delay_s
 from emulator.sensor.pixels.passages import bursts, settled
@@ -98,8 +98,7 @@ _STEEPEST = np.float32(1e6)
 _LEAST_DEVIATION = np.float32(1e-10)
 _S16, _S32, _S40, _MASK, _LAST = (np.uint64(n) for n in (16, 32, 40, 0xFFFFFF, 0xFFFF))
 _SECOND = np.uint64(0x9E3779B97F4A7C15)
-_UNIT_16, _UNIT_24, _UNIT_32 = (np.float32(2.0**-n) for n in (16, 24, 32))
-_FEW = np.float32(1e-3)
+_UNIT_16, _UNIT_24 = np.float32(2.0**-16), np.float32(2.0**-24)
 # cos 2 pi h and sin 2 pi h / h in powers of h^2, fitted to |h| <= 1/2.
 _Z = np.linspace(0, 0.25, 2001)
 _COSINE, _SINE = (
@@ -197,9 +196,7 @@ def _draw(rows: _Float32s, keys: _Words, n: int) -> None:
         put(rows, Column.NORMAL + i, radius * cosine)
         put(rows, Column.NORMAL2 + i, radius * sine)
         put(rows, Column.SHARE + i, share)
-        u = (np.float32(mix_word(keys[i] + _SECOND) >> _S32) + _HALF) * _UNIT_32
-        # -ln(1 - u), with the digits of a small u.
-        put(rows, Column.DRAWN + i, -natural_log(_ONE - u) if u > _FEW else u + _HALF * u * u)
+        put(rows, Column.DRAWN + i, exponential_float(mix_word(keys[i] + _SECOND) >> _S32))
 
 
 @vector_kernel
