@@ -16,18 +16,15 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from functools import reduce
-from typing import Any, get_args
+from typing import Any
 
 from emulator.rig.tables import Run
-from emulator.sensor.parameters import NoiseParameters
 from emulator.tables.toml_text import dotted
-from emulator.tables.typed_table import field_types
 
 _STEPS = (1, 2, 4, 4, 6, 8)
 _FIRST_BY_OFFSETS = 3
 _DRAWING, _NOISE = ("run", "drawing_us"), ("camera", "sensor", "noise", "grade")
 _DRAWN = ("bodies", "terrain")
-_HAS_OFFSETS = "offsets" in get_args(field_types(NoiseParameters)["grade"])
 
 RUNG, RUNGS = ("run", "quality"), range(len(_STEPS))
 """Path of the key, and its values, the most accurate first."""
@@ -35,12 +32,8 @@ RUNG, RUNGS = ("run", "quality"), range(len(_STEPS))
 
 def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str, ...], int | str]:
     """Return the keys that a rung stands for, each with its value."""
-    keys: dict[tuple[str, ...], int | str] = {}
-    if scene_kind in _DRAWN:
-        keys[_DRAWING] = _STEPS[quality] * step_us
-    if _HAS_OFFSETS:
-        keys[_NOISE] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
-    return keys
+    keys: dict[tuple[str, ...], int | str] = {_NOISE: "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"}
+    return {**keys, **({_DRAWING: _STEPS[quality] * step_us} if scene_kind in _DRAWN else {})}
 
 
 def described(quality: int, rig: Any) -> dict[str, Any]:
@@ -49,7 +42,7 @@ def described(quality: int, rig: Any) -> dict[str, Any]:
     skipped, parts = _STEPS[quality] - 1, list[str]()
     if _DRAWING in keys and skipped:
         parts.append(f"{skipped} of {skipped + 1} exact drawings")
-    if keys.get(_NOISE) == "offsets":
+    if keys[_NOISE] == "offsets":
         parts.append("bursts of the noise")
     return {"quality": quality, "keys": {dotted(key): keys[key] for key in keys}, "left_out": ", ".join(parts)}
 
