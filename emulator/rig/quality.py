@@ -32,8 +32,10 @@ RUNG, RUNGS = ("run", "quality"), range(len(_STEPS))
 
 def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str, ...], int | str]:
     """Return the keys that a rung stands for, each with its value."""
-    keys: dict[tuple[str, ...], int | str] = {_NOISE: "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"}
-    return {**keys, **({_DRAWING: _STEPS[quality] * step_us} if scene_kind in _DRAWN else {})}
+    keys: dict[tuple[str, ...], int | str] = {}
+    if scene_kind in _DRAWN:
+        keys[_DRAWING] = _STEPS[quality] * step_us
+    return {**keys, _NOISE: "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"}
 
 
 def described(quality: int, rig: Any) -> dict[str, Any]:

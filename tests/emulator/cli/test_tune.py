@@ -144,5 +144,5 @@ def test_a_plan_shows_the_keys_of_the_rung_and_its_wrong_events(tmp_path, capsys
     assert _main(["plan", str(path)]) == 0
     shown = capsys.readouterr().out
     line = next(line for line in shown.splitlines() if line.startswith("quality"))
-    assert line.startswith("quality  5: run.drawing_us = 320000")
+    assert line.startswith("quality  5: run.drawing_us = 320000 and camera.sensor.noise.grade = 'offsets'; ")
     assert re.search(rf"; leaves out {rung['left_out']}; \d+\.\d\d% of the events of the light wrong here$", line)

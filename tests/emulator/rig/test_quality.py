@@ -19,14 +19,17 @@ def test_a_rung_is_a_set_of_keys_that_a_rig_can_also_give(quality):
     by_rung = made(quality)
     given = {path[-1]: value for path, value in rung_keys(quality, "bodies", 5000).items()}
     assert by_rung.run.drawing_us == given["drawing_us"] == (1, 2, 4, 4, 6, 8)[quality] * 5000
-    alone = made(-1, f"drawing_us = {given['drawing_us']}\n")
+    keys = f'drawing_us = {given["drawing_us"]}\n[camera.sensor.noise]\ngrade = "{given["grade"]}"\n'
+    alone = made(-1, keys)
     assert dataclasses.replace(by_rung.run, quality=-1) == alone.run
-    assert made(quality, f"drawing_us = {given['drawing_us']}\n") == by_rung
+    assert by_rung.camera == alone.camera
+    assert made(quality, keys) == by_rung
     assert bool(described(quality, by_rung)["left_out"]) is (quality > 0)
 
 
 def test_without_a_rung_each_key_is_as_the_rig_gives_it():
-    assert made(-1).run.drawing_us == 0
+    assert (made(-1).run.drawing_us, made(-1).camera.sensor.noise.grade) == (0, "passages")
+    assert made(3, "[camera.sensor]\nleak_hz = 0.0\n").camera.sensor.noise.grade == "offsets"
     assert "drawing_us" not in {path[-1] for path in rung_keys(2, "stars", 5000)}
 
 
