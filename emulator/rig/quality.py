@@ -16,18 +16,15 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from functools import reduce
-from typing import Any, get_args
+from typing import Any
 
 from emulator.rig.tables import Run
-from emulator.sensor.parameters import NoiseParameters
 from emulator.tables.toml_text import dotted
-from emulator.tables.typed_table import field_types
 
 _STEPS = (1, 2, 4, 4, 6, 8)
 _FIRST_BY_OFFSETS = 3
 _DRAWING, _NOISE = ("run", "drawing_us"), ("camera", "sensor", "noise", "grade")
 _DRAWN = ("bodies", "terrain")
-_HAS_OFFSETS = "offsets" in get_args(field_types(NoiseParameters)["grade"])
 
 RUNG, RUNGS = ("run", "quality"), range(len(_STEPS))
 """Path of the key, and its values, the most accurate first."""
@@ -38,8 +35,7 @@ def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str,
     keys: dict[tuple[str, ...], int | str] = {}
     if scene_kind in _DRAWN:
         keys[_DRAWING] = _STEPS[quality] * step_us
-    if _HAS_OFFSETS:
-        keys[_NOISE] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
+    keys[_NOISE] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
     return keys
 
 
