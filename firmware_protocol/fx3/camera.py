@@ -65,9 +65,9 @@ from firmware_protocol.fx3.stream import Late
 from firmware_protocol.fx3.words import Block, Marks, join_marks, no_marks
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (
+    BOS,
     BULK_PACKET,
     OTHER_SPEED,
-    Bos,
     Configuration,
     DescriptorSet,
     DeviceDescriptor,
@@ -148,7 +148,7 @@ class Fx3Settings(UsbCameraSettings):
         return DescriptorSet(
             device=DeviceDescriptor(self.speed, VENDOR_ID, self.product_id, self.bcd_device, bcd_usb=self.bcd_usb),
             configuration=self._configuration(self.speed),
-            bos=Bos() if self.bcd_usb is None else None,
+            bos=BOS if self.bcd_usb is None else None,
             strings={1: self.manufacturer, 2: self.product, 3: self.serial},
             other_speed=self._configuration(other) if other else None,
         )
