@@ -32,11 +32,8 @@ RUNG, RUNGS = ("run", "quality"), range(len(_STEPS))
 
 def rung_keys(quality: int, scene_kind: str, step_us: int) -> Mapping[tuple[str, ...], int | str]:
     """Return the keys that a rung stands for, each with its value."""
-    keys: dict[tuple[str, ...], int | str] = {}
-    if scene_kind in _DRAWN:
-        keys[_DRAWING] = _STEPS[quality] * step_us
-    keys[_NOISE] = "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"
-    return keys
+    keys: dict[tuple[str, ...], int | str] = {_NOISE: "offsets" if quality >= _FIRST_BY_OFFSETS else "passages"}
+    return {**keys, **({_DRAWING: _STEPS[quality] * step_us} if scene_kind in _DRAWN else {})}
 
 
 def described(quality: int, rig: Any) -> dict[str, Any]:
@@ -45,7 +42,7 @@ def described(quality: int, rig: Any) -> dict[str, Any]:
     skipped, parts = _STEPS[quality] - 1, list[str]()
     if _DRAWING in keys and skipped:
         parts.append(f"{skipped} of {skipped + 1} exact drawings")
-    if keys.get(_NOISE) == "offsets":
+    if keys[_NOISE] == "offsets":
         parts.append("bursts of the noise")
     return {"quality": quality, "keys": {dotted(key): keys[key] for key in keys}, "left_out": ", ".join(parts)}
 

@@ -117,7 +117,8 @@ class Run:
     tolerated_wrong_share : with `tolerance_us`: share of the events that may be wrong, missing or invented. 1: times
         alone limit steps.
     quality : rung from the most accurate, 0, to the fastest, 5, which stands for other keys: `drawing_us` of bodies and
-        terrain is 1, 2, 4, 4, 6 or 8 steps. `evstim plan` shows all, `evstim tune` what each costs here. -1: none.
+        terrain is 1, 2, 4, 4, 6 or 8 steps, and from 3 on the grade of the sensor's noise is "offsets". `evstim plan`
+        shows them, `evstim tune` what each rung costs here. -1: none.
     """
 
     seconds: Annotated[float, Meta(ge=0, le=3.2e7)] = 0.0

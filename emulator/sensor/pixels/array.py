@@ -351,6 +351,7 @@ class PixelArray(PixelMethod):
         """Draw how far each pixel goes to its next event, and when it comes in still light, as after a reset."""
         c = self._constants(self.state.t_ns - _CERTIFIED_NS, self.state.t_ns)
         draw_anew(0, self._pixels, self._flat_state(), self._workers.buffers[0].table.draws, c)
+
     def step(self, frame: LightFrame) -> Crossings:
         """Move from the last time to that of `frame`.
 

@@ -72,9 +72,7 @@ def _visit_whole(visits: _Float32s, rows: _Float32s, n: int, c: StepConstants) -
     """Write curve, light and comparator of each candidate whose step is one piece to the visited pixels."""
     use_widest_vectors()
     for j in range(n):
-        still = (
-            (rows[row.U0 + j] == rows[row.U1 + j]) & (rows[row.A0 + j] == _ZERO) & (rows[row.A1 + j] == _ZERO)
-        )
+        still = (rows[row.U0 + j] == rows[row.U1 + j]) & (rows[row.A0 + j] == _ZERO) & (rows[row.A1 + j] == _ZERO)
         u1, v1 = rows[row.U1 + j], rows[row.V1 + j]
         l1 = c.h * rows[row.L1 + j]
         swing = Swing(u1 - rows[row.U0 + j], rows[row.A0 + j], rows[row.A1 + j], abs(u1 - v1))
