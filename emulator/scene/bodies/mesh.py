@@ -82,7 +82,7 @@ class Mesh:
 
     @property
     def made_from(self) -> tuple[str, int, str]:
-        """What arrays made of this mesh depend on, for the cache of scenes: shape and tints, sources, numpy."""
+        """Inputs of arrays that are made of this mesh, for the cache of scenes: shape, tints, sources, numpy."""
         arrays = (self.vertices, self.normals, self.faces, self.albedo, self.water, self.rough)
         digest = hashlib.sha256(b"|".join(b"" if array is None else array.tobytes() for array in arrays)).hexdigest()
         return digest, checksum_of(Path(__file__).parent), np.__version__
