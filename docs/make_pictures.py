@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.cli.picture import look
+from emulator.cli.picture import PictureOptions, looks
 from emulator.report.pictures import Rgb, event_picture, save_png
 from emulator.rig.loading import load_rig
 
@@ -33,7 +33,8 @@ SCENES = (
 
 def draw(rig: str, at_s: float, window_ms: float, dimming: float = 0.6) -> Rgb:
     """Return a rig's picture at twice the sensor's size."""
-    picture = event_picture(*look(load_rig(rig), at_s, window_ms), dimming=dimming)
+    _, light, events = next(looks(load_rig(rig), PictureOptions(at_s, seconds=0.0), window_ms))
+    picture = event_picture(light, events, dimming=dimming)
     return np.asarray(picture.repeat(2, axis=0).repeat(2, axis=1))
 
 

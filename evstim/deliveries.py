@@ -11,15 +11,13 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
-
-from firmware_protocol.events import Edges, Events, Kept, empty_edges, empty_events
-from firmware_protocol.recordings.part import IMU, Facts, Frame, ImuRecords, Part, RecordingSummary, counts_of
+from firmware_protocol.events import Kept
+from firmware_protocol.recordings.part import Facts, Part, RecordingSummary, counts_of
 from transports.link.deliveries import DeliveryRecorder, RecorderFactory
 from transports.link.process import LinkSetup
 from transports.recording.part import PipeReader, Restart, encoded_end, encoded_part, encoded_restart
@@ -30,7 +28,7 @@ _CLOSE_S = 8.0  # a session waits 10 s for a link's last report
 
 
 @dataclass(frozen=True, repr=False)
-class Delivery(Kept):
+class Delivery(Kept, Part):
     """Items that left a camera together on one link, in the time of the camera's clock.
 
     Attributes
@@ -43,10 +41,6 @@ class Delivery(Kept):
         timestamp reset.
     """
 
-    events: Events = field(default_factory=empty_events)
-    edges: Edges = field(default_factory=empty_edges)
-    imu: ImuRecords = field(default_factory=lambda: np.zeros(0, IMU))
-    frames: tuple[Frame, ...] = ()
     restarted: bool = False
 
     @property

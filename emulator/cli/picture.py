@@ -389,11 +389,6 @@ def _window_ms(events: Events, at_s: float, pixels: int) -> float:
     return _WINDOWS_MS[-1]
 
 
-def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
-    """Run the scene and the sensor alone up to `at_s`; return the light then and the events of the window before."""
-    return next(looks(rig, PictureOptions(at_s, seconds=0.0), window_ms))[1:]
-
-
 def looks(rig: Rig, show: PictureOptions, window_ms: float) -> Iterator[Look]:
     """Yield the time, the light and the events of the window before it, at `at_s` and on to the end of the movie."""
     sensor = build_sensor(rig, rig.camera.sensor)

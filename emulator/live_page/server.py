@@ -15,6 +15,7 @@ import json
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import Any
@@ -243,6 +244,7 @@ _HEADERS = {
 }
 
 
+@dataclass
 class PageServer:
     """Web server of one run's page.
 
@@ -250,19 +252,11 @@ class PageServer:
     where too many wait already.
     """
 
-    def __init__(
-        self,
-        greeting: Callable[[], str],
-        access: Access,
-        viewers: Viewers,
-        connections: Connections,
-        command: Callable[[int, dict[str, Any]], bool],
-    ) -> None:
-        self._greeting = greeting
-        self._access = access
-        self._viewers = viewers
-        self._connections = connections
-        self._command = command
+    greeting: Callable[[], str]
+    access: Access
+    viewers: Viewers
+    connections: Connections
+    command: Callable[[int, dict[str, Any]], bool]
 
     def app(self) -> Starlette:
         """Return the ASGI application."""
@@ -274,10 +268,10 @@ class PageServer:
         try:
             await self._viewed(socket, peer)
         finally:
-            self._connections.leave(peer)
+            self.connections.leave(peer)
 
     async def _viewed(self, socket: WebSocket, peer: tuple[Any, ...]) -> None:
-        if not self._access.origin_permitted(socket.headers.get("origin"), socket.headers.get("host")):
+        if not self.access.origin_permitted(socket.headers.get("origin"), socket.headers.get("host")):
             await socket.close()
             return
         await socket.accept()
@@ -285,11 +279,11 @@ class PageServer:
             if not await self._introduced(socket):
                 await socket.close(REFUSED, "the token is wrong")
                 return
-            viewer = self._viewers.enter(lambda: self._connections.abort(peer))
+            viewer = self.viewers.enter(lambda: self.connections.abort(peer))
             if viewer is None:
                 await socket.close(FULL, "too many viewers")
                 return
-            self._connections.settle(peer)
+            self.connections.settle(peer)
             await self._serve(socket, viewer)
 
     async def _introduced(self, socket: WebSocket) -> bool:
@@ -298,17 +292,17 @@ class PageServer:
             hello = parse_command(await asyncio.wait_for(_text(socket), _HELLO_S))
         except (BadMessage, TimeoutError):
             return False
-        return hello["do"] == "hello" and self._access.permits(hello["token"])
+        return hello["do"] == "hello" and self.access.permits(hello["token"])
 
     async def _serve(self, socket: WebSocket, viewer: Viewer) -> None:
-        viewer.answer(self._greeting())
+        viewer.answer(self.greeting())
         sending = asyncio.create_task(_send(socket, viewer))
         try:
             await self._listen(socket, viewer)
         except BadMessage as error:
             await socket.close(BAD_MESSAGE, str(error)[:100])
         finally:
-            self._viewers.leave(viewer)
+            self.viewers.leave(viewer)
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
 
@@ -321,7 +315,7 @@ class PageServer:
                 viewer.has_seen(command["number"])
             elif command["do"] == "hello":
                 raise BadMessage("a hello came before")
-            elif not self._command(viewer.number, command):
+            elif not self.command(viewer.number, command):
                 viewer.answer(json.dumps({"kind": "answer", "error": "the run is busy: try again"}))
 
 

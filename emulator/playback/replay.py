@@ -24,35 +24,20 @@ _NS = 1000
 
 
 class Replay:
-    """Playback of `recording`, (n,) EVENT from time 0, sorted and inside the sensor, in stream time.
-
-    Parameters
-    ----------
-    time_scale : recorded time a unit of stream time.
-    loop : whether it restarts at its end.
-    through_readout : whether the arbiter of `parameters` takes part.
-    """
+    """Playback of `recording`, (n,) EVENT from time 0, sorted and inside the sensor, by a rig's table."""
 
     undersampled_share: float | None = None
     lost_in_pixel = 0
 
-    def __init__(
-        self,
-        parameters: SensorParameters,
-        recording: Events,
-        *,
-        time_scale: float = 1.0,
-        loop: bool = True,
-        through_readout: bool = False,
-    ) -> None:
+    def __init__(self, parameters: SensorParameters, recording: Events, table: RecordingParameters) -> None:
         self.parameters = parameters
         self._recording = recording
-        scale = Fraction(repr(float(time_scale)))
+        scale = Fraction(repr(float(table.time_scale)))
         # Times are stream time in ns from here on: recorded us * 1000 / scale, rounded down.
         self._t_ns = recording["t"].astype(np.int64) * (_NS * scale.denominator) // scale.numerator
         gap_ns = max(_NS, int(self._t_ns[-1]) // max(1, len(recording) - 1))
-        self._round_ns = int(self._t_ns[-1]) + gap_ns if loop else None
-        self._readout = ArbiterReadOut(parameters) if through_readout else None
+        self._round_ns = int(self._t_ns[-1]) + gap_ns if table.loop else None
+        self._readout = ArbiterReadOut(parameters) if table.through_readout else None
         self._next = self._start_ns = 0
         self.raised = 0
 
@@ -114,14 +99,7 @@ class Replay:
 
 def replay(parameters: RecordingParameters, sensor: SensorParameters) -> Replay:
     """Return the recording of a rig in the place of `sensor`; raises SceneError when it cannot be used."""
-    recording = load_recording(Path(parameters.path), (sensor.width, sensor.height))
-    return Replay(
-        sensor,
-        recording,
-        time_scale=parameters.time_scale,
-        loop=parameters.loop,
-        through_readout=parameters.through_readout,
-    )
+    return Replay(sensor, load_recording(Path(parameters.path), (sensor.width, sensor.height)), parameters)
 
 
 def blank(parameters: RecordingParameters, size: tuple[int, int]) -> Blank:

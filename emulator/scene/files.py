@@ -16,7 +16,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -121,14 +121,16 @@ def cached_array(
 
 
 def cached_arrays(
-    name: str, made_from: object, make: Callable[[], Sequence[npt.NDArray[Any]]], kinds: Sequence[Kind]
-) -> list[npt.NDArray[Any]]:
-    """Return the arrays that `make` computes at once, one for each kind; see `cached_array`."""
+    name: str, made_from: object, make: Callable[[], Sequence[npt.NDArray[Any] | None]], kinds: Sequence[Kind]
+) -> list[Any]:
+    """Return the arrays that `make` computes at once, one for each kind; see `cached_array`. An empty one is None."""
     make_once = cache(make)
-    return [
-        cached_array(f"{name}-{k}", made_from, lambda k=k: make_once()[k], kind)  # type: ignore[misc]
-        for k, kind in enumerate(kinds)
-    ]
+
+    def made(k: int, kind: Kind) -> npt.NDArray[Any]:
+        return np.empty((0,) * kind.dimensions, kind.number) if (array := make_once()[k]) is None else array
+
+    arrays = [cached_array(f"{name}-{k}", made_from, partial(made, k, kind), kind) for k, kind in enumerate(kinds)]
+    return [array if array.size else None for array in arrays]
 
 
 def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:

@@ -33,13 +33,14 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from functools import reduce
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from emulator.geometry.attitude import Matrix, Vector, quaternion_of
+from emulator.geometry.attitude import Matrix, Vector, matrix_of, multiply, quaternion_of, quaternion_of_vector
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import (
@@ -78,8 +79,8 @@ class Checked:
 
 
 @dataclass(frozen=True)
-class Elements(Checked):
-    """An orbit about a point mass at the origin.
+class OrbitPath(Checked):
+    """An elliptical orbit around the origin.
 
     Attributes
     ----------
@@ -88,8 +89,11 @@ class Elements(Checked):
     eccentricity : 0 for a circle, below 1.
     inclination_deg, node_deg, periapsis_deg : of the orbit's plane against the world's x-y plane.
     anomaly_deg : mean anomaly at time zero.
+    look_at_m : a point to look at; the origin, where the body is.
+    up : direction that is up in the image.
     """
 
+    kind: ClassVar[str] = "orbit"
     gm_m3_s2: _Positive
     semi_major_axis_m: _Positive
     eccentricity: float = 0.0
@@ -97,6 +101,8 @@ class Elements(Checked):
     node_deg: float = 0.0
     periapsis_deg: float = 0.0
     anomaly_deg: float = 0.0
+    look_at_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -123,7 +129,7 @@ class Elements(Checked):
 class Orbit(Trajectory):
     """An orbit around the origin, with the attitude of the world (see `looking` to look at the body)."""
 
-    def __init__(self, elements: Elements) -> None:
+    def __init__(self, elements: OrbitPath) -> None:
         self._elements = elements
         self.bounds = Bounds(elements.periapsis_speed_m_s)
         self.span_ns = 0, round(elements.period_s * 1e9)
@@ -165,17 +171,10 @@ def eccentric_anomaly(mean_rad: float, eccentricity: float) -> float:
     return anomaly
 
 
-def _plane(k: Elements) -> Matrix:
+def _plane(k: OrbitPath) -> Matrix:
     """Return world_from_plane: the turns by node, inclination and periapsis."""
-
-    def about(axis: int, degrees: float) -> Matrix:
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        m = np.eye(3)
-        m[np.ix_([i, j], [i, j])] = [[c, -s], [s, c]]
-        return m
-
-    return np.asarray(about(2, k.node_deg) @ about(0, k.inclination_deg) @ about(2, k.periapsis_deg))
+    turns_deg = (0, 0, k.node_deg), (k.inclination_deg, 0, 0), (0, 0, k.periapsis_deg)
+    return matrix_of(reduce(multiply, (quaternion_of_vector(np.radians(turn)) for turn in turns_deg)))
 
 
 _UP = np.array([0.0, 0.0, 1.0])

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.laws import LANDING, Checked, Elements, Gate
+from emulator.trajectory.laws import LANDING, Checked, Gate, OrbitPath
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
@@ -86,26 +86,6 @@ class KeyframePath(Checked):
     kind: ClassVar[str] = "keyframes"
     keyframes: tuple[Keyframe, ...] = ()
     look_at_m: _Triple | None = None
-    up: _Triple = _UP
-
-
-@dataclass(frozen=True)
-class OrbitPath(Elements):
-    """An elliptical orbit around the origin.
-
-    Attributes
-    ----------
-    gm_m3_s2 : gravitational parameter of the body; 4.4628e5 for Eros.
-    semi_major_axis_m : mean of nearest and farthest distance.
-    eccentricity : 0 for a circle, below 1.
-    inclination_deg, node_deg, periapsis_deg : of the orbit's plane against the world's x-y plane.
-    anomaly_deg : mean anomaly at time zero.
-    look_at_m : a point to look at; the origin, where the body is.
-    up : direction that is up in the image.
-    """
-
-    kind: ClassVar[str] = "orbit"
-    look_at_m: _Triple = (0.0, 0.0, 0.0)
     up: _Triple = _UP
 
 

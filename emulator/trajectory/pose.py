@@ -111,11 +111,10 @@ def rate_of_vector(vector: Vector, rate: Vector) -> Vector:
 
 
 class Timescale:
-    """Scene time = start + factor * stream time; `factor` is taken as the decimal number that a person wrote."""
+    """Scene time = factor * stream time; `factor` is taken as the decimal number that a person wrote."""
 
-    def __init__(self, factor: float = 1.0, start_s: float = 0.0) -> None:
+    def __init__(self, factor: float = 1.0) -> None:
         self._factor = Fraction(repr(float(factor)))
-        self._start_ns = round(Fraction(repr(float(start_s))) * 10**9)
 
     @property
     def factor(self) -> float:
@@ -124,7 +123,7 @@ class Timescale:
 
     def scene_ns(self, t_ns: int) -> int:
         """Return the scene's time at stream time `t_ns`, ns, rounded down."""
-        return self._start_ns + int(t_ns) * self._factor.numerator // self._factor.denominator
+        return int(t_ns) * self._factor.numerator // self._factor.denominator
 
 
 FARTHEST_M = 1e18

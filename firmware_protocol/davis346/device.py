@@ -19,7 +19,7 @@ have no counter for polarity, region and skip.
 
 Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.h).
 
-`DavisStatistics` writes the counter registers: events since power-on, from the counters of the camera's parts.
+The counter registers show events since power-on, from the counters of the camera's parts.
 """
 
 from __future__ import annotations
@@ -35,13 +35,12 @@ from firmware_protocol.davis346.biases import sensor_factors
 from firmware_protocol.davis346.model import DAVIS240C, DAVIS346, DavisModel
 from firmware_protocol.davis346.registers import Layout, Statistic, frame_settings, imu_settings, lines_wait, registers
 from firmware_protocol.davis346.words import WordEncoder
-from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Events, Mask
-from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings, Parts
+from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings
 from firmware_protocol.fx3.inputs import ReadingInput
-from firmware_protocol.fx3.registers import Module, Register, RegisterFile, Statistics, SystemInfo
+from firmware_protocol.fx3.registers import Module, Register, RegisterFile, SystemInfo
 from firmware_protocol.fx3.stream import EventStream, Fifo
 from firmware_protocol.fx3.words import Block
 from firmware_protocol.usb.descriptors import Speed
@@ -133,16 +132,31 @@ class Davis346(Fx3Camera):
     """The camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
 
     settings: Davis346Settings
+    _stream: EventStream
+    _filters: DvsFilters
 
     def __init__(self, settings: Davis346Settings | None = None) -> None:
         super().__init__(settings or Davis346Settings())
 
-    def _make_parts(self) -> Parts:
+    def _make_parts(self) -> None:
         settings = self.settings
-        stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
-        filters = DvsFilters(settings.size, self._fates, has_activity=settings.activity_filter)
-        readings = _DavisReadings(settings, self._registers, self._fates)
-        return Parts(stream, filters, readings, DavisStatistics(self, stream, filters))
+        self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
+        self._filters = DvsFilters(settings.size, self._fates, has_activity=settings.activity_filter)
+        self._readings = _DavisReadings(settings, self._registers, self._fates)
+
+    def _counted(self) -> Mapping[Enum, int]:
+        """One FIFO stands for the DVS module's and the USB buffers', so both dropped counters show its drops."""
+        fates = self.counters
+        return {
+            Statistic.DVS_ROWS: self._stream.rows,
+            Statistic.DVS_COLUMNS: fates.flushed + fates.delivered + fates.lost_on_link + fates.queued,
+            Statistic.DVS_DROPPED: fates.dropped_fifo,
+            Statistic.DVS_FILTERED_PIXELS: self._filters.hot,
+            Statistic.DVS_FILTERED_BACKGROUND_ACTIVITY: fates.dropped_background,
+            Statistic.DVS_FILTERED_REFRACTORY: fates.dropped_refractory,
+            Statistic.MUX_DVS_DROPPED: fates.dropped_fifo,
+            Statistic.MUX_EXTINPUT_DROPPED: fates.edges.dropped_fifo,
+        }
 
     def _factors_of_biases(self) -> Mapping[str, float]:
         model = self.settings.model
@@ -294,30 +308,3 @@ class DvsFilters:
         left, top, right, bottom = settings.region
         x, y = events["x"], events["y"]
         return (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
-
-
-class DavisStatistics(Statistics):
-    """Counts of the DVS module and of the multiplexer.
-
-    This model has one FIFO in place of the DVS module's and the USB buffers', so both dropped counters show its drops.
-    """
-
-    def __init__(self, camera: EventDevice, stream: EventStream, filters: DvsFilters) -> None:
-        super().__init__()
-        self._camera = camera
-        self._stream = stream
-        self._filters = filters
-
-    def counted(self) -> Mapping[Enum, int]:
-        """Return the counts since the camera was made."""
-        fates = self._camera.counters
-        return {
-            Statistic.DVS_ROWS: self._stream.rows,
-            Statistic.DVS_COLUMNS: fates.flushed + fates.delivered + fates.lost_on_link + fates.queued,
-            Statistic.DVS_DROPPED: fates.dropped_fifo,
-            Statistic.DVS_FILTERED_PIXELS: self._filters.hot,
-            Statistic.DVS_FILTERED_BACKGROUND_ACTIVITY: fates.dropped_background,
-            Statistic.DVS_FILTERED_REFRACTORY: fates.dropped_refractory,
-            Statistic.MUX_DVS_DROPPED: fates.dropped_fifo,
-            Statistic.MUX_EXTINPUT_DROPPED: fates.edges.dropped_fifo,
-        }

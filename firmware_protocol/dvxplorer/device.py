@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import ClassVar
 
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.dvxplorer.filters import ChipFilters, ChipStatistics
+from firmware_protocol.dvxplorer.filters import ChipFilters
 from firmware_protocol.dvxplorer.registers import (
     SIZE,
     SYSTEM,
     Chip,
+    ChipStatistic,
     chip_of,
     imu_settings,
     registers,
@@ -29,7 +31,7 @@ from firmware_protocol.dvxplorer.registers import (
     without_effect,
 )
 from firmware_protocol.dvxplorer.words import GroupEncoder
-from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings, Parts
+from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings
 from firmware_protocol.fx3.inputs import ReadingInput
 from firmware_protocol.fx3.registers import Register, RunGate, SystemInfo
 from firmware_protocol.fx3.stream import EventStream, Fifo
@@ -102,11 +104,23 @@ class Dvxplorer(Fx3Camera):
         """Period of a scan without events, us, in the registers."""
         return scan_us(self._registers)
 
-    def _make_parts(self) -> Parts:
-        stream = EventStream(self._encoder, Fifo(self.settings.fifo_bytes))
+    def _make_parts(self) -> None:
+        self._stream = self._words = EventStream(self._encoder, Fifo(self.settings.fifo_bytes))
+        self._filters = ChipFilters(self._fates)
         has_imu = self.settings.imu_unit != 0
-        readings = _Samples(SIZE, self._registers, self._fates, has_frames=False, has_imu=has_imu)
-        return Parts(stream, ChipFilters(self._fates), readings, ChipStatistics(self, stream, self._encoder))
+        self._readings = _Samples(SIZE, self._registers, self._fates, has_frames=False, has_imu=has_imu)
+
+    def _counted(self) -> Mapping[Enum, int]:
+        """One FIFO stands for the DVS module's and the USB buffers': what is dropped found no room in it."""
+        fates = self.counters
+        return {
+            ChipStatistic.MUX_EXTINPUT_DROPPED: fates.edges.dropped_fifo,
+            ChipStatistic.MUX_DVS_DROPPED: fates.dropped_fifo,
+            ChipStatistic.DVS_COLUMNS: self._words.rows,
+            ChipStatistic.DVS_GROUPS: self._encoder.groups,
+            ChipStatistic.DVS_DROPPED_COLUMNS: self._encoder.dropped_columns,
+            ChipStatistic.DVS_DROPPED_GROUPS: self._encoder.dropped_groups,
+        }
 
     def _factors_of_biases(self) -> Mapping[str, float]:
         return sensor_factors(chip_of(self._registers), self.scan_us)

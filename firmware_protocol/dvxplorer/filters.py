@@ -1,4 +1,4 @@
-"""Selection of events by the sensor chip of a DVXplorer, and the statistics of the camera.
+"""Selection of events by the sensor chip of a DVXplorer.
 
     events -> polarity -> crop -> area blocking -> sub-sampling -> flatten -> encoder
 
@@ -13,24 +13,18 @@ crop (traffic of dv-processing and libcaer) and inferred for the other two. Infe
 that the codes 2 and 4 are bands, and that flattened events are ON. Codes 5 and 6 are patterns that are not public: here
 they send all pixels. Binning has no effect.
 
-Filtered events are counted as not selected. This model has one FIFO in place of the DVS module's and the USB buffers',
-so a counter of dropped columns or groups of pixels counts those that found no room in it.
+Filtered events are counted as not selected.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from enum import Enum
-
 import numpy as np
 
-from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts
-from firmware_protocol.dvxplorer.registers import AREA_WORDS, SIZE, Chip, ChipStatistic, chip_of
-from firmware_protocol.dvxplorer.words import ROWS_OF_GROUP, GroupEncoder
+from firmware_protocol.dvxplorer.registers import AREA_WORDS, SIZE, Chip, chip_of
+from firmware_protocol.dvxplorer.words import ROWS_OF_GROUP
 from firmware_protocol.events import Events, Mask
-from firmware_protocol.fx3.registers import RegisterFile, Statistics
-from firmware_protocol.fx3.stream import EventStream
+from firmware_protocol.fx3.registers import RegisterFile
 
 _FLATTEN = 1 << 6
 _ON_ONLY = 1 << 5
@@ -131,25 +125,3 @@ def _blocks(values: tuple[int, ...]) -> Mask:
     bits = words[:, None] >> np.arange(SIZE[1] // _BLOCK) & 1
     of_chip = np.repeat(np.repeat(bits.astype(np.bool_), _BLOCK, axis=0), _BLOCK, axis=1)
     return np.ascontiguousarray(of_chip[::-1, ::-1])
-
-
-class ChipStatistics(Statistics):
-    """Counts of the DVS module and of the multiplexer."""
-
-    def __init__(self, camera: EventDevice, stream: EventStream, encoder: GroupEncoder) -> None:
-        super().__init__()
-        self._camera = camera
-        self._stream = stream
-        self._encoder = encoder
-
-    def counted(self) -> Mapping[Enum, int]:
-        """Return the counts since the camera was made."""
-        fates = self._camera.counters
-        return {
-            ChipStatistic.MUX_EXTINPUT_DROPPED: fates.edges.dropped_fifo,
-            ChipStatistic.MUX_DVS_DROPPED: fates.dropped_fifo,
-            ChipStatistic.DVS_COLUMNS: self._stream.rows,
-            ChipStatistic.DVS_GROUPS: self._encoder.groups,
-            ChipStatistic.DVS_DROPPED_COLUMNS: self._encoder.dropped_columns,
-            ChipStatistic.DVS_DROPPED_GROUPS: self._encoder.dropped_groups,
-        }

@@ -55,7 +55,7 @@ from firmware_protocol.dvxplorer.registers import (
     sensor_factors,
 )
 from firmware_protocol.events import Mask
-from firmware_protocol.fx3.camera import DEBUG_ENDPOINT, FLUSH, LOG_LEVEL, REGISTER, Parts
+from firmware_protocol.fx3.camera import DEBUG_ENDPOINT, FLUSH, LOG_LEVEL, REGISTER
 from firmware_protocol.fx3.registers import (
     Access,
     Module,
@@ -63,7 +63,6 @@ from firmware_protocol.fx3.registers import (
     RegisterFile,
     Rows,
     RunGate,
-    Statistics,
     SystemInfo,
     declare,
     imu_type_registers,
@@ -109,13 +108,6 @@ class DvxplorerMicroSettings(DvxplorerSettings):
         if self.has_new_firmware:
             return micro_registers(self.system, self.imu_unit)
         return registers(self.system)  # without an inertial unit
-
-
-class _NoStatistics(Statistics):
-    """Statistics of a camera without counters."""
-
-    def counted(self) -> Mapping[Enum, int]:
-        return {}
 
 
 class MicroFilters(ChipFilters):
@@ -192,14 +184,16 @@ class DvxplorerMicro(Dvxplorer):
         self._standard.require(endpoint | _IN)
         return self._taken(self._samples.take(max_bytes, self.epoch_us))
 
-    def _make_parts(self) -> Parts:
-        filters = MicroFilters(self._fates) if self.settings.has_new_firmware else ChipFilters(self._fates)
-        filters.power_on()
-        self._frames = FrameStream(SIZE, self.settings.fifo_bytes)
+    def _make_parts(self) -> None:
+        self._filters = MicroFilters(self._fates) if self.settings.has_new_firmware else ChipFilters(self._fates)
+        self._filters.power_on()
+        self._stream = self._frames = FrameStream(SIZE, self.settings.fifo_bytes)
         settings_in = micro_imu_settings if self.settings.has_new_firmware else lambda *_, **__: ImuSettings()
         has_imu = self.settings.imu_unit != 0
-        self._samples = SampleOutput(self._registers, self._fates, settings_in, has_imu=has_imu)
-        return Parts(self._frames, filters, self._samples, _NoStatistics())
+        self._readings = self._samples = SampleOutput(self._registers, self._fates, settings_in, has_imu=has_imu)
+
+    def _counted(self) -> Mapping[Enum, int]:
+        return {}  # it has no counters
 
     def _power_on(self) -> None:
         self._filters.power_on()

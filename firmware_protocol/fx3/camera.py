@@ -51,6 +51,7 @@ import struct
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -60,14 +61,14 @@ from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import ItemEncoder, Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events, copy_events, empty_events
 from firmware_protocol.fx3.inputs import ExternalInput, InputSettings, ReadingInput
-from firmware_protocol.fx3.registers import Module, Register, RegisterFile, RunGate, Statistics, SystemInfo
+from firmware_protocol.fx3.registers import Module, Register, RegisterFile, RunGate, SystemInfo
 from firmware_protocol.fx3.stream import Late
 from firmware_protocol.fx3.words import Block, Marks, join_marks, no_marks
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (
+    BOS,
     BULK_PACKET,
     OTHER_SPEED,
-    Bos,
     Configuration,
     DescriptorSet,
     DeviceDescriptor,
@@ -148,7 +149,7 @@ class Fx3Settings(UsbCameraSettings):
         return DescriptorSet(
             device=DeviceDescriptor(self.speed, VENDOR_ID, self.product_id, self.bcd_device, bcd_usb=self.bcd_usb),
             configuration=self._configuration(self.speed),
-            bos=Bos() if self.bcd_usb is None else None,
+            bos=BOS if self.bcd_usb is None else None,
             strings={1: self.manufacturer, 2: self.product, 3: self.serial},
             other_speed=self._configuration(other) if other else None,
         )
@@ -219,21 +220,14 @@ class _Stream(ItemEncoder[Transfer], Protocol):
         """Queue the words of time due at stream time `now_us`."""
 
 
-@dataclass(frozen=True)
-class Parts:
-    """Parts in which one model differs from another."""
-
-    stream: _Stream
-    filters: _Filters
-    readings: ReadingInput
-    statistics: Statistics
-
-
 class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockInput):
     """A camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
 
     settings: Fx3Settings
     data_endpoint = DATA_ENDPOINT & 15
+    _stream: _Stream
+    _filters: _Filters
+    _readings: ReadingInput
 
     def __init__(self, settings: Fx3Settings) -> None:
         self.settings = settings
@@ -242,9 +236,7 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
         self._fates = Fates()
         self._input = ExternalInput(settings.pulse_us, self._fates.edges)
         self._stalled = no_marks()
-        parts = self._make_parts()
-        self._stream, self._filters = parts.stream, parts.filters
-        self._readings, self._statistics = parts.readings, parts.statistics
+        self._make_parts()
         self._resets_us: list[int] = []
         self._has_sent = False
         self._input_settings_of: tuple[int, int | None] | None = None
@@ -252,12 +244,16 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
         self._power_on()
 
     @abstractmethod
-    def _make_parts(self) -> Parts:
-        """Return the parts of this model, made with its settings, registers and fates."""
+    def _make_parts(self) -> None:
+        """Make stream, filters and readings of this model, with its settings, registers and fates."""
 
     @abstractmethod
     def _factors_of_biases(self) -> Mapping[str, float]:
         """Return the effect on the pixels of the words in the bias module."""
+
+    @abstractmethod
+    def _counted(self) -> Mapping[Enum, int]:
+        """Return the counts since the camera was made, which its counter registers show from power-on."""
 
     def name_request(self, setup: SetupPacket, data: bytes) -> str:
         """Return a vendor request in words, registers by name; `data` are those of its OUT stage."""
@@ -476,7 +472,7 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
         self._start_time()
         self._flushes += 1
         self._filters.power_on()
-        self._statistics.power_on()
+        self._counted_before = self._counted()
 
     def accepts(self, setup: SetupPacket) -> bool:
         """Return true if an OUT request is known and its data have the right length."""
@@ -497,7 +493,8 @@ class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockIn
     def _read_register(self, setup: SetupPacket) -> bytes:
         if setup.request != REGISTER or setup.length < 4:
             raise Stall
-        self._statistics.refresh(self._registers)
+        for counter, count in self._counted().items():
+            self._registers.count(counter, count - self._counted_before.get(counter, 0))
         return self._registers.read(setup.value, setup.index).to_bytes(4, "big")
 
     def _write(self, module: int, address: int, value: int) -> None:

@@ -16,8 +16,7 @@ Run gate: the run bits that control the data path.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
@@ -122,7 +121,7 @@ def imu_type_registers(imu_unit: int) -> Iterator[Register]:
 def shared_registers(
     system: SystemInfo, imu_unit: int, statistics: type[Enum], *, drops_events_on_stall: bool
 ) -> Iterator[Register]:
-    """Yield the registers that all models have; `statistics`: the counters, each with the value of `Statistics`."""
+    """Yield the registers that all models have; `statistics`: the counters, see `RegisterFile.count`."""
     multiplexer: Rows = (
         (0, "RUN", 0),
         (1, "TIMESTAMP_RUN", 0),
@@ -199,26 +198,3 @@ class RunGate:
         run, timestamps, reset, chip = (bool(values.read(Module.MULTIPLEXER, k)) for k in range(4))
         words = run and timestamps and chip and bool(values.read(Module.USB, 0))
         return cls(timestamps, reset, words, words and bool(values.read(Module.DVS, 3)))
-
-
-class Statistics(ABC):
-    """Counter registers, written when they are read: 64-bit counts since power-on.
-
-    The value of a counter is the module and the address of its upper word; the lower word follows it.
-    """
-
-    def __init__(self) -> None:
-        self._at_power_on: Mapping[Enum, int] = {}
-
-    @abstractmethod
-    def counted(self) -> Mapping[Enum, int]:
-        """Return the counts since the camera was made."""
-
-    def power_on(self) -> None:
-        """Start the counts at zero."""
-        self._at_power_on = self.counted()
-
-    def refresh(self, registers: RegisterFile) -> None:
-        """Write the counts since power-on into the registers."""
-        for counter, count in self.counted().items():
-            registers.count(counter, count - self._at_power_on.get(counter, 0))

@@ -50,7 +50,7 @@ class EventPath:
         self._time = time
         self._held_by_rate = False
         self._last_us = 0
-        self._queue = EventQueue(settings.bounds)
+        self.queue = EventQueue(settings.bounds)
         self._encoder = BlockEncoder(size, block_settings(settings))
         self.select(settings.selection(size))
         self.limit(settings.rate_limit)
@@ -59,22 +59,12 @@ class EventPath:
     @property
     def waiting(self) -> Numbers:
         """Numbers of items that wait."""
-        return Numbers(self._queue.waiting)
-
-    @property
-    def room(self) -> int:
-        """Events that certainly fit now."""
-        return self._queue.room
+        return Numbers(self.queue.waiting)
 
     @property
     def patience_us(self) -> int | None:
         """Longest time that an event may wait for the line, us; None if it waits for a rate limit."""
-        return None if self.rate_limit else self._queue.bounds.age_us
-
-    @property
-    def oldest_us(self) -> int | None:
-        """Stream time of the event that waits longest; None if none waits."""
-        return self._queue.oldest_us
+        return None if self.rate_limit else self.queue.bounds.age_us
 
     @property
     def rate_limit(self) -> int:
@@ -114,12 +104,12 @@ class EventPath:
         if self.tick_us > 1:
             chosen = self._in_block_order(chosen)
         self._last_us = int(chosen["t"][-1]) if len(chosen) else self._last_us
-        self._count(self._queue.put(chosen, self._time.now_us))
+        self._count(self.queue.put(chosen, self._time.now_us))
 
     def advance(self) -> None:
         """Follow stream time: the bucket fills, waiting events age."""
         self._bucket.advance(self._time.now_us)
-        self._count(self._queue.trim(self._time.now_us))
+        self._count(self.queue.trim(self._time.now_us))
 
     def take(self, now_us: int, room: int) -> Outgoing | None:
         """Return a message with a block of at most `room` events; None if nothing waits or nothing may leave."""
@@ -129,7 +119,7 @@ class EventPath:
         shift = np.uint64(self._time.offset_us % (1 << 64))
         own_events = copy_events(events)
         own_events["t"] += shift
-        dropped = min(self._queue.dropped_before, _MOST_REPORTED)
+        dropped = min(self.queue.dropped_before, _MOST_REPORTED)
         block, taken = self._encoder.encode(own_events, dropped)
         seen = as_received(own_events[:taken], self.tick_us)
         seen["t"] -= shift
@@ -138,11 +128,11 @@ class EventPath:
     def take_unpacked(self, room: int) -> Outgoing | None:
         """Return a message without a block, for a link that packs the events itself; otherwise as `take`."""
         events = self._next(room)
-        return None if events is None else self._outgoing(b"", copy_events(events), self._queue.dropped_before)
+        return None if events is None else self._outgoing(b"", copy_events(events), self.queue.dropped_before)
 
     def clear(self) -> None:
         """Drop what waits."""
-        self._queue.clear()
+        self.queue.clear()
 
     def _in_block_order(self, events: Events) -> Events:
         """Round times down to the tick and sort each tick in raster order, which makes blocks smaller.
@@ -160,13 +150,13 @@ class EventPath:
 
     def _next(self, limit: int) -> Events | None:
         """Return the events at the head that may leave; None if none waits or the bucket is too empty."""
-        count = min(limit, self._queue.waiting)
+        count = min(limit, self.queue.waiting)
         self._held_by_rate = count > 0 and not self._bucket.holds(count)
-        return None if self._held_by_rate or not count else self._queue.head(limit)
+        return None if self._held_by_rate or not count else self.queue.head(limit)
 
     def _outgoing(self, block: bytes, events: Events, dropped: int) -> Outgoing:
         """Remove events from the head of the queue, and return the message that carries them."""
-        self._queue.remove(len(events), dropped)
+        self.queue.remove(len(events), dropped)
         self._bucket.spend(len(events))
         message = Message(MessageKind.EVENTS, block, self._time.of(int(events["t"][0])))
         return Outgoing(events, epoch_us=self._time.epoch_us, message=message)

@@ -207,7 +207,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
     @property
     def room_events(self) -> int:
         """Events that certainly fit the queue now."""
-        return self._path.room
+        return self._path.queue.room
 
     @property
     def horizon_us(self) -> int:
@@ -215,7 +215,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
         patience_us = self._path.patience_us if self.streaming else None
         if patience_us is None:
             return super().horizon_us
-        oldest_us = self._path.oldest_us
+        oldest_us = self._path.queue.oldest_us
         return patience_us + (self._time.now_us if oldest_us is None else oldest_us)
 
     @property
@@ -324,7 +324,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
     def next_items(self, limit: int) -> Outgoing:
         """Hand out up to `limit` events and the edges before the next one, perhaps none, for a link that packs both."""
         taken = self._path.take_unpacked(limit) or Outgoing(epoch_us=self.epoch_us, message=_NO_MESSAGE)
-        next_us = self._path.oldest_us
+        next_us = self._path.queue.oldest_us
         edges = self._edges.take_until(self._time.now_us if next_us is None else next_us)
         outgoing = replace(taken, edges=edges)
         self._fates.take(outgoing)
@@ -407,7 +407,7 @@ class Instrument(EventDevice, HostAdjusted, HasClockInput):
 
     def _drop_before_zero(self) -> None:
         """Drop everything that waits if a part of it would have a negative time."""
-        waiting_us = [us for us in (self._path.oldest_us, self._edges.oldest_us) if us is not None]
+        waiting_us = [us for us in (self._path.queue.oldest_us, self._edges.oldest_us) if us is not None]
         if min(waiting_us, default=self._time.now_us) < self._time.epoch_us:
             self._clear()
 

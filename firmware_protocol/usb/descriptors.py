@@ -107,11 +107,10 @@ class Interface:
     endpoints: tuple[Endpoint, ...]
     number: int = 0
     interface_class: tuple[int, int, int] = (0xFF, 0, 0)
-    string: int = 0
 
     def serialise(self, speed: Speed) -> bytes:
         """Return the interface descriptor followed by its endpoints."""
-        body = bytes((self.number, 0, len(self.endpoints), *self.interface_class, self.string))
+        body = bytes((self.number, 0, len(self.endpoints), *self.interface_class, 0))
         return _sized(DescriptorType.INTERFACE, body) + b"".join(e.serialise(speed) for e in self.endpoints)
 
 
@@ -124,14 +123,13 @@ class Configuration:
     value: int = 1
     attributes: int = 0x80
     max_power_ma: int = 400
-    string: int = 0
 
     def serialise(self, kind: DescriptorType = DescriptorType.CONFIGURATION) -> bytes:
         """Return the whole block; `kind` is OTHER_SPEED_CONFIGURATION if requested at another speed."""
         tree = b"".join(interface.serialise(self.speed) for interface in self.interfaces)
         power = self.max_power_ma // (8 if self.speed is Speed.SUPER else 2)
         count = len(self.interfaces)
-        body = struct.pack("<HBBBBB", 9 + len(tree), count, self.value, self.string, self.attributes, power)
+        body = struct.pack("<HBBBBB", 9 + len(tree), count, self.value, 0, self.attributes, power)
         return _sized(kind, body) + tree
 
     def __bytes__(self) -> bytes:
@@ -179,22 +177,11 @@ class DeviceDescriptor:
         return _sized(DescriptorType.DEVICE_QUALIFIER, body)
 
 
-@dataclass(frozen=True)
-class Bos:
-    """Binary device object store: USB 2.0 extension (link power management) and SuperSpeed capability."""
-
-    lpm: bool = True
-    speeds: int = 0x000E
-    functionality: int = 3
-    u1_latency_us: int = 0
-    u2_latency_us: int = 0
-
-    def __bytes__(self) -> bytes:
-        extension = struct.pack("<BI", 2, 2 if self.lpm else 0)
-        latencies = (self.u1_latency_us, self.u2_latency_us)
-        super_speed = struct.pack("<BBHBBH", 3, 0, self.speeds, self.functionality, *latencies)
-        tree = b"".join(_sized(DescriptorType.DEVICE_CAPABILITY, body) for body in (extension, super_speed))
-        return _sized(DescriptorType.BOS, struct.pack("<HB", 5 + len(tree), 2)) + tree
+_EXTENSION = struct.pack("<BI", 2, 2)  # USB 2.0 extension: link power management
+_SUPER_SPEED = struct.pack("<BBHBBH", 3, 0, 0x000E, 3, 0, 0)  # speeds, the least one with all functions, latencies
+_CAPABILITIES = b"".join(_sized(DescriptorType.DEVICE_CAPABILITY, body) for body in (_EXTENSION, _SUPER_SPEED))
+BOS = _sized(DescriptorType.BOS, struct.pack("<HB", 5 + len(_CAPABILITIES), 2)) + _CAPABILITIES
+"""Binary device object store: USB 2.0 extension and SuperSpeed capability."""
 
 
 def string_descriptor(text: str) -> bytes:
@@ -205,10 +192,8 @@ def string_descriptor(text: str) -> bytes:
     return _sized(DescriptorType.STRING, body)
 
 
-def language_descriptor(*languages: int) -> bytes:
-    """Return string descriptor 0: the languages of the other strings (US English by default)."""
-    chosen = languages or (ENGLISH_US,)
-    return _sized(DescriptorType.STRING, struct.pack(f"<{len(chosen)}H", *chosen))
+LANGUAGE_DESCRIPTOR = _sized(DescriptorType.STRING, struct.pack("<H", ENGLISH_US))
+"""String descriptor 0: the language of the other strings."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +206,7 @@ class DescriptorSet:
 
     device: DeviceDescriptor
     configuration: Configuration
-    bos: Bos | None = field(default_factory=Bos)
+    bos: bytes | None = BOS
     strings: Mapping[int, str] = field(default_factory=dict)
     other_speed: Configuration | None = None
 
@@ -234,7 +219,7 @@ class DescriptorSet:
         if kind != DescriptorType.STRING:
             return self._only(kind) if index == 0 else None
         if index == 0:
-            return language_descriptor() if self.strings else None
+            return LANGUAGE_DESCRIPTOR if self.strings else None
         return string_descriptor(self.strings[index]) if index in self.strings else None
 
     def _only(self, kind: int) -> bytes | None:
@@ -242,8 +227,8 @@ class DescriptorSet:
             return bytes(self.device)
         if kind == DescriptorType.CONFIGURATION:
             return bytes(self.configuration)
-        if kind == DescriptorType.BOS and self.bos is not None:
-            return bytes(self.bos)
+        if kind == DescriptorType.BOS:
+            return self.bos
         if kind == DescriptorType.DEVICE_QUALIFIER and self.other_speed is not None:
             return self.device.qualifier
         if kind == DescriptorType.OTHER_SPEED_CONFIGURATION and self.other_speed is not None:

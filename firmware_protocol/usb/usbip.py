@@ -212,11 +212,6 @@ class ImportRequest:
 
     busid: str
 
-    @classmethod
-    def parse(cls, field: bytes) -> ImportRequest:
-        """Read the 32-byte bus id."""
-        return cls(_text(field))
-
     def __bytes__(self) -> bytes:
         field = self.busid.encode("ascii", "replace")[: BUSID_BYTES - 1]
         return OP_HEADER.pack(VERSION, REQ_IMPORT, 0) + field.ljust(BUSID_BYTES, b"\0")
@@ -302,7 +297,7 @@ class ServerParser(_Parser):
         if code != REQ_IMPORT:
             raise UsbipError(f"unknown operation 0x{code:04x}; known are 0x8005 (device list) and 0x8003 (import)")
         field = self._cut(head, head + BUSID_BYTES)
-        return None if field is None else ImportRequest.parse(field)
+        return None if field is None else ImportRequest(_text(field))
 
     def _next_urb(self) -> Submit | Unlink | None:
         if len(self._buffer) < URB_HEADER_BYTES:

@@ -291,8 +291,8 @@ class SampledBodies(SampledScene):
         ]
 
     def _shader(self, t_ns: int) -> Callable[[Floats, Floats], tuple[Floats, _Ints]]:
-        scene_ns = self._world.time.scene_ns(t_ns)
-        camera, poses = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
+        camera = self._world.camera.pose(scene_ns := self._world.time.scene_ns(t_ns))
+        poses = [*self._world.arrangement.poses_of(range(len(self._bodies)))(scene_ns).values()]
         eyes = [(camera.position_m - pose.position_m) @ pose.world_from_body for pose in poses]
 
         def shade(rays: Floats, to_sun: Floats) -> tuple[Floats, _Ints]:

@@ -158,29 +158,20 @@ class BusStage(ItemStage[QueuedFrame]):
     off, dead : state of that bus.
     """
 
-    off = dead = False
-
     def __init__(self, fault: _OfBus, random: np.random.Generator, carrier: BitRates) -> None:
         super().__init__(fault, random, carrier)
         self.bus = _BUSES[fault.bus]
+        self.off, self.dead = isinstance(fault, BusOff), isinstance(fault, DeadBus)
         self.hits = int(self.off or self.dead)
 
 
-class _Off(BusStage):
-    off = True
-
-
-class _Dead(BusStage):
-    dead = True
-
-
 @dataclass(frozen=True)
-class BusOff(_OfBus, carriers=(CAN_BUS,), effect=_Off):
+class BusOff(_OfBus, carriers=(CAN_BUS,), effect=BusStage):
     """The camera's controller has counted too many errors and left the bus; it returns at the end of the fault."""
 
 
 @dataclass(frozen=True)
-class DeadBus(_OfBus, carriers=(CAN_BUS,), effect=_Dead):
+class DeadBus(_OfBus, carriers=(CAN_BUS,), effect=BusStage):
     """The bus is cut at the camera: it receives no frames, and no node receives its frames."""
 
 

@@ -12,7 +12,7 @@ import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -225,7 +225,7 @@ def numbers(of: ReportContent) -> dict[str, Any]:
         "rules": [rule.as_json() for rule in of.rules], "title": of.rig.title, "test": circumstances.test,
         "rig_file": rig_file(of.rig), "began": _date(circumstances.began), "ended": _date(circumstances.ended),
         "settings": {key: getattr(of.rig.run, key) for key in ("seed", "pace", "step_us", "quality")},
-        "modelled": None if circumstances.modelled is None else circumstances.modelled.as_json(),
+        "modelled": circumstances.modelled,
         "timeline": _timeline(of), "pixels": pixel_counts(of.seen), "environment": machine,
         "run": {"evstim": of.version, "machine": machine["system"], "python": machine["python"]},
     }  # fmt: skip
@@ -239,14 +239,15 @@ def _date(moment: datetime | None) -> str | None:
 
 def _timeline(of: ReportContent) -> dict[str, Any]:
     rates, counts = of.seen.rates, of.seen.counts
+    on = rates.column(Observation.ON)
     return {
         "bin_us": rates.bin_us,
-        "on": rates.on.tolist(),
-        "off": (rates.events - rates.on).tolist(),
+        "on": on.tolist(),
+        "off": (rates.column(Observation.EVENTS) - on).tolist(),
         "status_bin_us": counts.bin_us,
         "late_steps": counts.column(Observation.LATE).tolist(),
         "edges": counts.column(Observation.EDGES).tolist(),
-        "happenings": [asdict(happening) for happening in happenings(of.result)],
+        "happenings": happenings(of.result),
     }
 
 

@@ -27,7 +27,8 @@ def timeline(of: ReportContent, marked: Sequence[Happening]) -> str:
     rates, seconds = of.seen.rates, of.result.sim_seconds
     bin_s = rates.bin_us * 1e-6
     bins = max(1, int(seconds / bin_s + 1e-9))
-    on, off = rates.on[:bins] / bin_s, (rates.events - rates.on)[:bins] / bin_s
+    events, ons = (rates.column(column)[:bins] for column in (Observation.EVENTS, Observation.ON))
+    on, off = ons / bin_s, (events - ons) / bin_s
     lanes = list(_lanes(of, marked))
     if not len(on) and not lanes:
         return ""

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Literal
 
 from emulator.light import Scene
 from emulator.plan.costs import EFFECTS
@@ -74,10 +74,6 @@ class Modelled:
     steps: str = ""
     probed: bool = False
     notes: Sequence[str] = field(default_factory=tuple)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the object `modelled` of report.json."""
-        return asdict(self)
 
 
 def modelled(rig: Rig, scene: Scene | None, *, is_driven: bool = False) -> Modelled:

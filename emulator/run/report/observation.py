@@ -67,31 +67,6 @@ class BinnedCounts:
         return counts
 
 
-class RateSeries(BinnedCounts):
-    """Events in bins of stream time."""
-
-    def __init__(self) -> None:
-        super().__init__(2)
-
-    def take(self, events: Events) -> None:
-        """Count events (n,) EVENT, n > 0, sorted by time."""
-        self.reach(int(events["t"][-1]))
-        bins = (events["t"] // self.bin_us).astype(np.int64)
-        first = int(bins[0])
-        self.add_bins(0, first, np.bincount(bins - first))
-        self.add_bins(1, first, np.bincount(bins - first, events["on"]).astype(np.int64))
-
-    @property
-    def events(self) -> Counts:
-        """Events in each bin, (n,)."""
-        return self.column(0)
-
-    @property
-    def on(self) -> Counts:
-        """ON events in each bin, (n,)."""
-        return self.column(1)
-
-
 _WINDOW_US = 40_000  # of the events over a picture
 _SPACING_US = 50_000  # of pictures at first
 _MOST_PICTURES = 12  # then every second one goes, and the spacing doubles
@@ -152,19 +127,20 @@ class Observation:
     Attributes
     ----------
     on, off : events of each pixel, (height, width) int64.
-    rates : events over time.
+    rates : events (column 0) and ON events (1) over time.
     counts : late steps (column 0) and edges that the cameras took (1) over time, from one status to the next.
     intervals : how many intervals lie in each bin of INTERVAL_EDGES_US.
     pictures : pictures of the run.
     """
 
+    EVENTS, ON = 0, 1
     LATE, EDGES = 0, 1
 
     def __init__(self, size: tuple[int, int]) -> None:
         width, height = size
         self.on = np.zeros((height, width), np.int64)
         self.off = np.zeros((height, width), np.int64)
-        self.rates = RateSeries()
+        self.rates = BinnedCounts(2)
         self.counts = BinnedCounts(2)
         self.intervals = np.zeros(len(INTERVAL_EDGES_US) - 1, np.int64)
         self.pictures = PictureStrip(size)
@@ -178,7 +154,11 @@ class Observation:
             self.pictures.take(events, light, t_us)
         if not len(events):
             return
-        self.rates.take(events)
+        self.rates.reach(int(events["t"][-1]))
+        bins = (events["t"] // self.rates.bin_us).astype(np.int64)
+        first = int(bins[0])
+        self.rates.add_bins(self.EVENTS, first, np.bincount(bins - first))
+        self.rates.add_bins(self.ON, first, np.bincount(bins - first, events["on"]).astype(np.int64))
         pixel = events["y"].astype(np.int64) * self._width + events["x"]
         for counts, chosen in ((self.on, events["on"]), (self.off, ~events["on"])):
             _count(counts.reshape(-1), pixel[chosen])

@@ -276,17 +276,15 @@ class RunTruth(Closing):
         self._digest = hashlib.blake2b(digest_size=8)
         self.trouble = ""
 
-    @abstractmethod
     def _open(self) -> None:
-        """Begin a file or arrays, of `about`; raises OSError."""
+        """Begin the file, where there is one, of `about`; raises OSError."""
 
     @abstractmethod
     def _put(self, rows: Rows) -> None:
         """Take rows, which the run may change afterwards."""
 
-    @abstractmethod
     def close(self) -> None:
-        """Finish; a second call does nothing."""
+        """Finish the file, where there is one; a second call does nothing."""
 
     @property
     def digest(self) -> str:
@@ -344,9 +342,6 @@ class TruthArrays(RunTruth):
         super().__init__(rig, selection)
         self._rows: dict[str, list[npt.NDArray[Any]]] = {}
 
-    def _open(self) -> None:
-        """Do nothing: there is no row yet."""
-
     def _put(self, rows: Rows) -> None:
         for name, values in rows.items():
             self._rows.setdefault(name, []).append(values.copy())
@@ -354,9 +349,6 @@ class TruthArrays(RunTruth):
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return the data sets; each that had no row is missing."""
         return {name: np.concatenate(rows) for name, rows in self._rows.items()}
-
-    def close(self) -> None:
-        """Do nothing: memory is always whole."""
 
 
 def _about(rig: Rig, geometry: SceneGeometry | None, selected: tuple[str, ...]) -> About:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,9 +28,10 @@ import numpy.typing as npt
 
 from emulator.raster.topology import PARTS
 from emulator.scene.bodies.compiled import ZERO, Numbers, cross, dot, entry, minus, plus, row
-from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
+from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, near_in_memory, split_sides
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.sun_rays import Window, depth_in
+from emulator.scene.files import Kind, cached_arrays
 from firmware_protocol.events import Bytes, Floats, Mask
 
 BEND_PX = 0.02  # of a side that is not seen at a shadow's edge; what casts shadows is cut from there on
@@ -102,6 +104,25 @@ def with_thirds(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
     return surface, Sides(mesh.faces, between, np.append(np.repeat(bends_m, 2), np.zeros(len(inside)))), cut
 
 
+def cached_thirds(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
+    """Return `with_thirds` of a closed mesh, `near_in_memory`: of a large one from the cache of scenes."""
+    if len(mesh.faces) < _CACHED_FACETS:
+        return with_thirds(near_in_memory(mesh), least_m)
+
+    def made() -> tuple[npt.NDArray[Any], ...]:
+        surface, sides, cut = with_thirds(near_in_memory(mesh), least_m)
+        return *attrgetter(*_OF_POINTS)(surface), sides.bends_m, sides.faces, sides.between, cut.faces
+
+    kinds = [Kind(np.float64, 2)] * 3 + [Kind(np.float64, 1)] * 5 + [Kind(np.int32, 2)] * 3
+    *values, bends_m, faces, between, cut_faces = cached_arrays("thirds", (mesh.made_from, least_m), made, kinds)
+    of_points = dict(zip(_OF_POINTS, values, strict=True))
+    surface = Surface(faces=faces, shades=faces, smooth=True, between=between, **of_points)
+    bends_m = np.empty(0) if bends_m is None else bends_m  # no side bends
+    return surface, Sides(faces, between, bends_m), Mesh(surface.vertices, cut_faces, surface.normals)
+
+
+_CACHED_FACETS = 1 << 15  # of fewer they are made in less than 100 ms
+_OF_POINTS = "vertices", "normals", "points", "lean", "albedo", "water", "rough"  # of a `Surface`
 _SHARES = np.array([(2, 1, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2), (1, 0, 2), (2, 0, 1), (1, 1, 1)]) / 3
 """Shares of a facet's corners in points 3 to 9."""
 

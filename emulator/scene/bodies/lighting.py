@@ -323,7 +323,7 @@ class Lighting:
         point = facet = 0
         for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True)):
             g, pose = where[k]
-            points, normals = _in_group(surface.points, pose), surface.normals
+            points, normals = in_group(surface.points, pose), surface.normals
             if points is not surface.points:
                 normals = normals @ pose.world_from_body.T
             low, high = points.min(axis=0), points.max(axis=0)
@@ -446,7 +446,7 @@ class Lighting:
             dim(tree, body.points, self._chosen, count, moved, tangent, _NEAR * tree.radius_m, self._shares)
 
 
-def _in_group(points: Floats, pose: Pose) -> Floats:
+def in_group(points: Floats, pose: Pose) -> Floats:
     """Return points of a body, (n, 3) m, in the frame of its group: themselves where it is the body's own."""
     is_same = not pose.position_m.any() and (pose.world_from_body == np.eye(3)).all()
     return points if is_same else points @ pose.world_from_body.T + pose.position_m
@@ -455,7 +455,7 @@ def _in_group(points: Floats, pose: Pose) -> Floats:
 def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequence[Mesh]) -> TriangleTree | None:
     """Return the triangles that cast the shadows of a group, in its frame."""
     parts = [
-        shadow_triangles(replace(meshes[k], vertices=_in_group(meshes[k].vertices, pose)))
+        shadow_triangles(replace(meshes[k], vertices=in_group(meshes[k].vertices, pose)))
         for k, pose in group.placed
         if parameters.shadows and parameters.bodies[k].throws_shadow
     ]

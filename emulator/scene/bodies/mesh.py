@@ -81,6 +81,13 @@ class Mesh:
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
     @property
+    def made_from(self) -> tuple[str, int, str]:
+        """Inputs of arrays that are made of this mesh, for the cache of scenes: shape, tints, sources, numpy."""
+        arrays = (self.vertices, self.normals, self.faces, self.albedo, self.water, self.rough)
+        digest = hashlib.sha256(b"|".join(b"" if array is None else array.tobytes() for array in arrays)).hexdigest()
+        return digest, checksum_of(Path(__file__).parent), np.__version__
+
+    @cached_property
     def area_m2(self) -> float:
         """The surface area."""
         return float(np.linalg.norm(facet_vectors(self.vertices, self.faces), axis=1).sum())
@@ -175,22 +182,13 @@ def _read(path: Path) -> PlateTable:
         return PlateTable(arrays["vertices"], arrays["faces"])
     try:
         text = read_text(path, _MOST_BYTES)
-        return parse(text) if len(text) < _CACHED_BYTES else _from_cache(parse, text)
+        if len(text) < _CACHED_BYTES:
+            return parse(text)
+        made_from = (hashlib.sha256(text.encode()).hexdigest(), checksum_of(Path(mesh_files.__file__)))
+        kinds = Kind(np.float64, 2), Kind(np.int64, 2), Kind(np.float64, 1)
+        return PlateTable(*cached_arrays("shape", made_from, lambda: parse(text), kinds))
     except (TextFileError, PlateTableError) as error:
         raise SceneError(f"{path}: {error}") from error
-
-
-def _from_cache(parse: Callable[[str], PlateTable], text: str) -> PlateTable:
-    """Return the contents of a text, from the cache of scenes where it was parsed by the same sources before."""
-    made_from = (hashlib.sha256(text.encode()).hexdigest(), checksum_of(Path(mesh_files.__file__)))
-
-    def parsed() -> tuple[Floats, Int64s, Floats]:
-        vertices, facets, albedo = parse(text)
-        return vertices, facets, np.empty(0) if albedo is None else albedo
-
-    kinds = Kind(np.float64, 2), Kind(np.int64, 2), Kind(np.float64, 1)
-    vertices, facets, albedo = cached_arrays("shape", made_from, parsed, kinds)
-    return PlateTable(vertices, facets, albedo if len(albedo) else None)
 
 
 def _require_sound(points: Floats, corners: Int64s) -> None:

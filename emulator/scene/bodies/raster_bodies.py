@@ -31,9 +31,9 @@ from emulator.raster.layout import Owners, Screen, View
 from emulator.raster.renderer import Renderer
 from emulator.raster.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow, write_flow
 from emulator.scene.bodies.compiled import entry
-from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_thirds
+from emulator.scene.bodies.curved_sides import BEND_PX, Sides, cached_thirds, split_round
 from emulator.scene.bodies.grain import GrainLayer, Ground, Placed
-from emulator.scene.bodies.lighting import Lighting, Motion, motion_at
+from emulator.scene.bodies.lighting import Lighting, Motion, in_group, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
@@ -73,7 +73,7 @@ class BodiesGeometry(SceneGeometry):
     def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
         scene_ns = self._world.time.scene_ns(t_ns)
-        camera, bodies = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
+        camera, bodies = self._world.camera.pose(scene_ns), self._poses(scene_ns).values()
         places = np.array([pose.position_m for pose in bodies])
         turns = np.array([pose.q_world_from_body for pose in bodies])
         return ScenePoses(camera.position_m, camera.q_world_from_body, places, turns)
@@ -196,10 +196,9 @@ class LitBodies:
         if len(mesh.faces) < _MOST_DIVIDED:
             size_m = max(self._longest_m(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED))
             mesh = subdivide(mesh, size_m, split_round if smooth else None)
-        mesh = near_in_memory(mesh)
         if not smooth or mesh.open_edges:  # a sheet is seen from both sides, its parts are not
-            return lit_surface(mesh, smooth=smooth)
-        surface, self._sides[k], casters[k] = with_thirds(mesh, BEND_PX * world.metres_a_pixel(k))
+            return lit_surface(near_in_memory(mesh), smooth=smooth)
+        surface, self._sides[k], casters[k] = cached_thirds(mesh, BEND_PX * world.metres_a_pixel(k))
         return surface
 
     def _longest_m(self, k: int) -> float:
@@ -279,9 +278,7 @@ def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> lis
     placed = {}
     for group in rigid_groups(parameters.bodies):
         for k, pose in group.placed:
-            vertices = surfaces[k].vertices
-            if k != group.members[0]:
-                vertices = vertices @ pose.world_from_body.T + pose.position_m
+            vertices = in_group(surfaces[k].vertices, pose)
             corners = int(surfaces[k].faces.max()) + 1
             placed[k] = (group.members[0], np.ascontiguousarray(vertices[:corners]), vertices[corners:])
     return [placed[k] for k in range(len(surfaces))]

@@ -38,14 +38,12 @@ clustering, Rossignac and Borrel 1993, Multi-resolution 3D approximations.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.scene.bodies.albedo import clouded, smooth_step, with_albedo
 from emulator.scene.bodies.curved_sides import split_round
@@ -66,7 +64,6 @@ from emulator.scene.bodies.mesh import Mesh, facet_vectors, group_means, vertex_
 from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
 from emulator.scene.files import Kind, cached_arrays
-from firmware_protocol.compiled import checksum_of
 from firmware_protocol.events import Floats, Int64s
 
 if TYPE_CHECKING:
@@ -410,28 +407,15 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
     """
     if not isinstance(detail, Regolith | Clouds):
         return mesh
-    digest = hashlib.sha256()
-    for array in _arrays_of(mesh):
-        digest.update(array.tobytes())
-    made_from = (digest.hexdigest(), detail, pixel_m, checksum_of(Path(__file__).parent), np.__version__)
-    points, faces, *tints = cached_arrays(
+    names = "vertices", "normals", "faces", "albedo", "water", "rough"
+    values = cached_arrays(
         "detail",
-        made_from,
-        lambda: _arrays_of(
+        (mesh.made_from, detail, pixel_m),
+        lambda: attrgetter(*names)(
             weathered(mesh, detail, pixel_m)
             if isinstance(detail, Regolith)
             else clouded(mesh, detail, detail.facet_px * pixel_m)
         ),
-        (Kind(np.float64, 2), Kind(np.int32, 2), *3 * (Kind(np.float64, 2),)),
+        (*2 * (Kind(np.float64, 2),), Kind(np.int32, 2), *3 * (Kind(np.float64, 2),)),
     )
-    vertices, normals = np.ascontiguousarray(points[:, :3]), np.ascontiguousarray(points[:, 3:])
-    albedo, water, rough = (tint if len(tint) else None for tint in tints)
-    return dataclasses.replace(
-        mesh, vertices=vertices, normals=normals, faces=faces, albedo=albedo, water=water, rough=rough
-    )
-
-
-def _arrays_of(mesh: Mesh) -> tuple[npt.NDArray[Any], ...]:
-    """Return vertices beside normals (n, 6), facets, and tints; these are empty where the mesh has none."""
-    tints = (np.empty((0, 3)) if tint is None else tint for tint in (mesh.albedo, mesh.water, mesh.rough))
-    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, *tints
+    return dataclasses.replace(mesh, **dict(zip(names, values, strict=True)))

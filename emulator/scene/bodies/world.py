@@ -62,10 +62,6 @@ class Arrangement:
         self.ranges_m, self.median_ranges_m = ranges_m.min(axis=0), np.median(ranges_m[self._under_way], axis=0)
         self._offsets_m = np.linalg.norm(_places(relative), axis=-1).max(axis=0)
 
-    def poses(self, scene_ns: int) -> list[Pose]:
-        """Return each body's pose in the world."""
-        return list(self.poses_of(range(len(self._bodies)))(scene_ns).values())
-
     def poses_of(self, bodies: Collection[int]) -> Callable[[int], Mapping[int, Pose]]:
         """Return a function from scene time in ns to the poses of some bodies in the world, by number."""
         numbers = sorted({j for k in bodies for j in self._ancestry(k)})
@@ -132,7 +128,6 @@ class BodyWorld:
     inside : watch for light frames that are drawn from inside a body.
     paths : of each body.
     arrangement : poses and ranges.
-    ranges_m : (bodies,), the closest range of each body's origin.
     distance_m : the closest range of any body, less its radius.
     motion_bound_px_s : from the paths' speeds and turns, at the closest ranges.
     """
@@ -149,8 +144,7 @@ class BodyWorld:
         parents = [names.index(body.fixed_to) if body.fixed_to else None for body in parameters.bodies]
         placed = [PlacedBody(*of_body) for of_body in zip(self.paths, parents, radii_m, strict=True)]
         self.arrangement = Arrangement(self.camera, placed, self.time)
-        self.ranges_m = self.arrangement.ranges_m
-        self.distance_m = max(float(np.min(self.ranges_m - radii_m)), 1e-3)
+        self.distance_m = max(float(np.min(self.arrangement.ranges_m - radii_m)), 1e-3)
         in_a_corner = 1 + math.tan(pinhole.widest_rad) ** 2
         self.motion_bound_px_s = pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
         self.grain: list[Octaves | None] = []
@@ -191,7 +185,7 @@ class BodyWorld:
 
     def metres_a_pixel(self, k: int, ranges_m: Floats | None = None) -> float:
         """Return the width of a pixel on body k at its closest range, m, or at others, (bodies,)."""
-        range_m = float((self.ranges_m if ranges_m is None else ranges_m)[k])
+        range_m = float((self.arrangement.ranges_m if ranges_m is None else ranges_m)[k])
         return max(range_m - self.meshes[k].radius_m, 1e-6) / self.pinhole.focal_px
 
     def close(self) -> None:
@@ -199,15 +193,15 @@ class BodyWorld:
         close_receivers(self.camera, *self.paths)
 
     def _require_visible(self) -> None:
-        for body, mesh, range_m in zip(self.parameters.bodies, self.meshes, self.ranges_m, strict=True):
+        for body, mesh, range_m in zip(self.parameters.bodies, self.meshes, self.arrangement.ranges_m, strict=True):
             core_m = float(np.linalg.norm(mesh.vertices, axis=1).min())
             if range_m <= core_m:
                 raise SceneError(
                     f"the camera comes within {range_m:g} m of the middle of {body.shape}, whose surface is at least "
                     f"{core_m:g} m from it: it would be inside. Move it out, or look at units_m"
                 )
-        shares = (2 * mesh.radius_m / range_m for mesh, range_m in zip(self.meshes, self.ranges_m, strict=True))
-        across_px = float(max(shares)) * self.pinhole.focal_px
+        shares = 2 * np.array([mesh.radius_m for mesh in self.meshes]) / self.arrangement.ranges_m
+        across_px = float(shares.max()) * self.pinhole.focal_px
         if across_px < 2:
             raise SceneError(
                 f"the largest body is {across_px:.2g} px across at its closest and would be lost "

@@ -8,7 +8,7 @@ import pytest
 
 from emulator.cli.app import _main, app
 from emulator.cli.output import status
-from emulator.cli.picture import look
+from emulator.cli.picture import PictureOptions, looks
 from emulator.rig.loading import load_rig, parse_rig
 from emulator.rig.remarks import remarks
 from firmware_protocol.events import EVENT
@@ -160,6 +160,6 @@ def test_a_window_shorter_than_a_step_has_its_events():
     """Steps are counted back from the picture: the last one ends with it."""
     rig = load_rig("loopback")
     rig = dataclasses.replace(rig, run=dataclasses.replace(rig.run, step_us=40_000))
-    _, events = look(rig, 0.25, 10.0)
+    *_, events = next(looks(rig, PictureOptions(0.25, seconds=0.0), 10.0))
     assert len(events) > 100
     assert 240_000 <= events["t"].min() <= events["t"].max() <= 250_000

@@ -15,6 +15,7 @@ from tests.made_events import scattered
 from tests.npz_records import save_record
 
 SENSOR = PRESETS["davis346"]
+FILE = "played.npz"  # named, not read
 DARK = np.zeros((260, 346), np.float32)
 
 
@@ -28,7 +29,7 @@ def test_every_event_comes_once_and_at_its_time(times, steps_us):
     events = scattered(sorted(times))
     events["t"] -= events["t"][0]
     ends = [*np.cumsum(steps_us) * 1000, 6_000_000]
-    replay = Replay(SENSOR, events, loop=False)
+    replay = Replay(SENSOR, events, RecordingParameters(FILE, loop=False))
     np.testing.assert_array_equal(played(replay, sorted(ends)), events)
     assert replay.raised == replay.read_out == len(events)
 
@@ -37,8 +38,8 @@ def test_every_event_comes_once_and_at_its_time(times, steps_us):
 def test_a_loop_does_not_depend_on_the_step(steps_us):
     events = scattered([0, 10, 10, 400, 1000])
     ends = [int(t) for t in np.cumsum([*steps_us, 10]) * 1000]
-    by_steps = played(Replay(SENSOR, events), ends)
-    at_once = played(Replay(SENSOR, events), ends[-1:])
+    by_steps = played(Replay(SENSOR, events, RecordingParameters(FILE)), ends)
+    at_once = played(Replay(SENSOR, events, RecordingParameters(FILE)), ends[-1:])
     np.testing.assert_array_equal(by_steps, at_once)
     rounds = ends[-1] // 1_250_000  # one mean gap after the last event
     assert len(at_once) >= 5 * rounds
@@ -46,20 +47,21 @@ def test_a_loop_does_not_depend_on_the_step(steps_us):
 
 
 def test_an_event_at_the_end_of_a_step_belongs_to_it():
-    replay = Replay(SENSOR, scattered([0, 7]), loop=False)
+    replay = Replay(SENSOR, scattered([0, 7]), RecordingParameters(FILE, loop=False))
     replay.reset(LightFrame(0, DARK))
     assert [len(replay.expose(LightFrame(t, DARK))) for t in (0, 6_999, 7_000)] == [1, 0, 1]
 
 
 def test_a_time_scale_plays_faster():
     events = scattered([0, 1000, 3001])
-    assert list(played(Replay(SENSOR, events, time_scale=2.0, loop=False), [10**7])["t"]) == [0, 500, 1500]
+    replay = Replay(SENSOR, events, RecordingParameters(FILE, time_scale=2.0, loop=False))
+    assert list(played(replay, [10**7])["t"]) == [0, 500, 1500]
 
 
 def test_the_arbiter_takes_part_where_asked():
     events = scattered([5] * 2000, seed=3)
     events["t"] = 0
-    replay = Replay(SENSOR, events, loop=False, through_readout=True)
+    replay = Replay(SENSOR, events, RecordingParameters(FILE, loop=False, through_readout=True))
     out = played(replay, [10**6])
     assert len(out) + replay.lost_at_readout == replay.raised == 2000
     assert int(out["t"][-1]) > 100  # 80 ns an event

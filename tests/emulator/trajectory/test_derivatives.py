@@ -10,7 +10,7 @@ from emulator.geometry.attitude import quaternion_of_vector
 from emulator.geometry.camera import Cycle
 from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.laws import Descent, Elements, Orbit
+from emulator.trajectory.laws import Descent, Orbit, OrbitPath
 from emulator.trajectory.live import SimulatedPath, TimedPose, known_motion
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
@@ -28,7 +28,7 @@ def _keyframes():
 
 
 def _orbit(eccentricity=0.3):
-    return Orbit(Elements(4.4628e5, 35e3, eccentricity, inclination_deg=40, node_deg=20, periapsis_deg=70))
+    return Orbit(OrbitPath(4.4628e5, 35e3, eccentricity, inclination_deg=40, node_deg=20, periapsis_deg=70))
 
 
 def _spinning():

@@ -5,7 +5,7 @@ import pytest
 
 from emulator.run.outcome import RunStatus
 from emulator.run.pacing import Lateness
-from emulator.run.report.observation import INTERVAL_EDGES_US, Observation, PictureStrip, RateSeries
+from emulator.run.report.observation import INTERVAL_EDGES_US, Observation, PictureStrip
 from firmware_protocol.events import EVENT
 from tests.made_events import events_at, scattered
 from transports.link.feed import EdgeReport
@@ -33,8 +33,8 @@ def test_every_event_is_counted_once_whatever_the_batches(pieces):
         truth = np.zeros((SIZE[1], SIZE[0]), int)
         np.add.at(truth, (events["y"][events["on"] == on], events["x"][events["on"] == on]), 1)
         assert np.array_equal(counts, truth)
-    assert np.array_equal(seen.rates.events, np.histogram(events["t"], np.arange(51) * 100_000)[0])
-    assert seen.rates.on.sum() == events["on"].sum()
+    assert np.array_equal(seen.rates.column(Observation.EVENTS), np.histogram(events["t"], np.arange(51) * 100_000)[0])
+    assert seen.rates.column(Observation.ON).sum() == events["on"].sum()
 
 
 @pytest.mark.parametrize("pieces", [1, 7, 997])
@@ -51,14 +51,14 @@ def test_intervals_are_those_of_the_sampled_pixels(pieces):
 
 
 def test_a_long_run_has_longer_bins_and_no_more_of_them():
-    series = RateSeries()
+    seen = Observation(SIZE)
     for second in range(0, 7200, 10):
         events = events_at(second * 1_000_000 + np.array([0, 1, 2]), on=[True, False, False])
-        series.take(events)
-    assert len(series.events) <= 2000
-    assert series.bin_us == 6_400_000
-    assert series.events.sum() == 3 * 720
-    assert series.on.sum() == 720
+        seen.take(events)
+    assert len(seen.rates.column(Observation.EVENTS)) <= 2000
+    assert seen.rates.bin_us == 6_400_000
+    assert seen.rates.column(Observation.EVENTS).sum() == 3 * 720
+    assert seen.rates.column(Observation.ON).sum() == 720
 
 
 def test_late_steps_and_edges_are_counted_when_they_are_reported():

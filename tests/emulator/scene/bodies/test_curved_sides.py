@@ -9,8 +9,9 @@ import trimesh
 
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Lambert, Sun
-from emulator.scene.bodies import raster_bodies
-from emulator.scene.bodies.curved_sides import mark, with_thirds
+from emulator.scene.bodies import curved_sides, raster_bodies
+from emulator.scene.bodies.curved_sides import cached_thirds, mark, with_thirds
+from emulator.scene.bodies.lit_surface import near_in_memory
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.sun_rays import Window
@@ -134,3 +135,25 @@ def test_the_light_of_a_ball_is_that_of_its_closed_form(tmp_path, monkeypatch):
         assert math.sqrt(float((wrong[dim] ** 2).mean())) / truth.max() < rms
         assert abs(wrong[dim].sum()) < 0.03 * truth[dim].sum()
         assert wrong[truth == 0].sum() < 1e-3 * truth[dim].sum()
+
+
+def test_thirds_of_a_large_mesh_are_made_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(curved_sides, "_CACHED_FACETS", 1000)
+    mesh = ball()
+    mesh = dataclasses.replace(mesh, albedo=mesh.vertices[mesh.faces, 0] + 2.0)
+    expected = with_thirds(near_in_memory(mesh), 1e-4)
+    cached_thirds(mesh, 1e-4)
+    monkeypatch.setattr(curved_sides, "with_thirds", None)
+    for found, wanted in zip(cached_thirds(mesh, 1e-4), expected, strict=True):
+        names = (
+            [field.name for field in dataclasses.fields(wanted)] if dataclasses.is_dataclass(wanted) else wanted._fields
+        )
+        for name in names:
+            values = getattr(found, name), getattr(wanted, name)
+            assert type(values[0]) is type(values[1]), name
+            np.testing.assert_array_equal(*values, err_msg=name)
+            assert not isinstance(values[0], np.ndarray) or values[0].flags.c_contiguous
+    for other in ((mesh, 2e-4), (dataclasses.replace(mesh, albedo=None), 1e-4), (ball(4), 1e-4)):
+        with pytest.raises(TypeError):
+            cached_thirds(*other)

@@ -140,7 +140,7 @@ def test_a_camera_in_a_body_or_on_its_surface_sees_finite_light(tmp_path, z_m):
     body = BodyTable(shape=str(tmp_path / "ball.obj"), path=FixedPath((0, 0, 3.0)), reflectance=Lambert(1.0))
     with RasterBodies(scene(body, ambient_w_m2=3.0), CAMERA) as drawn:
         drawn._world.arrangement._bodies[0].path._pose = dataclasses.replace(
-            drawn._world.arrangement.poses(0)[0], position_m=np.array([0.0, 0.0, z_m])
+            drawn._world.arrangement.poses_of([0])(0)[0], position_m=np.array([0.0, 0.0, z_m])
         )
         light, rate = frame(drawn, 0)
     assert np.isfinite(light).all()

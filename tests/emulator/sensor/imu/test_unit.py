@@ -13,7 +13,7 @@ from emulator.geometry.camera import Cycle
 from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.laws import Elements, Orbit
+from emulator.trajectory.laws import Orbit, OrbitPath
 from emulator.trajectory.live import LATE_PICTURES, LivePoses
 from emulator.trajectory.mounting import Looking, Spinning
 from emulator.trajectory.pose import STILL, Fixed, Pose, Timescale
@@ -52,7 +52,7 @@ def test_on_the_ground_it_feels_what_holds_it_up():
 
 
 def test_in_orbit_it_feels_nothing():
-    elements = Elements(4.4628e5, 35e3, 0.4)
+    elements = OrbitPath(4.4628e5, 35e3, 0.4)
     path = Looking(Orbit(elements), (0, 0, 0), (0, 0, 1), [0, SECOND])
     motion = unit(path, Gravity(gm_m3_s2=elements.gm_m3_s2)).between(5000 * SECOND, 5000 * SECOND + 3_000_000)
     np.testing.assert_allclose(motion["force"], 0, atol=1e-17)
@@ -60,7 +60,7 @@ def test_in_orbit_it_feels_nothing():
 
 
 def test_in_fast_motion_free_fall_stays_free_and_turning_is_faster():
-    elements = Elements(4.4628e5, 35e3)
+    elements = OrbitPath(4.4628e5, 35e3)
     path = Looking(Orbit(elements), (0, 0, 0), (0, 0, 1), [0, SECOND])
     motion = unit(path, Gravity(gm_m3_s2=elements.gm_m3_s2), factor=1000.0).between(0, 1_000_000)
     np.testing.assert_allclose(motion["force"], 0, atol=1e-11)
@@ -69,7 +69,7 @@ def test_in_fast_motion_free_fall_stays_free_and_turning_is_faster():
 
 def test_on_a_circle_it_feels_the_centripetal_force_along_its_axes():
     """Looking at the middle, the force is w^2 r along the boresight."""
-    elements = Elements(4.4628e5, 35e3)
+    elements = OrbitPath(4.4628e5, 35e3)
     path = Looking(Orbit(elements), (0, 0, 0), (0, 0, 1), [0, SECOND])
     force = unit(path).between(0, 1_000_000)["force"][0]
     np.testing.assert_allclose(force, [0, 0, elements.mean_motion_rad_s**2 * 35e3], atol=1e-12)
