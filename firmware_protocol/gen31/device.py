@@ -40,7 +40,7 @@ from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from firmware_protocol.prophesee.camera import NoiseFilter, RateBand, Selected, unpacked
 from firmware_protocol.prophesee.registers import NoRegister
 from firmware_protocol.prophesee.treuzell import BoardDevice
-from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, ChipSelection, TreuzellCamera, TreuzellSettings
+from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, TreuzellCamera, TreuzellSettings
 
 SLOPES = BiasSlopes(diff_on=0.051, diff_off=0.053, diff_off_above=0.053, off_delay=0.053, fo=1 / 61, refr=1 / 79)
 """Effect of one step of each bias."""
@@ -105,13 +105,18 @@ _TAKE_OVER = 1 << 5
 _ANY_RATE = 1 << 62
 
 
-class Selection(ChipSelection):
+class Selection:
     """The window and the noise filter of a register file, applied to events."""
+
+    def __init__(self, registers: Registers) -> None:
+        self._registers = registers
+        self._noise = NoiseFilter()
+        self.reset()
 
     def reset(self) -> None:
         """Return to the power-on state."""
         self._columns, self._rows = (np.ones(pixels, np.bool_) for pixels in SIZE)
-        self._noise = NoiseFilter()
+        self._noise.configure(None)
 
     def written(self, address: int) -> None:
         """Apply the effect of a register that was just written."""

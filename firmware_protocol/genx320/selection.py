@@ -34,10 +34,8 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol.events import Events, Int64s, copy_events
-from firmware_protocol.genx320.registers import MASKS, SIZE, WINDOWS, Address
+from firmware_protocol.genx320.registers import MASKS, SIZE, WINDOWS, Address, Registers
 from firmware_protocol.prophesee.camera import Mask, NoiseFilter, RateBand, RateControl, Selected, unpacked
-from firmware_protocol.prophesee.registers import ChipRegisters
-from firmware_protocol.prophesee.usb import ChipSelection
 
 _WIDTH, _HEIGHT = SIZE
 _LATCHES_ON, _TAKE_OVER = 1 << 1, 1 << 5
@@ -49,8 +47,12 @@ _COORDINATE = 0x1FF
 _RATE = (Address.RATE, Address.RATE_DROPS, Address.RATE_PERIOD, Address.RATE_EVENTS)
 
 
-class Selection(ChipSelection):
+class Selection:
     """The part of the events that a register file selects."""
+
+    def __init__(self, registers: Registers) -> None:
+        self._registers = registers
+        self.reset()
 
     def reset(self) -> None:
         """Return to the power-on state."""
@@ -161,7 +163,7 @@ _LONG_AGO_US = -(1 << 62)
 class FlickerFilter:
     """Filter of the events of pixels that flicker."""
 
-    def __init__(self, registers: ChipRegisters) -> None:
+    def __init__(self, registers: Registers) -> None:
         self._registers = registers
         self._on = False
         self.configure()

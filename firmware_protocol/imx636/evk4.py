@@ -57,7 +57,7 @@ from firmware_protocol.imx636.registers import (
     Surroundings,
 )
 from firmware_protocol.prophesee.camera import Mask, RateControl, Selected, unpacked
-from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, ChipSelection, TreuzellCamera, TreuzellSettings
+from firmware_protocol.prophesee.usb import BoardIdentity, ChipNames, TreuzellCamera, TreuzellSettings
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,12 @@ class Evk4Settings(TreuzellSettings):
         return ChipNames(self.board.chip.name, self.board.chip.compatible)
 
 
-class Selection(ChipSelection):
+class Selection:
     """The masks and the rate control of a register file, applied to events."""
+
+    def __init__(self, registers: Registers) -> None:
+        self._registers = registers
+        self.reset()
 
     def reset(self) -> None:
         """Return to the power-on state."""

@@ -22,11 +22,11 @@ of a shipped camera are not public: those here are new enough for both.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Events
@@ -138,22 +138,15 @@ class ChipNames:
     compatible: tuple[str, ...]
 
 
-class ChipSelection(ABC):
+class ChipSelection(Protocol):
     """The part of the events that the registers select."""
 
-    def __init__(self, registers: ChipRegisters) -> None:
-        self._registers = registers
-        self.reset()
-
-    @abstractmethod
     def reset(self) -> None:
         """Return to the power-on state."""
 
-    @abstractmethod
     def written(self, address: int) -> None:
         """Apply the effect of a register that was just written."""
 
-    @abstractmethod
     def apply(self, events: Events, epoch_us: int) -> Selected:
         """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
 
