@@ -82,13 +82,19 @@ class FrameSettings:
         return self.first_column, self.first_row, self.last_column, self.last_row
 
 
+def brightness(reset: Any, signal: Any) -> UInt16s:
+    """Return two reads, arrays of ADC values, as brightness, 0 to 1023; saturated pixels are 1023, as in hosts."""
+    value = np.clip(reset.astype(np.int32) - signal, 0, 1023)
+    return np.where((reset < 384) | (signal == 0), 1023, value).astype(np.uint16)
+
+
 @dataclass(frozen=True)
 class WholeFrame:
     """A frame that was delivered complete; times are stream time, us.
 
     Attributes
     ----------
-    first_column, first_row : first pixel of its region in the array.
+    origin : column and row of its first pixel in the array.
     reset, signal : (rows, columns) uint16, ADC values.
     records : number of its lines and moments.
     """
@@ -97,17 +103,10 @@ class WholeFrame:
     exposure_start_us: int
     exposure_end_us: int
     end_us: int
-    first_column: int
-    first_row: int
+    origin: tuple[int, int]
     reset: UInt16s
     signal: UInt16s
     records: int = 0
-
-    @property
-    def pixels(self) -> UInt16s:
-        """(rows, columns) uint16, 0 to 1023: brightness; saturated pixels are 1023, as in hosts."""
-        value = np.clip(self.reset.astype(np.int32) - self.signal, 0, 1023)
-        return np.where((self.reset < 384) | (self.signal == 0), 1023, value).astype(np.uint16)
 
 
 class FrameAssembler:
@@ -147,4 +146,4 @@ def _whole(records: Readings) -> list[WholeFrame]:
     by_column = records["by_column"][0]
     reset, signal = (np.ascontiguousarray(read.T if by_column else read) for read in reads)
     start, opened, shut, end = (int(moment["t"][0]) for moment in moments)
-    return [WholeFrame(start, opened, shut, end, left, top, reset, signal, len(records))]
+    return [WholeFrame(start, opened, shut, end, (left, top), reset, signal, len(records))]

@@ -170,8 +170,12 @@ class PageProcess:
         self._view, self._session = setup.view, session
         self._canvas = Canvas(setup.view.size)
         self.connections, self._viewers = Connections(), Viewers(time.monotonic)
-        self._about, self._history = setup.about, RunHistory()
-        self._app = PageServer(self._greeting, setup.access, self._viewers, self.connections, self._command).app()
+        self._history = RunHistory()
+
+        def greeting() -> str:
+            return json.dumps({"kind": "about", **setup.about, **self._history.as_json()})
+
+        self._app = PageServer(greeting, setup.access, self._viewers, self.connections, self._command).app()
         self._commands_done = 0
         self._ended = asyncio.Event()
 
@@ -251,10 +255,6 @@ class PageProcess:
             if self._history.take(message["axis"]):
                 self._viewers.send_all(json.dumps({"kind": "history", **self._history.as_json()}))
             self._viewers.put(json.dumps({**message, "viewers": len(self._viewers), "page_cpu_s": time.process_time()}))
-
-    def _greeting(self) -> str:
-        """Return the first message for a viewer: the constant data of the run, and its history."""
-        return json.dumps({"kind": "about", **self._about, **self._history.as_json()})
 
     def _command(self, viewer: int, command: dict[str, Any]) -> bool:
         """Send a viewer's command to the session; False where too many wait."""

@@ -96,7 +96,7 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         return SimpleNamespace(
             bLength=9, bDescriptorType=4, bInterfaceNumber=interface.number, bAlternateSetting=0,
             bNumEndpoints=len(interface.endpoints), bInterfaceClass=kind, bInterfaceSubClass=subclass,
-            bInterfaceProtocol=protocol, iInterface=interface.string, extra_descriptors=[],
+            bInterfaceProtocol=protocol, iInterface=0, extra_descriptors=[],
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev: object, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:

@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Edges, Events
+from firmware_protocol.frames import brightness
 from firmware_protocol.fx3.words import IMU_READ, WORD, Special, Words, edges_of
 from firmware_protocol.imu_samples import ImuSamples
 
-_WHITE_BELOW = 384
-_WHITE = 1023
 _RESET = int(Special.TIMESTAMP_RESET)
 _MARKS = np.array(
     [
@@ -52,9 +51,8 @@ class FrameRead:
 
     @property
     def pixels(self) -> Words:
-        """(rows, columns) uint16, 0 to 1023: reset less signal; white where reset is too low or signal is 0."""
-        value = np.clip(self.reset.astype(np.int32) - self.signal, 0, _WHITE)
-        return np.where((self.reset < _WHITE_BELOW) | (self.signal == 0), _WHITE, value).astype(np.uint16)
+        """(rows, columns) uint16, as `brightness`."""
+        return brightness(self.reset, self.signal)
 
 
 SPECIAL_EVENT = np.dtype([("t", "<u8"), ("code", "<u2"), ("index", "<i8")])

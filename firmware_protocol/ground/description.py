@@ -118,15 +118,13 @@ class Packet:
         return tuple(placed for placed in self.fields if placed.at >= self.header.bits)
 
 
-def instrument_packets(
-    addresses: Addresses = DEFAULT_ADDRESSES, max_payload: int = DEFAULT_MAX_PAYLOAD
-) -> tuple[Packet, ...]:
+def instrument_packets(addresses: Addresses = DEFAULT_ADDRESSES) -> tuple[Packet, ...]:
     """Return all messages of an instrument, then all its telecommands."""
-    return (*_messages(addresses, max_payload), *_verifications(addresses), *_commands(addresses))
+    return (*_messages(addresses), *_verifications(addresses), *_commands(addresses))
 
 
-def _messages(addresses: Addresses, max_payload: int) -> Iterator[Packet]:
-    block = max_payload - HEADER_LAYOUT.octets
+def _messages(addresses: Addresses) -> Iterator[Packet]:
+    block = DEFAULT_MAX_PAYLOAD - HEADER_LAYOUT.octets
     parts: dict[MessageKind, tuple[str, Layout, Tail | None]] = {
         MessageKind.EVENTS: (
             "One block of events; the packet's time is that of the first one",

@@ -50,50 +50,41 @@ def repeat_us(form: str, bytes_per_s: float) -> int:
     return 1 << ceil(log2(max(_LEAST_REPEAT_US, least_us)))
 
 
-class _EvtStream:
-    """Encoder of one stream: it begins at the time of its first item, and a late edge gets the present time."""
+class _Evt:
+    """Coder of one stream: it begins at the time of its first item, and a late edge gets the present time."""
+
+    limit_px: ClassVar[tuple[int, int]] = (1 << 11, 1 << 11)
+    has_edges: ClassVar[bool] = True
 
     def __init__(self, facts: StreamFacts) -> None:
         from firmware_protocol.evt.evt2 import Evt2Encoder
         from firmware_protocol.evt.evt3 import Evt3Encoder
 
+        self.facts = facts
         repeat = facts.repeat_us
-        self.coder: Coder
+        self._coder: Coder
         if facts.form == "evt3":
-            self.coder = Evt3Encoder(standalone=not repeat, width=facts.size[0], repeat_us=repeat)
+            self._coder = Evt3Encoder(standalone=not repeat, width=facts.size[0], repeat_us=repeat)
         else:
             form: Form = "evt21" if facts.form == "evt21" else "evt2"
-            self.coder = Evt2Encoder(form, standalone=not repeat, repeat_us=repeat)
-        self.restart()
+            self._coder = Evt2Encoder(form, standalone=not repeat, repeat_us=repeat)
+        self._is_new = True  # another stream begins with the next item
 
-    def restart(self) -> None:
-        """Begin another stream with the next item."""
-        self._is_new = True
-
-    def reach(self, t_us: int) -> None:
+    def _reach(self, t_us: int) -> None:
         """Begin the stream at `t_us` if it has not begun, or after a long silence."""
-        if self._is_new or t_us - self.coder.last_us > _LONGEST_SILENCE_US:
-            self.coder.begin(t_us)
+        if self._is_new or t_us - self._coder.last_us > _LONGEST_SILENCE_US:
+            self._coder.begin(t_us)
             self._is_new = False
 
-    def prepare(self, events: Events, edges: Edges) -> Edges:
+    def _prepare(self, events: Events, edges: Edges) -> Edges:
         """Return the edges (m,) with times that can follow; the next words are those of these items."""
         if len(events) or len(edges):
-            self.reach(min(int(records["t"][0]) for records in (events, edges) if len(records)))
-        if not len(edges) or int(edges["t"][0]) >= self.coder.last_us:
+            self._reach(min(int(records["t"][0]) for records in (events, edges) if len(records)))
+        if not len(edges) or int(edges["t"][0]) >= self._coder.last_us:
             return edges
         later = edges.copy()
-        later["t"] = np.maximum(edges["t"], np.uint64(self.coder.last_us))
+        later["t"] = np.maximum(edges["t"], np.uint64(self._coder.last_us))
         return later
-
-
-class _Evt:
-    limit_px: ClassVar[tuple[int, int]] = (1 << 11, 1 << 11)
-    has_edges: ClassVar[bool] = True
-
-    def __init__(self, facts: StreamFacts) -> None:
-        self.facts = facts
-        self._stream = _EvtStream(facts)
 
 
 class EvtConnectionCoder(_Evt, ConnectionCoder):
@@ -101,16 +92,16 @@ class EvtConnectionCoder(_Evt, ConnectionCoder):
 
     def encode(self, events: Events, edges: Edges) -> bytes:
         """Return words; an edge precedes the events of its time."""
-        return self._stream.coder.encode(events, self._stream.prepare(events, edges))
+        return self._coder.encode(events, self._prepare(events, edges))
 
     def advance(self, t_us: int) -> bytes:
         """Return the high parts that are due."""
-        self._stream.reach(t_us)
-        return self._stream.coder.advance(t_us)
+        self._reach(t_us)
+        return self._coder.advance(t_us)
 
     def restart(self) -> bytes:
         """Begin another stream."""
-        self._stream.restart()
+        self._is_new = True
         return b""
 
 
@@ -119,13 +110,13 @@ class EvtDatagramCoder(_Evt, DatagramCoder):
 
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
         """Yield datagrams; an edge precedes the events of its time."""
-        edges = self._stream.prepare(events, edges)
-        for part in self._stream.coder.parts(events, edges, _DATAGRAM_OCTETS):
+        edges = self._prepare(events, edges)
+        for part in self._coder.parts(events, edges, _DATAGRAM_OCTETS):
             yield Datagram(part.words, part.events)
 
     def restart(self) -> Iterator[Datagram]:
         """Begin another stream."""
-        self._stream.restart()
+        self._is_new = True
         yield from ()
 
 

@@ -47,6 +47,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, make_edges, make_events
+from firmware_protocol.frames import brightness
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part, ten_bits
 
 CHIPS: Mapping[tuple[int, int], str] = {
@@ -435,7 +436,6 @@ _VALUES = (
 _PER_UNIT = np.array([8192.0] * 3 + [340.0] + [65.5] * 3)
 _OFFSET = np.array([0.0] * 3 + [35.0] + [0.0] * 3)
 _RESET_DN = 1023  # of every pixel: brightness is the difference alone
-_LEAST_RESET_DN = 384  # hosts treat lower ones as saturated pixels
 
 
 def imu_words(imu: ImuRecords) -> Words:
@@ -534,11 +534,9 @@ class FrameWords:
             values[y[selected] - top, x[selected] - left] = address[selected] & 0x3FF
         if min(int(reset_dn.min()), int(signal_dn.min())) < 0:  # a pixel was read twice, and another one not at all
             return None
-        pixels = np.clip(reset_dn - signal_dn, 0, 1023)
-        pixels[(reset_dn < _LEAST_RESET_DN) | (signal_dn == 0)] = 1023
         reset_t, end_us = words["t"][~signal], int(words["t"][signal][0])
         begin_us = int(reset_t[-1] if int(reset_t[-1]) <= end_us else reset_t[0])  # global shutter, rolling shutter
-        return Frame(begin_us, begin_us, end_us, pixels.astype(np.uint16), (left, top))
+        return Frame(begin_us, begin_us, end_us, brightness(reset_dn, signal_dn), (left, top))
 
 
 def _is_signal(words: Words) -> npt.NDArray[np.bool_]:

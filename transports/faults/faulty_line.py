@@ -102,11 +102,6 @@ class FaultyLine(Faulty[ByteStage]):
         self.false = 0
 
     @property
-    def lost(self) -> tuple[int, int]:
-        """Number of events and edges that faults destroyed."""
-        return self._faults.lost
-
-    @property
     def gone(self) -> bool:
         """True while a fault has removed the port."""
         return any(stage.gone for stage in self._faults.stages)

@@ -104,12 +104,6 @@ class Faults(Generic[S]):
         )
 
     @property
-    def lost(self) -> tuple[int, int]:
-        """Number of events and edges that faults destroyed."""
-        records = [injected.record for injected in self._all]
-        return sum(r.events_lost for r in records), sum(r.edges_lost for r in records)
-
-    @property
     def next_us(self) -> int:
         """Stream time of the next begin of a fault; 0 while one is active, because it may end by count or by time."""
         if self._active:

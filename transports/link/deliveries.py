@@ -27,7 +27,7 @@ from firmware_protocol.device.clock import DeviceClock
 from firmware_protocol.device.items import Items, Reading, ReadingKind
 from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges
-from firmware_protocol.frames import FrameAssembler, WholeFrame
+from firmware_protocol.frames import FrameAssembler, WholeFrame, brightness
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
 from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, RecordingSummary, counts_of
 from transports.link.pacing import Clock
@@ -168,7 +168,7 @@ def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
 def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
     """Return a frame for a recording, at the start of its exposure as in drivers, at least 0: the clock may restart."""
     begin_us, end_us = (max(0, t_us - epoch_us) for t_us in (frame.exposure_start_us, frame.exposure_end_us))
-    return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))
+    return Frame(begin_us, begin_us, end_us, brightness(frame.reset, frame.signal), frame.origin)
 
 
 class DeliveryRecorder(Protocol):

@@ -71,11 +71,6 @@ class EdgeRing(SharedRing):
     def __init__(self, capacity: int = 4096) -> None:
         super().__init__(EDGE, capacity)
 
-    @property
-    def next_us(self) -> int | None:
-        """Time of the first edge in the ring; None if none waits."""
-        return self.time_of(0)
-
 
 class EdgeSink:
     """Converter from SYNCs of a bus to edges, one in each ring. It runs in the process that receives the bus.

@@ -196,7 +196,7 @@ class Feed:
     def due_us(self) -> int:
         """Stream time of the first event, edge or reading to feed, as far as it is known here."""
         edges_us = None if self._edges is None else self._edges.next_us
-        times = (self._ring.first_us, edges_us, self.readings.first_us)
+        times = (self._ring.next_us, edges_us, self.readings.first_us)
         return min((t_us for t_us in times if t_us is not None), default=FOREVER_US)
 
     @property

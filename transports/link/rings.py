@@ -124,6 +124,11 @@ class SharedRing:
         return self.capacity - self.waiting
 
     @property
+    def next_us(self) -> int | None:
+        """Time of the first waiting record, us; None if none waits."""
+        return self.time_of(0)
+
+    @property
     def refused(self) -> int:
         """Number of records for which there was no room, counted by the writer."""
         return int(self._head[_REFUSED])
@@ -262,11 +267,6 @@ class EventRing(SharedRing):
     def settle(self, until_us: int) -> None:
         """Store the stream time that the camera has reached, after the earlier changes of its hosts have been sent."""
         self.cells[_SETTLED_US] = until_us
-
-    @property
-    def first_us(self) -> int | None:
-        """Time of the first waiting event, us; None if none waits."""
-        return self.time_of(0)
 
 
 MOST_NUMBERS = 16

@@ -168,9 +168,7 @@ class Transmitter(Generic[_Tag]):
         """Send the due bytes, and pull the next frames."""
         while self._fill(now_ns):
             due = self._clock.due(now_ns)
-            if not due:
-                return
-            if not self._send(write, due, now_ns):
+            if not due or not self._send(write, due, now_ns):
                 return
 
     @property

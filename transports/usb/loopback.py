@@ -96,14 +96,10 @@ class DirectHost:
 
     def bulk_in(self, endpoint: int, length: int) -> bytes:
         """Read the data that the device has now; raises StallError, and TransferTimeout if it has none."""
-        try:
-            transfer = self._device.read(endpoint, length)
-        except Stall as stall:
-            raise StallError(f"endpoint {endpoint}: the device refused to be read") from stall
-        if transfer is None:
+        data = DirectReader(self._device, endpoint, length).read(0.0)
+        if data is None:
             raise TransferTimeout(f"endpoint {endpoint}: the device has no data")
-        self._device.sent(transfer)
-        return transfer.data
+        return data
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> DirectReader:
         """Read an IN endpoint; no transfers are queued."""
