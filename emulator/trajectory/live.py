@@ -405,14 +405,14 @@ class ReceivedPath(LivePoses):
         return super().pose(t_ns)
 
 
-def close_receivers(*paths: Trajectory) -> None:
+def close_receivers(*paths: Trajectory | None) -> None:
     """Close the ports that some of the paths listen on."""
     for path in paths:
         if isinstance(path, ReceivedPath):
             path.receiver.close()
 
 
-def live_counts(*paths: Trajectory) -> dict[str, int]:
+def live_counts(*paths: Trajectory | None) -> dict[str, int]:
     """Return the counts of all paths with poses from outside, added up; empty where there is none."""
     received = [path for path in paths if isinstance(path, ReceivedPath)]
     receivers = dict.fromkeys(path.receiver for path in received)

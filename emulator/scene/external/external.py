@@ -111,11 +111,7 @@ class External(SizedScene):
     @property
     def counts(self) -> Mapping[str, int]:
         """Images received, and poses where the path of the camera is live."""
-        return {"images": self._taken, **live_counts(*self._paths)}
-
-    @property
-    def _paths(self) -> list[Trajectory]:
-        return [] if self._path is None else [self._path]
+        return {"images": self._taken, **live_counts(self._path)}
 
     def stop(self) -> None:
         """Limit the wait for images of the present light frame."""
@@ -140,7 +136,7 @@ class External(SizedScene):
         """End the connection and the threads, and close the port of a live path."""
         self._end()
         self._joined.close()
-        close_receivers(*self._paths)
+        close_receivers(self._path)
 
     def _end(self, reason: str = "") -> None:
         self._images.clear()
@@ -234,7 +230,7 @@ def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> 
     try:
         return External(_connected(p, pinhole), p, pinhole, path, threads)
     except BaseException:
-        close_receivers(*([] if path is None else [path]))
+        close_receivers(path)
         raise
 
 
