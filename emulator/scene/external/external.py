@@ -79,6 +79,8 @@ class External(SizedScene):
     of threads that draw, 0: by the machine.
     """
 
+    motion_bound_px_s = math.inf  # of the newest image; infinite where the renderer gives none
+
     def __init__(
         self,
         connection: RendererConnection,
@@ -100,13 +102,7 @@ class External(SizedScene):
         self._next_ns = 0
         self._zero_ns = None if self._pushed else 0  # the renderer's time at stream time 0
         self._taken = 0
-        self._bound_px_s = math.inf
         self._joined = Joined(pinhole.size, p.white_w_m2_sr, threads)
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """The bound of the newest image; infinite where the renderer gives none."""
-        return self._bound_px_s
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -173,7 +169,7 @@ class External(SizedScene):
         self._images.append(self._checked(image))
         self._taken += 1
         bound = image.head.motion_bound_px_s
-        self._bound_px_s = math.inf if math.isnan(bound) else bound
+        self.motion_bound_px_s = math.inf if math.isnan(bound) else bound
 
     def _request(self, count: int) -> None:
         """Have `count` images requested."""
