@@ -119,6 +119,6 @@ def _splines(seconds: Floats, places: Floats, velocities: Floats | None, turns: 
         nothing = np.zeros((1, 1, 3))
         return PPoly(nothing + places, [0.0, 1.0]), PPoly(nothing, [0.0, 1.0])
     if velocities is None:  # those of parabolas, or of the line through two keyframes
-        velocities = np.gradient(places, seconds, axis=0, edge_order=min(len(seconds) - 1, 2))
+        velocities = np.gradient(places, seconds, axis=0, edge_order=1 if len(seconds) == 2 else 2)
     rotations = RotationSpline(seconds, Rotation.from_quat(turns, scalar_first=True))
     return CubicHermiteSpline(seconds, places, velocities), rotations.interpolator

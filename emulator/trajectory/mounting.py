@@ -104,7 +104,8 @@ class Spinning(Trajectory):
     ) -> None:
         self._position_m = np.asarray(position_m, np.float64)
         self._momentum = unit(momentum)
-        self._turned, self._tilt_rad, self._precession = turned, tilt_rad, precession
+        self._turned, self._precession = turned, precession
+        self._tilt_rad = tilt_rad
         # The greatest rate is that of both, when the axes lie along each other.
         self.bounds = Bounds(0.0, 2 * math.pi * float(abs(turned.rate_hz) + abs(precession.rate_hz)))
         self.span_ns = 0, max(round(1e9 / abs(c.rate_hz)) if c.rate_hz else 0 for c in (turned, precession))
