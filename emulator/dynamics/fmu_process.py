@@ -19,7 +19,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-_KINDS = {"2.0": ("Real",), "3.0": ("Float64",)}
+_KINDS = {"2.0": "Real", "3.0": "Float64"}
 _DESCRIPTION = "modelDescription.xml"
 _MOST_FILES = 10_000
 _MOST_MIB = 1024  # unpacked
@@ -122,7 +122,6 @@ def _references(description: Any, used: Iterable[str]) -> dict[str, int]:
     for name in used:
         if name not in variables:
             raise _Wrong(f"has no variable {name!r}; it has {', '.join(list(variables)[:20])}")
-        if variables[name].type not in _KINDS[description.fmiVersion]:
-            kind = _KINDS[description.fmiVersion][0]
+        if variables[name].type != (kind := _KINDS[description.fmiVersion]):
             raise _Wrong(f"has {name!r} as {variables[name].type}: variables of a pose and inputs must be {kind}")
     return {name: variables[name].valueReference for name in used}

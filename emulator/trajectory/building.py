@@ -54,7 +54,7 @@ from emulator.tables.toml_text import TextFileError, read_text, shortened
 from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.joints import Jointed, JointPath
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.laws import Descent, Orbit, OrbitPath
+from emulator.trajectory.laws import Descent, Orbit
 from emulator.trajectory.live import GivenPath, PoseReceiver, ReceivedPath, SimulatedPath, close_receivers
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, looking_along
 from emulator.trajectory.parameters import (
@@ -64,6 +64,7 @@ from emulator.trajectory.parameters import (
     FixedPath,
     KeyframePath,
     LivePath,
+    OrbitPath,
     SpicePath,
     SpinPath,
     TrajectoryParameters,

@@ -12,7 +12,8 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.laws import LANDING, Checked, Gate, OrbitPath
+from emulator.trajectory.laws import LANDING, Checked, Gate
+from emulator.trajectory.laws import OrbitPath as OrbitPath
 from transports.network import check_allow
 
 _Triple = tuple[float, float, float]
