@@ -72,7 +72,11 @@ class Progress:
         self._name = campaign.name
         self._successes = 0
         self._begun_s = self._printed_s = time.monotonic()
-        self._bar: Bar | None = None
+        columns = TextColumn(self._name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        hidden = not status.is_terminal or status.quiet
+        successes = TextColumn("{task.fields[successes]}")
+        self._bar = Bar(*columns, successes, console=status, transient=True, disable=hidden)
+        self._task = self._bar.add_task(self._name, total=runs, completed=done_before, successes="")
 
     @property
     def remaining(self) -> int:
@@ -89,31 +93,20 @@ class Progress:
         self.rows[row["index"]] = row
         self._successes += bool(row["success"])
         self.run_s += float(row.get("machine.wall_s") or 0.0)
-        if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], advance=1, successes=self._success_text)
-        elif time.monotonic() - self._printed_s > _LINE_PERIOD_S:
+        successes = f"{self._successes} of {len(self.rows)} successful"
+        self._bar.update(self._task, advance=1, successes=successes)
+        if self._bar.disable and time.monotonic() - self._printed_s > _LINE_PERIOD_S:
             self._printed_s = time.monotonic()
             runs = f"{self._before + len(self.rows)} of {counted(self._wanted, 'run')}"
-            status.print(f"{self._name}: {runs}, {self._success_text}", markup=False)
-
-    @property
-    def _success_text(self) -> str:
-        return f"{self._successes} of {len(self.rows)} successful"
+            status.print(f"{self._name}: {runs}, {successes}", markup=False)
 
     @contextmanager
     def shown(self) -> Iterator[None]:
         """Show a bar while the block lasts, where there is a terminal."""
         if self._before:
             status.print(f"{self._name}: {self._before} of {counted(self._wanted, 'run', 'are')} done", markup=False)
-        if not status.is_terminal or status.quiet:
+        with self._bar:
             yield
-            return
-        columns = TextColumn(self._name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-        with Bar(*columns, TextColumn("{task.fields[successes]}"), console=status, transient=True) as bar:
-            bar.add_task(self._name, total=self._wanted, completed=self._before, successes="")
-            self._bar = bar
-            yield
-        self._bar = None
 
 
 def finish(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import socket
 import threading
@@ -91,7 +90,7 @@ def dynamics(fmu: Path, /, *, map: Path, seconds: float, target: Target = Target
     ):
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
-        end, run, complete = _flown(fmu, map, Pace(seconds, target.stamped, lambda _: True), target)
+        end, run, complete = _flown(fmu, map, seconds, target)
     ignore_stop_signals()
     lines: list[str] = []
     result: dict[str, object] = {}
@@ -113,7 +112,7 @@ def dynamics(fmu: Path, /, *, map: Path, seconds: float, target: Target = Target
 
 
 def _flown(
-    file: Path, map_file: Path, pace: Pace, target: Target
+    file: Path, map_file: Path, seconds: float, target: Target
 ) -> tuple[FlightResult | flight.FlightEnded, Simulation | None, bool]:
     """Return the flight, or why the FMU ended it; the rig's run in lockstep, which has ended; whether all was flown.
 
@@ -123,8 +122,8 @@ def _flown(
     stopped = threading.Event()
     if target.rig is not None and (target.to is not None or target.stamped):
         raise Failure("--to and --stamped have no effect with --rig: leave them out", WRONG_USE)
-    if not math.isclose(pace.seconds, round(pace.seconds / mapping.step_s) * mapping.step_s, rel_tol=1e-9):
-        message = f"--seconds is {pace.seconds:g}: give a multiple of step_s, which is {mapping.step_s:g} in {map_file}"
+    if not math.isclose(seconds, round(seconds / mapping.step_s) * mapping.step_s, rel_tol=1e-9):
+        message = f"--seconds is {seconds:g}: give a multiple of step_s, which is {mapping.step_s:g} in {map_file}"
         raise Failure(message, WRONG_USE)
     if target.rig is not None and mapping.body:
         raise Failure(f"{map_file}: body = {mapping.body}: with --rig the FMU moves the camera, body 0", WRONG_USE)
@@ -133,10 +132,10 @@ def _flown(
         with Fmu(file, mapping, names) as unit:
             stop_on_signals(stopped.set)
             if target.rig is None:
-                pace = dataclasses.replace(pace, waiting=flight.wall_clock(stopped.is_set))
+                pace = Pace(seconds, target.stamped, flight.wall_clock(stopped.is_set))
                 flown = flight.fly(unit, mapping, inputs, pace, lambda pose: out.sendto(bytes(pose), address))
                 return flown, None, not stopped.is_set()
-            pace = dataclasses.replace(pace, waiting=lambda _: not stopped.is_set())
+            pace = Pace(seconds, target.stamped, lambda _: not stopped.is_set())
             lockstep = _Lockstep(target.rig, mapping.step_s)
             try:
                 with closing(lockstep):

@@ -60,18 +60,13 @@ def fault(
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
     lines = [f"{_origin(faults)}, {injected['link']}: {fault_line(record)}"]
     if not record.hits:
-        lines.append(_why_no_hits(answer_of(path, {"request": "faults"})["links"][injected["link"]]))
+        state = str(answer_of(path, {"request": "faults"})["links"][injected["link"]].get("state", ""))
+        waiting = f"because nothing was sent: the link is {state}"
+        unlucky = "nothing was sent while it lasted, or its rate is low; a longer --for-s or a higher rate hits more"
+        lines.append(f"0 hits, {waiting}" if "waiting" in state else f"0 hits: {unlucky}")
     result = {"rig": faults["rig"], "pid": faults["pid"], "link": injected["link"], "fault": record}
     print_result(json, result, lines)
     return GOOD
-
-
-def _why_no_hits(link: dict[str, Any]) -> str:
-    """Return the reason why a fault has no hits."""
-    state = str(link.get("state", ""))
-    if "waiting" in state:
-        return f"0 hits, because nothing was sent: the link is {state}"
-    return "0 hits: nothing was sent while it lasted, or its rate is low; a longer --for-s or a higher rate hits more"
 
 
 def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:

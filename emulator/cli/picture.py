@@ -342,7 +342,9 @@ def _still(name: str, seen: _Looks, file: Path, show: PictureOptions) -> tuple[i
     """Write one picture; return its number of events, and a description."""
     longest_ms = show.window_ms or _WINDOWS_MS[-1]
     at_s, light, events = next(seen(dataclasses.replace(show, seconds=0.0), longest_ms))
-    window_ms = show.window_ms or _window_ms(events, at_s, light.size)
+    counts = ((ms, np.count_nonzero(events["t"] >= _begin_us(at_s, ms))) for ms in _WINDOWS_MS)
+    enough = next((ms for ms, count in counts if count >= _ENOUGH * light.size), longest_ms)
+    window_ms = show.window_ms or enough
     events = events[events["t"] >= _begin_us(at_s, window_ms)]
     rgb = scaled(event_picture(light, events, dimming=show.brightness))
     save_png(file, captioned(rgb, _caption(name, at_s, window_ms)))
@@ -379,14 +381,6 @@ def _length(window_ms: float) -> str:
 
 def _begin_us(at_s: float, window_ms: float) -> int:
     return max(0, round(at_s * 1e6) - round(window_ms * 1000))
-
-
-def _window_ms(events: Events, at_s: float, pixels: int) -> float:
-    """Return the shortest window that shows enough events."""
-    for window_ms in _WINDOWS_MS:
-        if np.count_nonzero(events["t"] >= _begin_us(at_s, window_ms)) >= _ENOUGH * pixels:
-            return window_ms
-    return _WINDOWS_MS[-1]
 
 
 def looks(rig: Rig, show: PictureOptions, window_ms: float) -> Iterator[Look]:

@@ -19,7 +19,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-_KINDS = {"2.0": ("Real",), "3.0": ("Float64",)}
+_KINDS = {"2.0": "Real", "3.0": "Float64"}
 _DESCRIPTION = "modelDescription.xml"
 _MOST_FILES = 10_000
 _MOST_MIB = 1024  # unpacked
@@ -47,49 +47,32 @@ def serve(connection: Connection) -> None:
 
 
 def _serve(connection: Connection, setup: dict[str, Any]) -> None:
-    unit = _Unit(setup["file"], setup["folder"], {*setup["outputs"], *setup["inputs"], *setup["start"]})
-    unit.begin(setup["start"])
-    connection.send(("ok", unit.get(setup["outputs"])))
-    while True:
-        t_s, step_s, inputs = connection.recv()
-        unit.put(inputs)
-        unit.step(t_s, step_s)
-        connection.send(("ok", unit.get(setup["outputs"])))
+    fmpy = importlib.import_module("fmpy")
+    description = _description(fmpy, setup["file"])
+    references = _references(description, {*setup["outputs"], *setup["inputs"], *setup["start"]})
+    try:
+        fmpy.extract(setup["file"], unzipdir=setup["folder"])
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise _Wrong(f"is damaged: {str(error)[:300] or 'it ends too soon'}") from error
+    unit = fmpy.instantiate_fmu(setup["folder"], description, fmi_type="CoSimulation")
+    is_3 = description.fmiVersion.startswith("3")
+    get, put = (unit.getFloat64, unit.setFloat64) if is_3 else (unit.getReal, unit.setReal)
+    outputs = [references[name] for name in setup["outputs"]]
 
-
-class _Unit:
-    """An unpacked and loaded FMU, with the references of the variables that are used."""
-
-    def __init__(self, file: str, folder: str, used: Iterable[str]) -> None:
-        fmpy = importlib.import_module("fmpy")
-        description = _description(fmpy, file)
-        self._references = _references(description, used)
-        _extract(fmpy, file, folder)
-        self._is_3 = description.fmiVersion.startswith("3")
-        self._unit = fmpy.instantiate_fmu(folder, description, fmi_type="CoSimulation")
-
-    def begin(self, start: dict[str, float]) -> None:
-        """Set the start values and initialise."""
-        self.put(start)
-        if not self._is_3:
-            self._unit.setupExperiment(startTime=0.0)
-        self._unit.enterInitializationMode()
-        self._unit.exitInitializationMode()
-
-    def put(self, values: dict[str, float]) -> None:
-        """Set variables."""
+    def set_variables(values: dict[str, float]) -> None:
         if values:
-            put = self._unit.setFloat64 if self._is_3 else self._unit.setReal
-            put([self._references[name] for name in values], list(values.values()))
+            put([references[name] for name in values], list(values.values()))
 
-    def get(self, names: list[str]) -> list[float]:
-        """Return variables."""
-        get = self._unit.getFloat64 if self._is_3 else self._unit.getReal
-        return list(get([self._references[name] for name in names])) if names else []
-
-    def step(self, t_s: float, step_s: float) -> None:
-        """Do one step."""
-        self._unit.doStep(currentCommunicationPoint=t_s, communicationStepSize=step_s)
+    set_variables(setup["start"])
+    if not is_3:
+        unit.setupExperiment(startTime=0.0)
+    unit.enterInitializationMode()
+    unit.exitInitializationMode()
+    while True:
+        connection.send(("ok", list(get(outputs)) if outputs else []))
+        t_s, step_s, inputs = connection.recv()
+        set_variables(inputs)
+        unit.doStep(currentCommunicationPoint=t_s, communicationStepSize=step_s)
 
 
 def _description(fmpy: Any, file: str) -> Any:
@@ -110,14 +93,6 @@ def _description(fmpy: Any, file: str) -> Any:
             f"has no machine code for {' or '.join(sorted(machine))}, only for {', '.join(supported) or 'none'}"
         )
     return description
-
-
-def _extract(fmpy: Any, file: str, folder: str) -> None:
-    """Unpack an FMU whose size was checked; raises _Wrong for a damaged archive."""
-    try:
-        fmpy.extract(file, unzipdir=folder)
-    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise _Wrong(f"is damaged: {str(error)[:300] or 'it ends too soon'}") from error
 
 
 def _check_size(file: str) -> None:
@@ -147,7 +122,6 @@ def _references(description: Any, used: Iterable[str]) -> dict[str, int]:
     for name in used:
         if name not in variables:
             raise _Wrong(f"has no variable {name!r}; it has {', '.join(list(variables)[:20])}")
-        if variables[name].type not in _KINDS[description.fmiVersion]:
-            kind = _KINDS[description.fmiVersion][0]
+        if variables[name].type != (kind := _KINDS[description.fmiVersion]):
             raise _Wrong(f"has {name!r} as {variables[name].type}: variables of a pose and inputs must be {kind}")
     return {name: variables[name].valueReference for name in used}

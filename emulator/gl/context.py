@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -110,13 +110,10 @@ def open_context() -> moderngl.Context:
 def renderers() -> tuple[str, ...]:
     """Return the names of all renderers of this machine, in the order in which they are tried; none without GL."""
     names = []
-    try:
-        with _quiet_driver():
-            for context in _contexts():
-                names.append(renderer_name(context))
-                context.release()
-    except SceneError:
-        return ()
+    with suppress(SceneError), _quiet_driver():
+        for context in _contexts():
+            names.append(renderer_name(context))
+            context.release()
     return tuple(names)
 
 

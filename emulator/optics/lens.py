@@ -195,12 +195,10 @@ class LensParameters(Bounded):
 
 def straight_columns_and_rows(lens: LensParameters, camera: Pinhole) -> tuple[Floats, Floats]:
     """Return pixel centres in an undistorted image of the same scale: (height, width) each, pixels from its middle."""
-    x, y = np.meshgrid(
-        (np.arange(camera.width) + 0.5 - camera.width / 2) / camera.focal_px,
-        (np.arange(camera.height) + 0.5 - camera.height / 2) / camera.focal_px,
-    )
+    straight, focal_px = Rays.straight(camera), camera.focal_px
+    x, y = (straight.columns - camera.width / 2) / focal_px, (straight.rows - camera.height / 2) / focal_px
     u, v = lens.straighten(x, y)
-    return u * camera.focal_px, v * camera.focal_px
+    return u * focal_px, v * focal_px
 
 
 def bent_rays(lens: LensParameters, columns: Floats, rows: Floats, camera: Pinhole) -> Rays:

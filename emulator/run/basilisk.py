@@ -76,43 +76,31 @@ class BasiliskCounters:
     first_event: LatencyHistogram = field(default_factory=LatencyHistogram)
 
 
+@dataclass(eq=False)
 class BasiliskRun:
     """Drive of a run by the requests of a simulation.
 
-    Parameters
+    Attributes
     ----------
     server : where they come in.
     paths : paths whose poses the simulation gives.
     images : encodes a light frame as an image file.
-    cameras : cameraIDs whose images are the run's.
     on_first : called with the first update that can be used.
-
-    Attributes
-    ----------
     counters : counts of the requests.
     first_ns, last_ns : simulated times of the first and the last update; None before the first.
     """
 
-    def __init__(
-        self,
-        server: Server,
-        paths: Sequence[GivenPath],
-        images: Callable[[Light], bytes],
-        clock: Clock,
-        on_first: Callable[[vizard.Update], None] = lambda _: None,
-    ) -> None:
-        self._server = server
-        self._paths = paths
-        self._images = images
-        self._clock = clock
-        self._on_first = on_first
-        self._cameras = {driven.table.camera for driven in paths} - {None}
-        self._light: Callable[[], Light] | None = None
-        self._waiting_since_ns: int | None = None  # an update that has no reply yet
-        self._without_event = False  # and none of its events has gone out
-        self.counters = BasiliskCounters()
-        self.first_ns: int | None = None
-        self.last_ns: int | None = None
+    server: Server
+    paths: Sequence[GivenPath]
+    images: Callable[[Light], bytes]
+    clock: Clock
+    on_first: Callable[[vizard.Update], None] = lambda _: None
+    counters: BasiliskCounters = field(default_factory=BasiliskCounters, init=False)
+    first_ns: int | None = field(default=None, init=False)
+    last_ns: int | None = field(default=None, init=False)
+    _light: Callable[[], Light] | None = field(default=None, init=False)
+    _waiting_since_ns: int | None = field(default=None, init=False)  # an update that has no reply yet
+    _without_event: bool = field(default=False, init=False)  # and none of its events has gone out
 
     @property
     def limit_ns(self) -> int:
@@ -123,8 +111,8 @@ class BasiliskRun:
         """Return when the first update has come; a simulation that disconnects before may connect again."""
         while self.first_ns is None and goes_on():
             self._serve_one()
-            if self._server.peer_gone:
-                self._server.forget_peer()
+            if self.server.peer_gone:
+                self.server.forget_peer()
         self._light = light
 
     def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
@@ -132,7 +120,7 @@ class BasiliskRun:
         while self.limit_ns <= t_ns and goes_on():
             self._answer_update()
             self._serve_one()
-            if self._server.peer_gone:
+            if self.server.peer_gone:
                 break
         return self.limit_ns
 
@@ -145,15 +133,15 @@ class BasiliskRun:
     def end(self, reason: str) -> None:
         """Refuse the update that waits, or comes within a second: the simulation would wait for its reply for ever."""
         for _ in range(_LAST_LOOKS):
-            if self._waiting_since_ns is not None or self.first_ns is None or self._server.peer_gone:
+            if self._waiting_since_ns is not None or self.first_ns is None or self.server.peer_gone:
                 break
             self._serve_one()
         if self._waiting_since_ns is not None:
             self._waiting_since_ns = None
-            self._server.send(vizard.refusal(reason))
+            self.server.send(vizard.refusal(reason))
 
     def _serve_one(self) -> None:
-        parts = self._server.receive(_LOOK_MS)
+        parts = self.server.receive(_LOOK_MS)
         if parts is None:
             return
         try:
@@ -161,14 +149,14 @@ class BasiliskRun:
         except (vizard.RequestError, vizard.UpdateError, TrajectoryError) as error:
             self.counters.refused += 1
             self.counters.last_refusal = str(error)
-            self._server.send(vizard.refusal(str(error)))
+            self.server.send(vizard.refusal(str(error)))
 
     def _serve(self, request: vizard.Request) -> None:
         match request:
             case vizard.Ping():
-                self._server.send(vizard.PONG)
+                self.server.send(vizard.PONG)
             case vizard.InputRequest():
-                self._server.send(vizard.INPUT_REPLY)
+                self.server.send(vizard.INPUT_REPLY)
             case vizard.ImageRequest(camera):
                 self._send_image(camera)
             case vizard.SimUpdate(data):
@@ -180,32 +168,32 @@ class BasiliskRun:
                 f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: restart evstim "
                 "for a simulation that begins again"
             )
-        poses = [pose_of(driven.table, update) for driven in self._paths]
+        poses = [pose_of(driven.table, update) for driven in self.paths]
         if self.first_ns is None:
             self.first_ns = update.time_ns
-            self._on_first(update)
+            self.on_first(update)
         self.last_ns = update.time_ns
-        for driven, pose in zip(self._paths, poses, strict=True):
+        for driven, pose in zip(self.paths, poses, strict=True):
             driven.path.add(self.limit_ns, pose)
         self.counters.updates += 1
-        self._waiting_since_ns, self._without_event = self._clock.now_ns(), True
+        self._waiting_since_ns, self._without_event = self.clock.now_ns(), True
 
     def _answer_update(self) -> None:
         if self._waiting_since_ns is None:
             return
         self.counters.answer.add(self._since_us(self._waiting_since_ns))
         self._waiting_since_ns = None
-        self._server.send(vizard.OK)
+        self.server.send(vizard.OK)
 
     def _since_us(self, begun_ns: int) -> Floats:
-        return np.array([(self._clock.now_ns() - begun_ns) / 1000])
+        return np.array([(self.clock.now_ns() - begun_ns) / 1000])
 
     def _send_image(self, camera: int) -> None:
-        if camera not in self._cameras or self._light is None:
+        if self._light is None or camera not in [driven.table.camera for driven in self.paths]:
             self.counters.no_images += 1
-            self._server.send(vizard.NO_IMAGE)
+            self.server.send(vizard.NO_IMAGE)
             return
-        self._server.send(vizard.image_reply(self._images(self._light())))
+        self.server.send(vizard.image_reply(self.images(self._light())))
         self.counters.images += 1
 
 
@@ -231,7 +219,7 @@ def connected(rig: Rig) -> tuple[Rig, tuple[GivenPath, ...]]:
 def camera_differs(rig: Rig, camera: vizard.CameraState) -> str:
     """Return the difference of the rig's camera from Basilisk's in size or focal length; "" where there is none."""
     width, height = rig.camera.size
-    own_px = width / 2 / math.tan(math.radians(rig.camera.lens.field_of_view_deg) / 2)
+    own_px = rig.camera.lens.pinhole((width, height)).focal_px
     half = math.radians(camera.field_of_view_deg) / 2
     theirs_px = camera.size[1] / 2 / math.tan(half) if 0 < half < math.pi / 2 else math.nan
     if camera.size == (width, height) and abs(theirs_px / own_px - 1) < _FOCAL_WITHIN:

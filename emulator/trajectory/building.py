@@ -54,9 +54,9 @@ from emulator.tables.toml_text import TextFileError, read_text, shortened
 from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.joints import Jointed, JointPath
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.laws import Descent, Orbit, OrbitPath
+from emulator.trajectory.laws import Descent, Orbit
 from emulator.trajectory.live import GivenPath, PoseReceiver, ReceivedPath, SimulatedPath, close_receivers
-from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt, looking_along
+from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, looking_along
 from emulator.trajectory.parameters import (
     BasiliskPath,
     DescentPath,
@@ -64,6 +64,7 @@ from emulator.trajectory.parameters import (
     FixedPath,
     KeyframePath,
     LivePath,
+    OrbitPath,
     SpicePath,
     SpinPath,
     TrajectoryParameters,
@@ -281,38 +282,36 @@ def build_trajectory(p: TrajectoryParameters | MountedPath | JointPath | GivenPa
     match p:
         case FixedPath():
             fixed = Fixed(Pose(np.array(p.position_m), np.array(p.q_world_from_body)))
-            return _looking(fixed, p.look_at_m, p.up, [0, 1])
+            path: Trajectory = _looking(fixed, p.look_at_m, p.up, [0, 1])
         case KeyframePath():
             poses = [Pose(np.array(k.position_m), np.array(k.q_world_from_body)) for k in p.keyframes]
-            path = Keyframes([round(k.t_s * 1e9) for k in p.keyframes], poses)
-            return _looking(path, p.look_at_m, p.up, _spread(*path.span_ns))
+            keyframes = Keyframes([round(k.t_s * 1e9) for k in p.keyframes], poses)
+            path = _looking(keyframes, p.look_at_m, p.up, _spread(*keyframes.span_ns))
         case OrbitPath():
-            return Looking(Orbit(p), p.look_at_m, p.up, _spread(0, round(p.period_s * 1e9)))
+            path = Looking(Orbit(p), p.look_at_m, p.up, _spread(0, round(p.period_s * 1e9)))
         case SpinPath():
-            return _spinning(p)
+            path = _spinning(p)
         case DescentPath():
-            return Descent(p.gates, p.heading_deg, p.site_m)
+            path = Descent(p.gates, p.heading_deg, p.site_m)
         case FilePath():
             recorded, span_ns = read_path(p)
-            return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
+            path = _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
-            return _received(p, 0, {})
-        case MountedPath() | BasiliskPath() | SpicePath() | JointPath() | GivenPath():
-            return _derived(p)
-
-
-def _derived(p: MountedPath | BasiliskPath | SpicePath | JointPath | GivenPath) -> Trajectory:
-    if isinstance(p, GivenPath):
-        return p.path
-    if isinstance(p, JointPath):
-        return Jointed(p)
-    if isinstance(p, SpicePath):
-        path = read_spice(p)
-        return path if p.camera_frame else Looking(path, (0.0, 0.0, 0.0), p.up, _spread(*path.span_ns))
-    if isinstance(p, BasiliskPath):
-        return SimulatedPath(Fixed(Pose(np.array(p.position_m), np.array(p.q_world_from_body))))
-    mounting = Pose(np.array(p.offset_m), np.array(p.q_path_from_body))
-    return Mounted(build_trajectory(p.path), mounting)
+            path = _received(p, 0, {})
+        case GivenPath():
+            path = p.path
+        case JointPath():
+            path = Jointed(p)
+        case SpicePath():
+            flown = read_spice(p)
+            target_m = None if p.camera_frame else (0.0, 0.0, 0.0)
+            path = _looking(flown, target_m, p.up, _spread(*flown.span_ns))
+        case BasiliskPath():
+            path = SimulatedPath(Fixed(Pose(np.array(p.position_m), np.array(p.q_world_from_body))))
+        case MountedPath():
+            mounting = Pose(np.array(p.offset_m), np.array(p.q_path_from_body))
+            path = Mounted(build_trajectory(p.path), mounting)
+    return path
 
 
 def _received(p: LivePath, number: int, receivers: dict[tuple[str, int], PoseReceiver]) -> ReceivedPath:
@@ -338,8 +337,7 @@ def _spinning(p: SpinPath) -> Spinning:
         return Fraction(repr(float(degrees))) / 360
 
     turned = Cycle(turns(p.spin_deg_s), turns(p.start_deg))
-    tilt = Tilt(float(np.radians(p.tilt_deg)), Cycle(turns(p.precession_deg_s)))
-    return Spinning(p.position_m, p.pole, turned, tilt)
+    return Spinning(p.position_m, p.pole, turned, math.radians(p.tilt_deg), Cycle(turns(p.precession_deg_s)))
 
 
 @runtime_checkable

@@ -235,13 +235,11 @@ class Segment:
 class Segmented(Trajectory):
     """A trajectory of segments in turn; at an instant that two share the later one holds.
 
-    Before the first segment and after the last the pose is constant. Raises TrajectoryError for no segment, and for
-    segments that overlap or leave a gap.
+    Before the first segment and after the last the pose is constant. Raises TrajectoryError for segments that overlap
+    or leave a gap.
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        if not segments:
-            raise TrajectoryError("an empty trajectory: the file holds no samples")
         for number, (a, b) in enumerate(itertools.pairwise(segments), start=2):
             if b.start_ns != a.stop_ns:
                 apart_s = (b.start_ns - a.stop_ns) * 1e-9

@@ -50,16 +50,11 @@ class Track:
             return np.asarray(self.values[-1])
         k = int(np.searchsorted(times, t_s, "right")) - 1
         length_s = float(times[k + 1] - times[k])
-        share = (t_s - float(times[k])) / length_s
-        if self.tangents is not None:
-            return self._cubic(k, share, length_s)
+        x = (t_s - float(times[k])) / length_s
         a, b = self.values[k], self.values[k + 1]
-        return _slerp(a, b, share) if len(a) == 4 else np.asarray(a + share * (b - a))
-
-    def _cubic(self, k: int, x: float, length_s: float) -> Floats:
-        assert self.tangents is not None
+        if self.tangents is None:
+            return _slerp(a, b, x) if len(a) == 4 else np.asarray(a + x * (b - a))
         start, end = length_s * self.tangents[k, 1], length_s * self.tangents[k + 1, 0]
-        a, b = self.values[k], self.values[k + 1]
         value = (1 + 2 * x) * (1 - x) ** 2 * a + x * (1 - x) ** 2 * start
         value = value + x * x * (3 - 2 * x) * b + x * x * (x - 1) * end
         return np.asarray(value / np.linalg.norm(value) if len(a) == 4 else value)

@@ -118,13 +118,7 @@ def _splines(seconds: Floats, places: Floats, velocities: Floats | None, turns: 
     if len(seconds) == 1:
         nothing = np.zeros((1, 1, 3))
         return PPoly(nothing + places, [0.0, 1.0]), PPoly(nothing, [0.0, 1.0])
-    slopes = _slopes(seconds, places) if velocities is None else velocities
+    if velocities is None:  # those of parabolas, or of the line through two keyframes
+        velocities = np.gradient(places, seconds, axis=0, edge_order=1 if len(seconds) == 2 else 2)
     rotations = RotationSpline(seconds, Rotation.from_quat(turns, scalar_first=True))
-    return CubicHermiteSpline(seconds, places, slopes), rotations.interpolator
-
-
-def _slopes(t: Floats, values: Floats) -> Floats:
-    """Return the slopes at each point of parabolas through it and its neighbours, (n, k); n >= 2."""
-    if len(t) == 2:
-        return np.repeat(np.diff(values, axis=0) / np.diff(t)[:, None], 2, axis=0)
-    return np.asarray(np.gradient(values, t, axis=0, edge_order=2))
+    return CubicHermiteSpline(seconds, places, velocities), rotations.interpolator

@@ -40,7 +40,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from emulator.geometry.attitude import Matrix, Vector, matrix_of, multiply, quaternion_of, quaternion_of_vector
+from emulator.geometry.attitude import Vector, matrix_of, multiply, quaternion_of, quaternion_of_vector
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import (
@@ -133,7 +133,9 @@ class Orbit(Trajectory):
         self._elements = elements
         self.bounds = Bounds(elements.periapsis_speed_m_s)
         self.span_ns = 0, round(elements.period_s * 1e9)
-        self._world_from_plane = _plane(elements)
+        turns_deg = (0, 0, elements.node_deg), (elements.inclination_deg, 0, 0), (0, 0, elements.periapsis_deg)
+        turns = (quaternion_of_vector(np.radians(turn)) for turn in turns_deg)
+        self._world_from_plane = matrix_of(reduce(multiply, turns))
 
     def pose(self, t_ns: int) -> Pose:
         """Return the place at `t_ns`."""
@@ -169,12 +171,6 @@ def eccentric_anomaly(mean_rad: float, eccentricity: float) -> float:
         if abs(step) <= 1e-15 * max(1.0, abs(anomaly)):
             break
     return anomaly
-
-
-def _plane(k: OrbitPath) -> Matrix:
-    """Return world_from_plane: the turns by node, inclination and periapsis."""
-    turns_deg = (0, 0, k.node_deg), (k.inclination_deg, 0, 0), (0, 0, k.periapsis_deg)
-    return matrix_of(reduce(multiply, (quaternion_of_vector(np.radians(turn)) for turn in turns_deg)))
 
 
 _UP = np.array([0.0, 0.0, 1.0])

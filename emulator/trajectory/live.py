@@ -39,6 +39,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,6 +57,7 @@ from emulator.trajectory.pose import (
     rotation_vector,
 )
 from firmware_protocol.pose_message import NOW, POSE_BYTES, PoseMessage, PoseMessageError
+from transports.network import AllowList
 
 _KNOWN = 64
 _HOLD_NS, _AHEAD_NS = 100_000_000, 1_000_000_000
@@ -318,7 +320,7 @@ class PoseReceiver:
     Parameters
     ----------
     host, port : address to listen on; port 0 takes any free one.
-    allow : addresses whose datagrams are used; empty: all, for a port that only this machine reaches.
+    allow : addresses and networks whose datagrams are used; empty: all, for a port that only this machine reaches.
     clock : the wall clock that the kernel stamps datagrams with, ns.
     """
 
@@ -326,6 +328,7 @@ class PoseReceiver:
         self, host: str, port: int, allow: Iterable[str] = (), clock: Callable[[], int] = time.time_ns
     ) -> None:
         self.allow, self._clock = frozenset(allow), clock
+        self._permits = lru_cache(AllowList(self.allow).permits)
         self._bodies: dict[int, LivePoses] = {}
         self._scene = SceneClock()
         self._picture_ns, self._left = -1, 0
@@ -356,7 +359,7 @@ class PoseReceiver:
 
     def take(self, data: bytes, sender: str, arrival_ns: int) -> None:
         """Use one datagram that arrived at the wall's time `arrival_ns`, or count the reason; after `receive`."""
-        if self.allow and sender not in self.allow:
+        if self.allow and not self._permits(sender):
             self.counters[NOT_ALLOWED] += 1
             return
         try:
@@ -405,14 +408,14 @@ class ReceivedPath(LivePoses):
         return super().pose(t_ns)
 
 
-def close_receivers(*paths: Trajectory) -> None:
+def close_receivers(*paths: Trajectory | None) -> None:
     """Close the ports that some of the paths listen on."""
     for path in paths:
         if isinstance(path, ReceivedPath):
             path.receiver.close()
 
 
-def live_counts(*paths: Trajectory) -> dict[str, int]:
+def live_counts(*paths: Trajectory | None) -> dict[str, int]:
     """Return the counts of all paths with poses from outside, added up; empty where there is none."""
     received = [path for path in paths if isinstance(path, ReceivedPath)]
     receivers = dict.fromkeys(path.receiver for path in received)

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -86,43 +85,44 @@ def _turning(rate: Vector, direction: Vector) -> Vector:
     return np.asarray(rate - (rate @ direction) * direction)
 
 
-@dataclass(frozen=True)
-class Tilt:
-    """Angle of the body's +Z axis to the momentum, and its precession."""
-
-    tilt_rad: float
-    precession: Cycle
-
-
-_UPRIGHT = Tilt(0.0, Cycle(0))
+_NO_PRECESSION = Cycle(0)
 
 
 class Spinning(Trajectory):
-    """A body at `position_m` (3,) turning about its +Z axis, which lies along `momentum` (3,) or precesses about it."""
+    """A body at `position_m` (3,) turning about its +Z axis.
+
+    The axis lies along `momentum` (3,), or precesses about it at an angle of `tilt_rad`.
+    """
 
     def __init__(
-        self, position_m: npt.ArrayLike, momentum: npt.ArrayLike, turned: Cycle, tilt: Tilt = _UPRIGHT
+        self,
+        position_m: npt.ArrayLike,
+        momentum: npt.ArrayLike,
+        turned: Cycle,
+        tilt_rad: float = 0.0,
+        precession: Cycle = _NO_PRECESSION,
     ) -> None:
         self._position_m = np.asarray(position_m, np.float64)
         self._momentum = unit(momentum)
-        self._turned, self._tilt = turned, tilt
+        self._turned, self._precession = turned, precession
+        self._tilt_rad = tilt_rad
         # The greatest rate is that of both, when the axes lie along each other.
-        self.bounds = Bounds(0.0, 2 * math.pi * float(abs(turned.rate_hz) + abs(tilt.precession.rate_hz)))
-        self.span_ns = 0, max(round(1e9 / abs(c.rate_hz)) if c.rate_hz else 0 for c in (turned, tilt.precession))
+        self.bounds = Bounds(0.0, 2 * math.pi * float(abs(turned.rate_hz) + abs(precession.rate_hz)))
+        self.span_ns = 0, max(round(1e9 / abs(c.rate_hz)) if c.rate_hz else 0 for c in (turned, precession))
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""
-        c, s = math.cos(self._tilt.tilt_rad), math.sin(self._tilt.tilt_rad)
+        c, s = math.cos(self._tilt_rad), math.sin(self._tilt_rad)
         about_x = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
         angle = 2 * math.pi * self._turned.turns(t_ns)
         c, s = math.cos(angle), math.sin(angle)
         about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-        turning = spin(self._momentum, self._tilt.precession.turns(t_ns)) @ about_x
+        turning = spin(self._momentum, self._precession.turns(t_ns)) @ about_x
         return Pose(self._position_m, quaternion_of(turning @ about_z))
 
     def motion(self, t_ns: int) -> Motion:
         """Return the rate: the spin along its own +Z and the precession along the momentum, added."""
-        spin_rad_s, precession_rad_s = (2 * math.pi * float(c.rate_hz) for c in (self._turned, self._tilt.precession))
+        spin_rad_s, precession_rad_s = (2 * math.pi * float(c.rate_hz) for c in (self._turned, self._precession))
         momentum = self.pose(t_ns).world_from_body.T @ self._momentum
         return Motion(np.zeros(3), np.zeros(3), precession_rad_s * momentum + [0.0, 0.0, spin_rad_s])
 
@@ -133,9 +133,7 @@ class PlaceAndAttitude(Trajectory):
     `places_zero_ns` and `attitudes_zero_ns` are the time on each that is time 0 here.
     """
 
-    def __init__(
-        self, places: Trajectory, attitudes: Trajectory, places_zero_ns: int = 0, attitudes_zero_ns: int = 0
-    ) -> None:
+    def __init__(self, places: Trajectory, attitudes: Trajectory, places_zero_ns: int, attitudes_zero_ns: int) -> None:
         self._places, self._attitudes = places, attitudes
         self._places_zero_ns, self._attitudes_zero_ns = places_zero_ns, attitudes_zero_ns
         self.span_ns = places.span_ns[0] - places_zero_ns, places.span_ns[1] - places_zero_ns

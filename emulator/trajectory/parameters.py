@@ -6,15 +6,15 @@ picture; without `look_at_m` the attitude is the path's own.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from ipaddress import IPv4Address
 from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.laws import LANDING, Checked, Gate, OrbitPath
+from emulator.trajectory.laws import LANDING, Checked, Gate
+from emulator.trajectory.laws import OrbitPath as OrbitPath
+from transports.network import check_allow
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
@@ -22,19 +22,6 @@ _Port = Annotated[int, Meta(ge=0, le=65535)]
 _Wait = Annotated[float, Meta(ge=0, le=60_000)]
 _UP: _Triple = (0.0, 0.0, 1.0)
 _AS_THE_WORLD: _Quaternion = (1.0, 0.0, 0.0, 0.0)
-
-
-def _require_senders(host: str, allow: tuple[str, ...]) -> None:
-    for address in allow:
-        try:
-            IPv4Address(address)
-        except ValueError as error:
-            raise ValueError(f"allow names {address!r}: an IPv4 address such as 192.168.1.5 is needed") from error
-    if not allow and host != "localhost" and not re.fullmatch(r"127(\.\d{1,3}){3}", host):
-        raise ValueError(
-            f"host is {host!r}, where others than this machine can send poses: name those that may in allow, "
-            'for instance allow = ["192.168.1.5"], or listen on 127.0.0.1'
-        )
 
 
 @dataclass(frozen=True)
@@ -166,7 +153,9 @@ class LivePath(Checked):
     host, port
         Address to listen on. Paths of a scene with one host and port share it: number 0 is the camera, 1 the first
         body.
-    allow : addresses that may send poses, for instance ["192.168.1.5"]; needed when `host` is not this machine alone.
+    allow
+        Addresses and networks that may send poses, for instance ["192.168.1.5"]; needed when `host` is not this machine
+        alone.
     position_m, q_world_from_body : the pose until one comes.
     hold_ms : time for which the last motion is continued when no newer pose comes.
     ahead_ms : most time by which a pose may be stamped beyond its arrival; others are refused.
@@ -183,7 +172,7 @@ class LivePath(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _require_senders(self.host, self.allow)
+        check_allow(self.host, self.allow)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ A command opens its camera and gives `listen_to` a `Source`; limits, progress, s
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -48,16 +48,10 @@ class Limits:
         """Raise Failure when the record cannot be written."""
         check_output("--record", self.record, ".npz")
 
-    @contextmanager
-    def recorder(self) -> Iterator[Recorder | None]:
-        """Yield the recorder, and close it after the reception; raises Failure when it cannot be opened."""
+    def recorder(self) -> AbstractContextManager[Recorder | None]:
+        """Return the recorder, to be closed after the reception; raises Failure when it cannot be opened."""
         with failing(LACKING, OSError, at=f"--record: {self.record}"):
-            recorder = None if self.record is None else Recorder(self.record)
-        try:
-            yield recorder
-        finally:
-            if recorder is not None:
-                recorder.close()
+            return nullcontext() if self.record is None else closing(Recorder(self.record))
 
 
 NO_LIMITS = Limits()

@@ -43,6 +43,7 @@ import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -253,23 +254,14 @@ _LIMITS = Limits(memory_bytes=1 << 31, cpu_s=120)
 _CHUNK = 1 << 20
 
 
-def is_hdf5(path: Path) -> bool:
-    """Return whether a file begins as HDF5 does; False where it cannot be opened."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_MAGIC)) == _MAGIC
-    except OSError:
-        return False
-
-
 def truth_in(path: Path) -> dict[str, Any] | None:
     """Return the content of a truth file; None where it is none, or cannot be read."""
-    if not path.is_file() or not is_hdf5(path):
+    if not path.is_file():
         return None
-    try:
-        return read_guarded(f"{__name__}:survey", path, limits=_LIMITS) or None
-    except ForeignFileError:
-        return None
+    with suppress(OSError, ForeignFileError), path.open("rb") as file:
+        if file.read(len(_MAGIC)) == _MAGIC:
+            return read_guarded(f"{__name__}:survey", path, limits=_LIMITS) or None
+    return None
 
 
 def survey(path: Path) -> dict[str, Any]:

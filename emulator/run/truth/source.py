@@ -270,7 +270,8 @@ class RunTruth(Closing):
 
     about: About
 
-    def __init__(self, rig: Rig, selection: TruthSelection) -> None:
+    def __init__(self, rig: Rig, selection: TruthSelection = ALL, path: Path | None = None) -> None:
+        check_truth(rig, selection, path)
         self._rig = rig
         self._selection = selection
         self._digest = hashlib.blake2b(digest_size=8)
@@ -315,8 +316,7 @@ class TruthFile(RunTruth):
     """Truth in an HDF5 file."""
 
     def __init__(self, rig: Rig, path: Path, selection: TruthSelection = ALL) -> None:
-        check_truth(rig, selection, path)
-        super().__init__(rig, selection)
+        super().__init__(rig, selection, path)
         self._path = path
         self._recorder: TruthRecorder | None = None
 
@@ -338,7 +338,6 @@ class TruthArrays(RunTruth):
     """Truth in memory, by the names of the data sets of a truth file."""
 
     def __init__(self, rig: Rig, selection: TruthSelection = ALL) -> None:
-        check_truth(rig, selection)
         super().__init__(rig, selection)
         self._rows: dict[str, list[npt.NDArray[Any]]] = {}
 

@@ -79,10 +79,11 @@ class _Board(NamedTuple):
 class Checkerboard(SizedScene):
     """The board of `parameters` on light frames of `size` = (width, height) pixels."""
 
+    motion_bound_px_s = 0.0
+
     def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int]) -> None:
-        if min(size) < 1:
-            raise ValueError(f"size is {size[0]} x {size[1]}: a light frame needs at least one pixel")
         super().__init__(size)
+        self.motion_bound_px_s = parameters.speed_px_s
         self.parameters = parameters
         self._cos, self._sin = _cos_sin(parameters.rotation_deg)
         # The motion along the board's own axes, in periods of two squares.
@@ -92,11 +93,6 @@ class Checkerboard(SizedScene):
         self._middle = np.float32((parameters.bright + parameters.dark) / 2)
         self._half = np.float32((parameters.bright - parameters.dark) / 2)
         self._spare = np.zeros(size[::-1], np.float32)
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """The speed of the board, px/s."""
-        return self.parameters.speed_px_s
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`, (height, width) float32."""

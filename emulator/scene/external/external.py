@@ -79,6 +79,8 @@ class External(SizedScene):
     of threads that draw, 0: by the machine.
     """
 
+    motion_bound_px_s = math.inf  # of the newest image; infinite where the renderer gives none
+
     def __init__(
         self,
         connection: RendererConnection,
@@ -100,22 +102,12 @@ class External(SizedScene):
         self._next_ns = 0
         self._zero_ns = None if self._pushed else 0  # the renderer's time at stream time 0
         self._taken = 0
-        self._bound_px_s = math.inf
         self._joined = Joined(pinhole.size, p.white_w_m2_sr, threads)
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """The bound of the newest image; infinite where the renderer gives none."""
-        return self._bound_px_s
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Images received, and poses where the path of the camera is live."""
-        return {"images": self._taken, **live_counts(*self._paths)}
-
-    @property
-    def _paths(self) -> list[Trajectory]:
-        return [] if self._path is None else [self._path]
+        return {"images": self._taken, **live_counts(self._path)}
 
     def stop(self) -> None:
         """Limit the wait for images of the present light frame."""
@@ -140,7 +132,7 @@ class External(SizedScene):
         """End the connection and the threads, and close the port of a live path."""
         self._end()
         self._joined.close()
-        close_receivers(*self._paths)
+        close_receivers(self._path)
 
     def _end(self, reason: str = "") -> None:
         self._images.clear()
@@ -177,7 +169,7 @@ class External(SizedScene):
         self._images.append(self._checked(image))
         self._taken += 1
         bound = image.head.motion_bound_px_s
-        self._bound_px_s = math.inf if math.isnan(bound) else bound
+        self.motion_bound_px_s = math.inf if math.isnan(bound) else bound
 
     def _request(self, count: int) -> None:
         """Have `count` images requested."""
@@ -234,7 +226,7 @@ def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> 
     try:
         return External(_connected(p, pinhole), p, pinhole, path, threads)
     except BaseException:
-        close_receivers(*([] if path is None else [path]))
+        close_receivers(path)
         raise
 
 

@@ -37,6 +37,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -382,7 +383,7 @@ class Video(JoinedFrames):
         last_ns, gaps = self._times_ns[-1], len(self._times_ns) - 1
         self._round_ns = last_ns + max(1, last_ns // gaps) if gaps else 1  # the last frame is shown as long as the mean
         self._is_linear = parameters.levels == "linear" or self._frames.levels.dtype.kind == "f"
-        self._kept: dict[int, Float32s] = {}
+        self._log_light = lru_cache(3)(self._decoded)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -404,7 +405,7 @@ class Video(JoinedFrames):
 
     def close(self) -> None:
         """Let go of the frames that are decoded."""
-        self._kept.clear()
+        self._log_light.cache_clear()
 
     def _around(self, t_ns: int) -> Around:
         t_ns = int(t_ns) % self._round_ns if self._p.loop else int(t_ns)
@@ -416,15 +417,11 @@ class Video(JoinedFrames):
         share = np.float32((t_ns - times[k]) / apart_ns)
         return Around(self._log_light(k), self._log_light(k + 1), share, apart_ns * 1e-9)
 
-    def _log_light(self, k: int) -> Float32s:
-        """Return frame k in log light; the last few stay decoded."""
-        if k not in self._kept:
-            while len(self._kept) >= 3:
-                del self._kept[next(iter(self._kept))]
-            light = linear_light(self._frames.levels[k], self._frames.full_scale, is_linear=self._is_linear)
-            light = resampled(light, self.size)
-            self._kept[k] = np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white))
-        return self._kept[k]
+    def _decoded(self, k: int) -> Float32s:
+        """Return frame k in log light."""
+        light = linear_light(self._frames.levels[k], self._frames.full_scale, is_linear=self._is_linear)
+        light = resampled(light, self.size)
+        return np.asarray(np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white)))
 
 
 def _times_ns(frames: Frames, p: VideoParameters) -> list[int]:

@@ -12,7 +12,7 @@ from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Descent, Orbit, OrbitPath
 from emulator.trajectory.live import SimulatedPath, TimedPose, known_motion
-from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
+from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
 
 SECOND = 1_000_000_000
@@ -32,7 +32,7 @@ def _orbit(eccentricity=0.3):
 
 
 def _spinning():
-    return Spinning((1, 2, 3), (0.2, -0.5, 0.8), Cycle(Fraction(1, 7)), Tilt(0.4, Cycle(Fraction(-1, 11))))
+    return Spinning((1, 2, 3), (0.2, -0.5, 0.8), Cycle(Fraction(1, 7)), 0.4, Cycle(Fraction(-1, 11)))
 
 
 def _polynomial():

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.geometry.camera import Cycle
 from emulator.trajectory.laws import LANDING, Descent, Gate, Orbit, OrbitPath, eccentric_anomaly
-from emulator.trajectory.mounting import Looking, Spinning, Tilt
+from emulator.trajectory.mounting import Looking, Spinning
 from emulator.trajectory.pose import Fixed, Timescale, TrajectoryError, instants_over, measured_bounds
 
 S = 1_000_000_000
@@ -52,9 +52,7 @@ def test_tumbling_is_what_a_free_symmetric_top_does():
     tilt, inertia, momentum = 0.5, np.array([2.0, 2.0, 1.0]), 0.6
     precession = momentum / inertia[0]
     spin = momentum * math.cos(tilt) * (1 / inertia[2] - 1 / inertia[0])
-    tumbling = Spinning(
-        (0, 0, 0), (0, 0, 1), Cycle(spin / (2 * math.pi)), Tilt(tilt, Cycle(precession / (2 * math.pi)))
-    )
+    tumbling = Spinning((0, 0, 0), (0, 0, 1), Cycle(spin / (2 * math.pi)), tilt, Cycle(precession / (2 * math.pi)))
 
     def euler(_, state):
         q, rate = state[:4], state[4:]
@@ -69,13 +67,13 @@ def test_tumbling_is_what_a_free_symmetric_top_does():
 
 
 def test_a_tilt_of_minus_a_quarter_lays_the_axis_along_y():
-    lying = Spinning((0, 0, 0), (0, 0, 1), Cycle(0), Tilt(-math.pi / 2, Cycle(0))).pose(0).world_from_body
+    lying = Spinning((0, 0, 0), (0, 0, 1), Cycle(0), -math.pi / 2, Cycle(0)).pose(0).world_from_body
     np.testing.assert_allclose(lying @ [0, 0, 1], [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(lying @ [0, 1, 0], [0, 0, -1], atol=1e-12)
 
 
 def test_a_spin_s_bound_is_its_rate():
-    spinning = Spinning((1, 2, 3), (0, 1, 0), Cycle(0.1), Tilt(0.3, Cycle(-0.2)))
+    spinning = Spinning((1, 2, 3), (0, 1, 0), Cycle(0.1), 0.3, Cycle(-0.2))
     _, turn = measured_bounds(spinning.pose, [k * 10_000_000 for k in range(200)])
     assert turn / 1.25 <= spinning.bounds.turn_rad_s * (1 + 1e-6)
     assert spinning.bounds.turn_rad_s == pytest.approx(2 * math.pi * 0.3)
@@ -158,7 +156,7 @@ def test_a_path_s_span_has_all_its_poses():
     assert Descent(LANDING).span_ns == (0, 165_000_000_000)
     slow, fast = (Cycle(Fraction(1, seconds)) for seconds in (40, 8))
     assert Spinning((0, 0, 0), (0, 0, 1), fast).span_ns == (0, 8_000_000_000)
-    assert Spinning((0, 0, 0), (0, 0, 1), fast, Tilt(0.1, slow)).span_ns == (0, 40_000_000_000)
+    assert Spinning((0, 0, 0), (0, 0, 1), fast, 0.1, slow).span_ns == (0, 40_000_000_000)
     assert Fixed().span_ns == (0, 0)
 
 

@@ -190,7 +190,6 @@ def test_a_camera_in_the_wrong_place_is_refused(shapes, position, units_m, messa
         (lambda: FixedPath(q_world_from_body=(0.0, 0.0, 0.0, 0.0)), "a unit quaternion"),
         (lambda: FixedPath((0.0, 0.0, math.nan)), "position_m is .*nan"),
         (lambda: Sun((0.0, math.nan, 1.0)), "direction is .*nan"),
-        (lambda: Pinhole.of_field((4, 4), 180.0), "between 0 and 180"),
         (lambda: LommelSeeliger(asymmetry=1.0), "asymmetry must be -0.99 to 0.99"),
         (lambda: BodyTable(), "shape is missing"),
         (lambda: BodiesParameters(bodies=(BodyTable(shape="a", fixed_to="b"),)), "must be the name of an earlier"),
