@@ -47,9 +47,17 @@ class Pinhole:
     height: int
     focal_px: float
 
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"a light frame needs at least one pixel, got {self.width} x {self.height}")
+        if not 0 < self.focal_px < math.inf:
+            raise ValueError(f"focal_px must be above 0 and finite, got {self.focal_px:g}")
+
     @classmethod
     def of_field(cls, size: tuple[int, int], field_of_view_deg: float) -> Pinhole:
         """Return the camera whose frame of `size` = (width, height) is `field_of_view_deg` wide, edge to edge."""
+        if not 0 < field_of_view_deg < 180:
+            raise ValueError(f"field_of_view_deg is {field_of_view_deg:g}: it must be between 0 and 180")
         return cls(*size, size[0] / 2 / math.tan(math.radians(field_of_view_deg) / 2))
 
     @property

@@ -89,11 +89,9 @@ class RigStep(NamedTuple):
     events_without: float
 
     def __str__(self) -> str:
-        return (
-            f"{self.rig:12} {self.noise_s * 1e3:.1f} ms a step ({self.events:.0f} events), offsets"
-            f" {self.offsets_s * 1e3:.1f} ms ({self.events_offsets:.0f}), without noise {self.without_s * 1e3:.1f} ms"
-            f" ({self.events_without:.0f})"
-        )
+        spent = {"full": (self.noise_s, self.events), "offsets": (self.offsets_s, self.events_offsets)}
+        spent["none"] = self.without_s, self.events_without
+        return f"{self.rig:12} " + ", ".join(f"{k} {s * 1e3:.1f} ms, {n:.0f} events" for k, (s, n) in spent.items())
 
 
 def parameters(preset: str, size: tuple[int, int], *, noise: bool) -> SensorParameters:
@@ -157,12 +155,12 @@ def stepped(name: str, size: tuple[int, int] = START_SIZE) -> RigStep:
     offsets = dataclasses.replace(full, noise=dataclasses.replace(full.noise, grade="offsets"))
     arrays = [PixelArray(p, 1, threads=1) for p in (full, offsets, without)]
     with build_scene(rig, size) as scene:
-        for k in range(RIG_STEPS + 1):
+        for t_ns in range(0, (RIG_STEPS + 1) * rig.run.step_us * 1000, rig.run.step_us * 1000):
             light, rate = np.zeros((2, *size[::-1]), np.float32)
-            scene.light_and_rate(k * rig.run.step_us * 1000, light, rate)
-            frame = LightFrame(k * rig.run.step_us * 1000, light, rate)
+            scene.light_and_rate(t_ns, light, rate)
+            frame = LightFrame(t_ns, light, rate)
             for array in arrays:
-                if k == 0:
+                if t_ns == 0:
                     array.reset(frame)
                     continue
                 begin_s = time.process_time()

@@ -522,7 +522,7 @@ class PixelArray(PixelMethod):
             off_delay=p.comparator.off_us * 1e-6,
             contrast_per_e=float(p.comparator.contrast_per_e),
             noisy=p.noise.rms > 0 and not self._is_drawn,
-            drawn=self._is_drawn,
+            offsets=self._is_drawn,
             noise_rms=float(p.noise.rms),
             noise_pole=2 * math.pi * (p.noise.corner_hz or p.source_follower_hz),
             noise_root=self._noise_root,

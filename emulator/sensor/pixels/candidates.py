@@ -294,8 +294,8 @@ def _find_delays(table: Table, n: int, c: StepConstants) -> None:
 def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write for each candidate that fires at z its next reference, when it is re-armed, and whether it fires again."""
     use_widest_vectors()
-    at_level = (c.refractory == _ZERO) & (not c.drawn)
-    of_next_on, of_next_off = (row.NEXT_ON, row.NEXT_OFF) if c.drawn else (row.ON, row.OFF)
+    at_level = (c.refractory == _ZERO) & (not c.offsets)
+    of_next_on, of_next_off = (row.NEXT_ON, row.NEXT_OFF) if c.offsets else (row.ON, row.OFF)
     for j in range(n):
         a, d1 = table[row.A + j], table[row.D1 + j]
         on, off = table[row.ON + j], table[row.OFF + j]
@@ -323,7 +323,7 @@ def _move_column(table: Table, j: int, k: int, c: StepConstants) -> None:
     rows[row.KIND + k] = row.FIRES
     for kept in (row.ON, row.OFF, row.BASE, row.D0, row.D1, row.C1, row.C2, row.C3, row.NEXT_RESET):
         rows[kept + k] = rows[kept + j]
-    if c.drawn:
+    if c.offsets:
         go_on(rows, j, k)
 
 
@@ -337,7 +337,7 @@ def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: Step
         # The event: its time in the step is the crossing's, and the delay of the comparator.
         pixel = table.pixels[j]
         dt_ns = min(int(rows[row.Z + j] * c.h_ns), c.h_ns) + int(rows[row.LATE + j] * c.h_ns)
-        number = 2 * pixel + int(rows[row.OF_NOISE + j]) if c.drawn else pixel
+        number = 2 * pixel + int(rows[row.OF_NOISE + j]) if c.offsets else pixel
         keys[n_keys] = pack(dt_ns, number, rows[row.UP + j] > _ZERO, c.pixel_bits)
         n_keys += 1
         # The reset. The reference is NaN in the refractory period, if that lasts longer than the step.
@@ -403,8 +403,8 @@ def enter(table: Table, j: int, k: int, c: StepConstants) -> None:
     to[substep.BASE + k] = rows[row.REF + j]
     to[substep.RE_ARMED + k] = rows[row.START + j]
     to[substep.FIRES_ON + k], to[substep.FIRES_OFF + k] = rows[row.ON + j], rows[row.OFF + j]
-    to[substep.ON + k] = rows[(row.TRUE_ON if c.drawn else row.ON) + j]
-    to[substep.OFF + k] = rows[(row.TRUE_OFF if c.drawn else row.OFF) + j]
+    to[substep.ON + k] = rows[(row.TRUE_ON if c.offsets else row.ON) + j]
+    to[substep.OFF + k] = rows[(row.TRUE_OFF if c.offsets else row.OFF) + j]
     to[substep.DUE + k], to[substep.SIGN + k] = rows[row.DUE + j], rows[row.SIGN + j]
     to[substep.RESET + k] = rows[row.RESET + j]
 
@@ -451,7 +451,7 @@ def solve(
     if (c.reset.offset != _ZERO) | (c.reset.noise > _ZERO):
         _find_offsets(pixels, table, n, c)
     make_curves(pixels, table, n, c)
-    if c.drawn:
+    if c.offsets:
         gather_draws(pixels, table, n, c)
         place_levels(table.rows, pixels.tables, state.whole_vectors(n), c)
         keep_clocks(pixels, table, n, c)
@@ -468,12 +468,12 @@ def solve(
             lost += _pass_over(pixels, table, n, c)
             break
         _cross(table.rows, state.whole_vectors(n))
-        if c.drawn:
+        if c.offsets:
             take_due(table.rows, state.whole_vectors(n))
         _bisect_unsettled(table, n)
         if max(c.on_delay, c.off_delay) > 0:
             _find_delays(table, n, c)
-        if c.drawn:
+        if c.offsets:
             draw_next(pixels, table, n, c)
         _follow(table.rows, state.whole_vectors(n), c)
         keys = reserve(keys, n_keys + n)

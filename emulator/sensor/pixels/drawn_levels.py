@@ -86,7 +86,8 @@ class Tick(NamedTuple):
 @lane
 def thinned(tables: Packed, clock: Clock, tick: Tick, kept: Real, fresh: Real, armed: Real) -> Tick:
     """Return a tick in the step where it is kept, with the polarity of the place, else the next one."""
-    noise, k, apart = clock.on.noise, clock.on.k, clock.on.noise.apart
+    noise, k = clock.on.noise, clock.on.k
+    apart = noise.apart
     before_on = rate_of(tables, k, apart, clock.on.c0, _ZERO, _NEEDED)
     before_off = rate_of(tables, k, apart, clock.off.c0, _ZERO, _NEEDED)
     moved = (clock.begins + clock.step * min(max(tick.due, _ZERO), _ONE)) / noise.sigma
@@ -103,7 +104,7 @@ def thinned(tables: Packed, clock: Clock, tick: Tick, kept: Real, fresh: Real, a
 def place_levels(rows: _Float32s, tables: Packed, n: int, c: StepConstants) -> None:
     """Replace the thresholds of each candidate by the distances from its reference at which it fires in this step."""
     use_widest_vectors()
-    pole, high_rate, h = np.float32(c.noise_pole), np.float32(c.high_rate), c.h
+    pole, high_rate = np.float32(c.noise_pole), np.float32(c.high_rate)
     for j in range(n):
         on, off = take(rows, row.ON + j), take(rows, row.OFF + j)
         after, reference = take(rows, row.N + j), take(rows, row.REF + j)
@@ -117,7 +118,7 @@ def place_levels(rows: _Float32s, tables: Packed, n: int, c: StepConstants) -> N
         v1 = take(rows, row.D1 + j) + leak * c.since_epoch_1 - reference
         armed = reference == reference
         since = take(rows, row.SINCE + j)
-        step = (take(rows, row.D1 + j) - take(rows, row.D0 + j)) / h + leak
+        step = (take(rows, row.D1 + j) - take(rows, row.D0 + j)) / c.h + leak
         mean = v1 / max(since, _LEAST_S) if armed else _ZERO
         to_on, to_off = Way(noise, k, (on + after) * inverse), Way(noise, k, (off - after) * inverse)
         on_s, off_s = since * min(_ONE, on / abs(v1)), since * min(_ONE, off / abs(v1))
@@ -127,7 +128,7 @@ def place_levels(rows: _Float32s, tables: Packed, n: int, c: StepConstants) -> N
         way_off = way_until(tables, from_off, take(rows, row.OFF_LEFT + j), max(-step, -mean))
         behind_on, behind_off = armed & (v0 >= way_on), armed & (v0 <= -way_off)
         # The clock has the hazard of where the last reset was. A pixel that has moved away has less: thin events out.
-        clock = Clock(to_on, to_off, noise.rate * h, v0, v1 - v0)
+        clock = Clock(to_on, to_off, noise.rate * c.h, v0, v1 - v0)
         ticks = Tick(take(rows, row.DUE + j), take(rows, row.SIGN + j))
         ticks = thinned(tables, clock, ticks, take(rows, row.KEPT + j), take(rows, row.FRESH + j), armed)
         ticks = thinned(tables, clock, ticks, take(rows, row.KEPT2 + j), take(rows, row.FRESH2 + j), armed)
@@ -171,7 +172,8 @@ def take_due(rows: _Float32s, n: int) -> None:
 @kernel
 def draw_next(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
     """Draw the resets of the candidates that fire: their next levels and clocks, and the state of their pixels."""
-    rows, listed, k = table.rows, table.listed, NONE
+    rows, listed = table.rows, table.listed
+    k = NONE
     for j in range(n):
         listed[k] = j
         k += rows[row.KIND + j] == row.FIRES

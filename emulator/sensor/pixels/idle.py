@@ -230,12 +230,12 @@ def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         pulled = -exponential_less_one(v - u) if c.large else u - v
         # The filter rests where its motion is lost in rounding, even in a step 1.1 times as long.
         rests = v + _MORE * (before[_Q + i] * pulled) == v
-        limit = s[_ON_LIMIT + i] if c.noisy | c.drawn else on
+        limit = s[_ON_LIMIT + i] if c.noisy | c.offsets else on
         # The quiet test allows 1.5 times that leak.
         room = (limit - _MARGIN - by_light * c.h) - (compared - s[_REF + i])
         # The leak fires when it has filled the room between the comparator and its threshold.
         wait = room / leak if leak > _ZERO else (_LARGE if leak == _ZERO else -_LARGE)
-        until = s[_UNTIL + i] if c.noisy | c.drawn else wait
+        until = s[_UNTIL + i] if c.noisy | c.offsets else wait
         wait = min(wait, until) if until != _LARGE else _LARGE  # of a candidate, see `leave_out`
         before[_WAIT + i] = wait if rests else -_LARGE
 

@@ -217,7 +217,7 @@ def _fire(  # noqa: PLR0913, PLR0917
     """Write the events of the columns that fire; return the numbers of events in `keys`, written, and lost."""
     rows = table.rows
     fired = lost = resets = NONE
-    if c.drawn:
+    if c.offsets:
         _draw(pixels, table, draws, n, c)
     for j in range(n):
         if rows[row.FIRES + j] == _ZERO:
@@ -231,7 +231,7 @@ def _fire(  # noqa: PLR0913, PLR0917
         z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
         late = _late(rows, j, c)
         dt_ns = _event_ns(rows, j, late, c)
-        number = 2 * pixel + is_of_noise(draws, resets) if c.drawn else pixel
+        number = 2 * pixel + is_of_noise(draws, resets) if c.offsets else pixel
         keys[n_keys] = pack(dt_ns, number, rows[row.UP + j] != _ZERO, c.pixel_bits)
         n_keys += 1
         rows[row.COUNT + j] += _ONE
@@ -244,7 +244,7 @@ def _fire(  # noqa: PLR0913, PLR0917
         if c.refractory > _ZERO:
             rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + (late + c.refractory)
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
-        if c.drawn:
+        if c.offsets:
             rows[row.FIRES_ON + j] = draws.rows[Draw.ON_LEVEL + resets]
             rows[row.FIRES_OFF + j] = draws.rows[Draw.OFF_LEVEL + resets]
             rows[row.SIGN + j] = draws.rows[Draw.SIGN + resets]
@@ -317,7 +317,7 @@ def solve_substeps(  # noqa: PLR0913, PLR0917
             keys = reserve(keys, n_keys + n)
             _find_firing_part(table.rows, state.whole_vectors(n))
             _cross(table.rows, state.whole_vectors(n))
-            if c.drawn:
+            if c.offsets:
                 _take_due(table.rows, state.whole_vectors(n))
             _bisect_unsettled(table, n)
             n_keys, fired, passed = _fire(pixels, table, draws, n, keys, n_keys, c)

@@ -367,7 +367,7 @@ def move_quietly(
         _add_parasitic(s, before, c)
     if c.noisy:
         _test_certificates(s, before, may_fire, c)
-    elif c.drawn:
+    elif c.offsets:
         _test_limits(s, before, may_fire, c)
     else:
         _test(s, before, may_fire, c)

@@ -149,7 +149,7 @@ class Refinement:
         buffers = self._buffers[level + 1]
         self._keys, n_keys, counts = advance(half.end, pixels, buffers, self._keys, self._share, c)
         later_ns = half.t0_ns - self._step.t0_ns
-        flag_bits = int(self._step.noisy or self._step.drawn)
+        flag_bits = int(self._step.noisy or self._step.offsets)
         self._lists.append(_renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits, flag_bits))
         self._tallies.append(Tally(*counts))
         if refined := self._tallies[-1].refined:

@@ -178,7 +178,7 @@ class StepConstants(NamedTuple):
     off_delay: float = 0.0
     contrast_per_e: float = 1.0
     noisy: bool = False  # events are first passages of signal and noise
-    drawn: bool = False  # noise sets thresholds at each reset, see `offsets`
+    offsets: bool = False  # noise sets thresholds at each reset, see `offsets`
     noise_rms: float = 0.0  # behind the receptor, ln units
     noise_pole: float = 0.0  # rate of the fixed pole behind it, 1/s; 0: none
     noise_root: np.uint64 = np.uint64(0)  # of the pixels' streams

@@ -316,7 +316,7 @@ def _fill(
     """
     scratch, idle = buffers.scratch, share.idle
     block, packed = at.block, at.packed
-    while at.n <= (NOISY_BATCH if c.noisy | c.drawn else BATCH):
+    while at.n <= (NOISY_BATCH if c.noisy | c.offsets else BATCH):
         block = _past_resting(block, frame.light.size, share, c)
         first = _first_of(block, share)
         if first >= frame.light.size:
