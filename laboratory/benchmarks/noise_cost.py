@@ -89,9 +89,10 @@ class RigStep(NamedTuple):
     events_without: float
 
     def __str__(self) -> str:
-        spent = {"full": (self.noise_s, self.events), "offsets": (self.offsets_s, self.events_offsets)}
-        spent["none"] = self.without_s, self.events_without
-        return f"{self.rig:12} " + ", ".join(f"{k} {s * 1e3:.1f} ms, {n:.0f} events" for k, (s, n) in spent.items())
+        spent_s, events = (self.noise_s, self.offsets_s, self.without_s), self[4:]
+        of = zip(("noise", "offsets", "no noise"), spent_s, events, strict=True)
+        return f"{self.rig:12} " + ", ".join(f"{name} {s * 1e3:.1f} ms, {n:.0f} events" for name, s, n in of)
+
 
 
 def parameters(preset: str, size: tuple[int, int], *, noise: bool) -> SensorParameters:
