@@ -13,13 +13,12 @@ through the pixels. At the edges of the frame a place may lie outside one of the
 Flow is that of surfaces. An outline moves with the body in front, so the sky around a body has the flow of its nearest
 pixel. Shadows that move over the ground are blended; their own velocities at their edges gained nothing.
 
-Where the image moves by less than two pixels a period, the exact rates of both drawings are better than blending. There
-ln(1 + light / FLOOR) takes the place of light, as pixels see it, and what the rates of the law above lack, e0 at t0 and
-e1 at t1, is added as the cubic without values at both ends,
+Where the image moves by less than two pixels a period, the exact rates of both drawings are better than blending. What
+the rates of the law above lack, e0 at t0 and e1 at t1, is added as the cubic without values at both ends,
 
     P (e0 u (1 - u)^2 - e1 u^2 (1 - u))
 
-so that it is, without any motion, the cubic through values and rates of both drawings.
+so that light is, without any motion, the cubic through values and rates of both drawings.
 
 Drawings are made ahead by a thread of their own, while the sensor computes. Results do not depend on it.
 """
@@ -45,6 +44,7 @@ from emulator.scene.moved_light import (
     Drawing,
     Pair,
     carry_into_sky,
+    lit_blocks,
     speeds,
     spline,
     write_lacking,
@@ -299,9 +299,9 @@ class LightBetween(OtherLight):
         reach_px = greatest_px_s * (self._period_ns or SELDOM * self._step_ns) * 1e-9 + 2 * MARGIN
         carry_into_sky(self._labels, flow, self._aways, reach_px)
         spline(room.light, room.coefficients.reshape(height + 2 * MARGIN, width + 2 * MARGIN))
-        brightest = np.fmax.reduceat(room.light, np.arange(0, height, BLOCK))
-        blocks = np.fmax.reduceat(brightest, np.arange(0, width, BLOCK), axis=1) > 0
-        return _Drawn(room, blocks.astype(np.uint8), mean_px_s, greatest_px_s)
+        blocks = np.zeros([-(-n // BLOCK) for n in room.light.shape], np.uint8)
+        lit_blocks(room.light, blocks)
+        return _Drawn(room, blocks, mean_px_s, greatest_px_s)
 
 
 def _grown(blocks: Bytes, by: int) -> Bytes:

@@ -20,7 +20,7 @@ import numpy as np
 from emulator.light import Light
 from emulator.sensor.numerics.columns import pick, put, take
 from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane, vector_kernel
-from emulator.sensor.numerics.elementary import exponential_less_one, log_of_one_more, use_widest_vectors
+from emulator.sensor.numerics.elementary import use_widest_vectors
 from firmware_protocol.compiled import entry_of
 from firmware_protocol.events import Bytes, Float32s, Int64s, UInt16s
 
@@ -43,8 +43,6 @@ _POLE = np.float32(math.sqrt(3.0) - 2.0)  # of the filter from pixels to coeffic
 _SETTLED = 12  # pixels after which what the filter began with is below 1e-6
 _FASTEST_PX_S, _FAR_PX = 1e7, np.float32(1e6)
 _CUBIC_BELOW_PX, MOVED_ABOVE_PX = 1.0, 2.0  # motion a period: rates count wholly below, not at all above
-FLOOR = np.float32(5e-3)  # light, relative, above which its logarithm is weighted where motion is slow
-_MOST_LACKING = np.float32(1.0)  # in a period: more is a kink, which a cubic would overshoot
 _DARK = np.float32(1e-9)  # light, relative: no pixel sees it
 _ZERO, _HALF, _ONE, _TWO, _THREE, _FOUR, _SIX = (np.float32(x) for x in (0, 0.5, 1, 2, 3, 4, 6))
 
@@ -220,6 +218,18 @@ def speeds(flow: Float32s, light: Light) -> tuple[float, float]:
     return total / max(count, 1), math.sqrt(fastest2)
 
 
+@entry
+def lit_blocks(light: Light, blocks: Bytes) -> None:
+    """Write 1 for blocks with light, else 0."""
+    for i in range(blocks.shape[0]):
+        for j in range(blocks.shape[1]):
+            blocks[i, j] = 0
+            for r in range(i * BLOCK, min((i + 1) * BLOCK, light.shape[0])):
+                for c in range(j * BLOCK, min((j + 1) * BLOCK, light.shape[1])):
+                    if light[r, c] > _ZERO:
+                        blocks[i, j] = 1
+
+
 @lane
 def _weights(t: Real) -> tuple[Real, Real, Real, Real]:
     """Return the weights of the four coefficients around a place, a share t behind the second."""
@@ -285,13 +295,6 @@ def _move(drawing: Drawing, elapsed_s: Real, n: int, room: Float32s, to: int) ->
         put(room, (to + 2) * CHUNK + k, _ONE if is_inside else _ZERO)
 
 
-@lane
-def _log_of(light: Real, rate: Real) -> tuple[Real, Real]:
-    """Return ln(1 + light / FLOOR) and its rate."""
-    above = max(light, _ZERO)
-    return log_of_one_more(above / FLOOR), rate / (above + FLOOR)
-
-
 @vector_kernel
 def _weigh(pair: Pair, u: Real, n: int, room: Float32s) -> None:
     """Write light and rate of n pixels, a share u of the period after the first drawing, from both moved ones."""
@@ -305,9 +308,6 @@ def _weigh(pair: Pair, u: Real, n: int, room: Float32s) -> None:
         is_in_0, is_in_1 = take(room, (_Before + 2) * CHUNK + k), take(room, (_After + 2) * CHUNK + k)
         is_in_both = is_in_0 == is_in_1  # or in none
         share = u if is_in_both else is_in_1
-        if has_lacking:
-            light0, rate0 = _log_of(light0, rate0)
-            light1, rate1 = _log_of(light1, rate1)
         light, rate = light0 + share * (light1 - light0), rate0 + share * (rate1 - rate0)
         rate += (light1 - light0) / period if is_in_both else _ZERO
         if has_lacking:
@@ -316,8 +316,6 @@ def _weigh(pair: Pair, u: Real, n: int, room: Float32s) -> None:
             e0, e1 = pick(pair.lacking, 0, at), pick(pair.lacking, pair.before.light.size, at)
             light += period * u * left * (e0 * left - e1 * u)
             rate += e0 * left * (_ONE - _THREE * u) + e1 * u * (_THREE * u - _TWO)
-            grown = exponential_less_one(light)
-            light, rate = FLOOR * grown, FLOOR * (grown + _ONE) * rate
         put(room, _Before * CHUNK + k, light if light > _DARK else _ZERO)
         put(room, (_Before + 1) * CHUNK + k, rate if light > _DARK else _ZERO)
 
@@ -384,17 +382,15 @@ def _find_lacking(pair: Pair, n: int, room: Float32s, out: Float32s) -> None:
     height, width = pair.before.light.shape
     period = np.float32(pair.period_s)
     for end in range(2):
-        exact = pair.before if end == 0 else pair.after
+        exact = pair.before.rate if end == 0 else pair.after.rate
         _move(pair.before, np.float32(end) * period, n, room, _Before)
         _move(pair.after, np.float32(end - 1) * period, n, room, _After)
+        this_row, other_row = (_Before, _After) if end == 0 else (_After, _Before)
         for k in range(n):
             r, c = int(room[_Row * CHUNK + k]), int(room[_Column * CHUNK + k])
-            light0, rate0 = _log_of(room[_Before * CHUNK + k], room[(_Before + 1) * CHUNK + k])
-            light1, rate1 = _log_of(room[_After * CHUNK + k], room[(_After + 1) * CHUNK + k])
-            if room[((_Before if end else _After) + 2) * CHUNK + k] > _ZERO:
-                lacks = exact.rate[r, c] / (exact.light[r, c] + FLOOR) - (light1 - light0) / period
-                lacks -= rate1 if end else rate0
-                lacks = min(max(lacks, -_MOST_LACKING / period), _MOST_LACKING / period)
+            change = (room[_After * CHUNK + k] - room[_Before * CHUNK + k]) / period
+            if room[(other_row + 2) * CHUNK + k] > _ZERO:
+                lacks = exact[r, c] - room[(this_row + 1) * CHUNK + k] - change
                 out[(end * height + r) * width + c] = lacks * _weight_of_rates(pair, r * width + c)
 
 
