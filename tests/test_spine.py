@@ -19,7 +19,7 @@ MOST_LINES, MOST_MODULES = 20_000, 85
 
 # Modules outside the spine that it may import: values that pass through it, files and sockets.
 VALUES = {
-    "emulator.geometry.attitude", "emulator.geometry.camera", "emulator.threads", "emulator.trajectory.pose",
+    "emulator.geometry.camera", "emulator.threads",
     "firmware_protocol.bounds", "firmware_protocol.compiled", "firmware_protocol.events", "firmware_protocol.frames",
     "firmware_protocol.imu_samples", "firmware_protocol.recordings.part",
     "transports", "transports.connections", "transports.faults.kinds", "transports.faults.script", "transports.needs",

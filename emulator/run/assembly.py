@@ -60,8 +60,8 @@ from transports.registry import imported
 
 if TYPE_CHECKING:
     from emulator.plan.plan import LineLoad, Plan
+    from emulator.run.imu import Carried, Gravity
     from emulator.run.truth.source import RunTruth
-    from emulator.sensor.imu import Carried, Gravity
     from emulator.sensor.parameters import ImuParameters
 
 
@@ -275,7 +275,7 @@ def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -
     """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
     sources = _frame_sources(rig, sensor)
     if rig.camera.imu is not None:
-        from emulator.sensor.imu import ImuSource, ImuUnit
+        from emulator.run.imu import ImuSource, ImuUnit
 
         sources.append(ImuSource(ImuUnit(rig.camera.imu, carried(rig, rig.camera.imu, scene), rig.run.seed)))
     return sources
@@ -283,7 +283,7 @@ def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -
 
 def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
     """Return path, gravity and time of the inertial unit; on a bench where the scene's camera has no path."""
-    from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, Gravity
+    from emulator.run.imu import EARTH_IN_THE_PICTURE, Carried, Gravity
     from emulator.trajectory.building import HasCameraPath
     from emulator.trajectory.pose import Fixed, Timescale
 
@@ -299,8 +299,8 @@ def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
 
 def _gravity_of(rig: Rig) -> Gravity:
     """Return the gravity that the scene implies."""
+    from emulator.run.imu import MOON_BELOW, WEIGHTLESS
     from emulator.scene.terrain.table import TerrainParameters
-    from emulator.sensor.imu import MOON_BELOW, WEIGHTLESS
     from emulator.trajectory.live import GivenPath
     from emulator.trajectory.parameters import OrbitPath
 

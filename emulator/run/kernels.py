@@ -192,7 +192,7 @@ def _find_truth() -> None:
     """Find the nearest facet of a small surface, its depth and flow; trace the leak's events of a few pixels."""
     from emulator.geometry.camera import Pinhole, Rays, Seen
     from emulator.raster.surfaces import NearestSurface, write_depth_and_flow
-    from emulator.sensor.origins import LeakShare
+    from emulator.run.truth.origins import LeakShare
     from emulator.sensor.pixels.crossings import NO_CROSSINGS
 
     camera, seen = Pinhole(_WIDTH, _HEIGHT, 20.0), Seen.of(_WIDTH, _HEIGHT)

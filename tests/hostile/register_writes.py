@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emulator.light import LightFrame
+from emulator.run.imu import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.sensor.frames import FrameSource
-from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.trajectory.pose import Fixed, Timescale
 from firmware_protocol.davis346.decoder import Decoder

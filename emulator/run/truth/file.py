@@ -51,7 +51,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.origins import Origin
+from emulator.run.truth.origins import Origin
 from transports.guarded_reader import ForeignFileError, Limits, decoded, encoded, read_guarded
 from transports.recording.writer_process import WriterProcess, serve_writer
 

@@ -31,8 +31,8 @@ from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.run.truth.file import LAYERS, About, Rows, TruthRecorder
+from emulator.run.truth.origins import TracedSensor
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.origins import TracedSensor
 from emulator.sensor.parameters import KickParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor, own_pixels

@@ -16,7 +16,7 @@ reset. Until then its limits, which the quiet test takes for thresholds, are tho
 reset, or of NEAR. Before the end of the step the speed at the reset serves.
 
 Left out are bursts: the noise is taken to have settled at once. Left out is also that a pixel which turns has used up a
-part of its number. docs/accuracy.md states what that costs.
+part of its number. docs/physics.md states what that costs.
 
 Fast because draws and ways are vector loops over the columns that fire or may fire.
 """

@@ -1,6 +1,6 @@
 """Noise of grade "offsets" beside the Monte Carlo of the full law, see `test_still_light` and `test_motion`.
 
-It leaves out bursts, so the bounds are wider: they are what docs/accuracy.md promises.
+It leaves out bursts, so the bounds are wider: they are what docs/physics.md states.
 """
 
 import copy

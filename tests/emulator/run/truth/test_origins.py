@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.origins import Origin, TracedSensor
+from emulator.run.truth.origins import Origin, TracedSensor
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from laboratory.methods.other_simulators import OTHER_SIMULATORS

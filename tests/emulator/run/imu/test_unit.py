@@ -10,7 +10,7 @@ import pytest
 
 from emulator.geometry.attitude import quaternion_of_vector
 from emulator.geometry.camera import Cycle
-from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
+from emulator.run.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.laws import Orbit, OrbitPath

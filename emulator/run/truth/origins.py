@@ -28,14 +28,17 @@ from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.readout import Arrivals
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
-from emulator.sensor.numerics.compiled import cached_entry
+from emulator.sensor.numerics.compiled import SOURCES
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor, finished, make_readout, own_pixels
+from firmware_protocol.compiled import entry_of
 from firmware_protocol.events import Bytes, Events, Float32s, Floats, Mask
+
+_entry = entry_of(__name__, *SOURCES)
 
 
 class Origin(IntEnum):
@@ -106,7 +109,7 @@ class _Interval(NamedTuple):
     refractory_ns: int
 
 
-@cached_entry
+@_entry
 def _step(crossings: Arrivals, interval: _Interval, rate_hz: Floats, share: Floats, half: Floats, leaks: Mask) -> None:
     """Write which crossings are the leak's, and move `share` to the end; `half` is half of the next event's way."""
     t0_ns = interval.t0_ns

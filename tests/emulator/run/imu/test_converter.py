@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from emulator.sensor.imu import IMU_MOTION, Converter
+from emulator.run.imu import IMU_MOTION, Converter
 from firmware_protocol.davis346.registers import imu_settings
 from firmware_protocol.fx3.registers import Access, Module, Register, RegisterFile
 from firmware_protocol.imu_samples import ImuScale, physical

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from emulator.sensor.imu import ElementErrors, Errors
+from emulator.run.imu import ElementErrors, Errors
 
 PERIOD_S = 1e-3
 ZERO = np.zeros(6)
