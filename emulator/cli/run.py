@@ -41,7 +41,6 @@ from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
 from emulator.run.pacing import SimulationDrive
 from emulator.run.session import Session
-from emulator.run.trial import runs_alone, trial
 from firmware_protocol.events import Events
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
@@ -253,10 +252,13 @@ def _first_lines(rig: Rig, scene: Scene, *, is_driven: bool) -> Iterator[str]:
 
     A run in real time is tried before; that of poses or light from outside is not.
     """
-    if rig.run.pace == "realtime" and not is_driven and runs_alone(rig):
-        speed = trial(rig, scene, plan_of(rig, scene) if rig.run.tolerance_us else None)
-        if speed.factor < 1:
-            yield f"{rig.name} {speed.verdict(rig)}"
+    if rig.run.pace == "realtime" and not is_driven:
+        from emulator.run.trial import runs_alone, trial
+
+        if runs_alone(rig):
+            speed = trial(rig, scene, plan_of(rig, scene) if rig.run.tolerance_us else None)
+            if speed.factor < 1:
+                yield f"{rig.name} {speed.verdict(rig)}"
     if scene.renderer:
         yield f"renderer: {scene.renderer}"
     yield from (f"note: {note}" for note in (*remarks(rig), *scene.notes))

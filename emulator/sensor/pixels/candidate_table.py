@@ -5,6 +5,7 @@ A row is named by its first index in the flat array, so `rows[REF + j]` is the r
 
 from __future__ import annotations
 
+from enum import IntEnum, auto
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from emulator.sensor.numerics.compiled import NONE, inlined, kernel
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels import curve
 from emulator.sensor.pixels.idle import pixel_at
-from emulator.sensor.pixels.offsets import Draws, new_draws
 from emulator.sensor.pixels.passages.rows import Visits, new_visits
 from emulator.sensor.pixels.receptor import MOST_BEHIND
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, StepConstants
@@ -22,6 +22,7 @@ from emulator.sensor.pixels.substeps import CAPACITY, SubstepTable, new_substep_
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
+_Words = npt.NDArray[np.uint64]
 
 _U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _, _Y = (int(f) * BLOCK for f in Field)
 
@@ -47,6 +48,53 @@ NOTHING, RE_ARMS, FIRES, NEEDS_SUBSTEPS = (np.float32(kind) for kind in range(4)
 """Kinds of candidates."""
 
 _ZERO = np.float32(0)
+
+
+class Draw(IntEnum):
+    """Rows of the resets that are drawn, by their first index."""
+
+    @staticmethod
+    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
+        return count * CAPACITY
+
+    RATE = auto()  # of the receptor's pole, 1/s
+    RMS = auto()  # of the noise behind the receptor, ln units
+    SPEED = auto()  # of the signal, ln units a second
+    MOVED = auto()  # of the signal since the reset before, at the event, ln units
+    NOISE = auto()  # at the event, ln units
+    UP = auto()  # 1: the event was ON, -1: OFF, 0: there was none
+    DEAD = auto()  # dead time behind it, s
+    ON = auto()  # thresholds, ln units
+    OFF = auto()
+    # Random numbers: a normal one, five exponential ones.
+    NORMAL = auto()
+    ON_LEFT = auto()
+    OFF_LEFT = auto()
+    ON_CLOCK = auto()
+    OFF_CLOCK = auto()
+    FRESH = auto()
+    # Results.
+    N = auto()  # noise at the end of the dead time
+    ON_LEVEL = auto()  # ways at SPEED, and at NEAR, ln units
+    OFF_LEVEL = auto()
+    ON_LIMIT = auto()
+    OFF_LIMIT = auto()
+    WAIT = auto()  # until the event in still light, s, and rate of such events, 1/s
+    HZ = auto()
+    NEXT = auto()  # until that of a signal that goes on at SPEED, and its polarity, 1 or -1
+    SIGN = auto()
+
+
+class Draws(NamedTuple):
+    """Resets that are drawn together: rows, and the keys of their random numbers."""
+
+    rows: _Float32s
+    keys: _Words
+
+
+def new_draws() -> Draws:
+    """Return an empty table."""
+    return Draws(aligned_zeros(len(Draw) * CAPACITY), np.zeros(CAPACITY, np.uint64))
 
 
 class Table(NamedTuple):

@@ -24,8 +24,8 @@ from emulator.sensor.numerics.elementary import decay, exponential, use_widest_v
 from emulator.sensor.pixels import curve, event_time, state
 from emulator.sensor.pixels.candidate_table import Table
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
-from emulator.sensor.pixels.drawn_levels import draw_next, gather_draws, go_on, keep_clocks, place_levels, take_due
 from emulator.sensor.pixels.march import solve_substeps
+from emulator.sensor.pixels.offsets import draw_next, gather_draws, go_on, keep_clocks, place_levels, take_due
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants
 

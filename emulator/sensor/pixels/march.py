@@ -16,9 +16,10 @@ import numpy.typing as npt
 import emulator.sensor.pixels.substeps as row
 from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.pixels import event_time, state
+from emulator.sensor.pixels.candidate_table import Draw, Draws
 from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import photocurrent
-from emulator.sensor.pixels.offsets import Draw, Draws, Passage, draw_all, enter_reset, is_of_noise, store_reset
+from emulator.sensor.pixels.offsets import Passage, draw_all, enter_reset, is_of_noise, store_reset
 from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants
 from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on, store_filters
 
