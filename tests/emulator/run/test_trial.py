@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.cli import run as run_module
 from emulator.cli.app import _main
 from emulator.light import SceneEnded
 from emulator.rig.loading import load_rig, parse_rig
@@ -91,7 +90,7 @@ def test_poses_and_light_from_outside_are_not_tried():
 def test_the_first_line_of_a_run_is_that_it_is_too_slow_here(factor, pace, is_first, tmp_path, monkeypatch, capsys):
     path = tmp_path / "my board.toml"
     path.write_text(BOARD)
-    monkeypatch.setattr(run_module, "trial", lambda *_: Trial(1.0, 0.5 / factor, 0.5 / factor))
+    monkeypatch.setattr(module, "trial", lambda *_: Trial(1.0, 0.5 / factor, 0.5 / factor))
     assert _main(["run", str(path), "--pace", pace]) == 0
     first = capsys.readouterr().out.splitlines()[0]
     slow = first.startswith("my board does NOT run in real time on this machine: 0.25 times real time")
