@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 INSTANTS = 4
 """Instants of a trial that is not in the way of a run."""
-_LONG_S = 0.7
+_LONG_S = 0.25
 
 
 @dataclass(frozen=True)

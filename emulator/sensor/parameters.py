@@ -133,7 +133,7 @@ class NoiseParameters:
     spread : log-normal spread of the rms between pixels, with the median `rms`: a few fire far more often than the
         others, as on real chips.
     history_s : longest time for which noise has acted before the start, in the first light. Without it, references at
-        random phases make a burst of events, as after a reset of the whole chip. Passages only.
+        random phases make a burst of events, as after a reset of the whole chip. Not with "grid".
     grade : "passages": all pixels, by the hazard of a passage; "offsets": the same law of settled noise, drawn once a
         reset, without bursts, at about half of the cost; "grid": some thousand pixels, by a fine grid of time.
     """
