@@ -1,6 +1,6 @@
 """Draw docs/pictures/external_images.png from the table in docs/renderers.md: what the layers of a renderer are worth.
 
-The table is the output of `python -m laboratory.benchmarks.external images`; paste a new one there, then `python
+The table is the output of `python -m laboratory.accuracy.image_layers`; paste a new one there, then `python
 docs/external_chart.py`.
 """
 

@@ -1,20 +1,25 @@
-"""Links under load: events per second and latency over USB/IP, the share of a serial line's capacity that arrives.
+"""Links under load: events a second and latency over USB/IP, a serial line's share that arrives, events into a file.
 
 Three processes, as in a run: this one feeds the ring; the link's own process holds the camera and the USB/IP server;
 a receiver attaches over TCP on the loopback interface, acts as a driver, decodes every word, and digests every event;
-or a computer opens the pty of a line of 3 Mbaud, decodes every block and digests every event.
+or a computer opens the pty of a line of 3 Mbaud, decodes every block and digests every event. A file is read back.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import importlib.util
 import multiprocessing
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
-from emulator.rig.loading import load_rig
+import numpy as np
+
+from emulator.rig.loading import load_rig, parse_rig
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.link_process import LinkProcess
 from emulator.run.outcome import RunResult, RunStatus
@@ -28,7 +33,9 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing
+from transports.output_file import TemporaryFolder
 from transports.reception import InstrumentReception, Reception
+from transports.recording.files import read_events
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
@@ -248,3 +255,39 @@ def _listen(address: str, control: Connection) -> None:
         control.send(listen_serial(SerialLink(port=address, baud=_BAUD), lambda _: True, MonotonicClock()))
     except OSError as error:
         control.send(str(error))
+
+
+FAERY = importlib.util.find_spec("faery") is not None
+"""False: the library that writes AEDAT 4.0 is not installed."""
+
+_FILE_EVENTS, _FILE_BLOCK = 10_000_000, 1 << 16
+_SUFFIXES = {"aedat4": ".aedat4", "evt3": ".raw"}
+
+
+@dataclass(frozen=True)
+class FileEvents:
+    """Mev/s of a saturated read-out from the ring to the whole file."""
+
+    form: Literal["aedat4", "evt3"]
+
+    def __call__(self) -> float:
+        """Measure, and compare every event."""
+        clock, sent = MonotonicClock(), saturated_stream(_FILE_EVENTS)
+        with TemporaryFolder("bench") as folder:
+            path = Path(folder, f"events{_SUFFIXES[self.form]}")
+            text = f'[scene]\nkind = "checkerboard"\n[[links]]\nkind = "file"\npath = "{path}"\n'
+            (setup,) = link_setups(parse_rig(text, "bench.toml", "bench"))
+            link = LinkProcess(setup, clock)
+            link.wait_ready()
+            start_ns = clock.now_ns()
+            link.start(FREE_RUNNING)
+            for start in range(0, _FILE_EVENTS, _FILE_BLOCK):
+                part = sent[start : start + _FILE_BLOCK]
+                link.push_all(part, int(part["t"][-1]))
+            report = link.stop(_COMPUTER_S)
+            seconds = (clock.now_ns() - start_ns) * 1e-9
+            back = read_events(path)
+        back["t"] += sent["t"][0] - back["t"][0]  # of AEDAT 4.0 they are Unix time
+        if report.error is not None or not np.array_equal(back, sent):
+            raise BenchFailed(f"of {len(sent)} events the file holds {len(back)}, or others; {report}")
+        return len(sent) / seconds * 1e-6

@@ -8,6 +8,7 @@ from typing import Literal
 
 from laboratory.bench import coders as word
 from laboratory.bench import links as link
+from laboratory.bench import loops as loop
 from laboratory.bench import pixels as pixel
 from laboratory.bench.coders import (
     COMPILER,
@@ -19,6 +20,8 @@ from laboratory.bench.coders import (
     Evt3Decoding,
     Evt3Encoding,
 )
+from laboratory.bench.links import FAERY, FileEvents
+from laboratory.bench.loops import HAS_CAMPAIGNS, RendererImages
 from laboratory.bench.pixels import NoiseLoad
 from laboratory.bench.scenes import Drawing, ScenesAlike, Workload
 
@@ -113,4 +116,11 @@ MEASURES = (
     Measure("latency_p99", "us", "lower", 3000, link.latency_p99),
     Measure("latency_p999", "us", "lower", 10_000, link.latency_p999),
     Measure("late_steps", "steps", "lower", 0, link.late_steps),
+    Measure("evt3_file", "Mev/s", "higher", 10, FileEvents("evt3")),
+    *((Measure("aedat4_file", "Mev/s", "higher", 10, FileEvents("aedat4")),) if FAERY else ()),
+    Measure("simulation_step", "times", "lower", 1.05, loop.simulation_step),
+    Measure("pose_to_bytes", "ms", "lower", None, loop.pose_to_bytes),
+    Measure("renderer_shared", "images/s", "higher", None, RendererImages(shared=True)),
+    Measure("renderer_tcp", "images/s", "higher", None, RendererImages(shared=False)),
+    *((Measure("campaign_run", "ms", "lower", 5, loop.campaign_run),) if HAS_CAMPAIGNS else ()),
 )

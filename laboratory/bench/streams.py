@@ -1,4 +1,4 @@
-"""Reproducible streams of events for measurements.
+"""Shared by measurements: reproducible streams of events, a clock, a line of output, and the report of a failure.
 
 `stars` and `target` are in closed form or nearly so, at the limits of a camera in space: pixels fire at each crossing
 of a contrast threshold, at their exact microsecond, without read-out and refractory time. `davis_batches` has all that
@@ -7,6 +7,9 @@ a DAVIS346 sends: events of a saturated read-out, frames, inertial samples, mark
 
 from __future__ import annotations
 
+import sys
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -211,3 +214,16 @@ def _frame(start_us: int) -> Readings:
 
 class BenchFailed(Exception):
     """The measured part gave a wrong result, so its speed is not reported."""
+
+
+def processor_time_s(work: Callable[[], object]) -> float:
+    """Return the processor time of one call, s, of all threads."""
+    start_s = time.process_time()
+    work()
+    return time.process_time() - start_s
+
+
+def say(text: str) -> None:
+    """Print a line at once."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()

@@ -7,10 +7,12 @@ import pytest
 
 from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
+from laboratory.bench import links
 from laboratory.bench import scenes as scenes_alike
 from laboratory.bench.measures import MEASURES
 from laboratory.bench.pixels import noisy_sensor
 from laboratory.bench.scenes import ScenesAlike
+from laboratory.bench.streams import BenchFailed
 from laboratory.verbs.bench import bench
 
 
@@ -44,3 +46,14 @@ def test_a_pattern_selects_all_that_match(monkeypatch, capsys):
     assert printed.count("gpu_frame_") == 2
     assert "words_encode" in printed
     assert "words_decode" not in printed
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("form", ["evt3", "aedat4"])
+def test_a_file_has_a_speed_only_where_it_holds_every_event(form, monkeypatch):
+    monkeypatch.setattr(links, "_FILE_EVENTS", 100_000)
+    measure, read = links.FileEvents(form), links.read_events
+    assert measure() > 0
+    monkeypatch.setattr(links, "read_events", lambda path: read(path)[:-1])
+    with pytest.raises(BenchFailed, match="of 100000 events the file holds 99999"):
+        measure()

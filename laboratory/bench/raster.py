@@ -1,6 +1,6 @@
 """Light beside its targets: what it costs to build and to draw, and which events finer facets change.
 
-    python -m laboratory.benchmarks.raster [RIG ...]
+    python -m laboratory.bench.raster [RIG ...]
 
 built      wall time, without and with the cache of details; the first rig loads compiled kernels too
 drawn      processor time of all threads for a light frame with its rate, from 10 s: the median of twelve
@@ -24,7 +24,7 @@ from emulator.run.assembly import build_scene
 from emulator.scene.bodies.table import BodiesParameters, BodyTable, Regolith
 from laboratory.accuracy.rendering import false_and_missed, looks_of
 from laboratory.accuracy.scores import Stream, compare
-from laboratory.benchmarks.kernels import seconds
+from laboratory.bench.streams import processor_time_s
 
 RIGS, SIZES = ("eros", "itokawa", "eros-flyover", "rendezvous", "malapert"), ((346, 260), (1280, 720))
 
@@ -47,19 +47,22 @@ def main(*rigs: str) -> None:
 
 
 def built_s(rig: Rig) -> float:
+    """Return the wall time of building the scene."""
     start_s = time.perf_counter()
     build_scene(rig).close()
     return time.perf_counter() - start_s
 
 
 def drawn_ms(rig: Rig, size: tuple[int, int]) -> float:
+    """Return the processor time of a light frame with its rate."""
     light, rate = np.zeros((2, *size[::-1]), np.float32)
     with build_scene(rig, size) as scene:
         frames = (partial(scene.light_and_rate, 10**10 + k * rig.run.step_us * 1000, light, rate) for k in range(15))
-        return 1e3 * statistics.median([seconds(frame) for frame in frames][3:])
+        return 1e3 * statistics.median([processor_time_s(frame) for frame in frames][3:])
 
 
 def events_of(rig: Rig) -> Stream:
+    """Return the events of the rig's scene, as `evstim accuracy rendering` draws them."""
     look = next(looks_of([rig], None))
     with build_scene(rig) as scene:
         return look.events(scene, look.step_ns, with_rate=True)[0]

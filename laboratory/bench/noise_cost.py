@@ -1,8 +1,8 @@
 """Cost of noise: beside OpenEB's simulator, before the start, and in the shipped rigs. Processor time.
 
-    python -m laboratory.benchmarks.noise_cost openeb PATH [--steps 100] [--json]
-    python -m laboratory.benchmarks.noise_cost start [--json]
-    python -m laboratory.benchmarks.noise_cost rigs [--json]
+    python -m laboratory.bench.noise_cost openeb PATH [--steps 100] [--json]
+    python -m laboratory.bench.noise_cost start [--json]
+    python -m laboratory.bench.noise_cost rigs [--json]
 
 PATH is a checkout of OpenEB, `git clone https://github.com/prophesee-ai/openeb`: nothing of it is compiled, as its
 simulator is Python and numba. Both simulators get the same light in one process and on one thread, 346 x 260 pixels in
@@ -31,7 +31,7 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from laboratory.accuracy.peers import adapters
 from laboratory.accuracy.peers.worker import Frame, Settings
-from laboratory.benchmarks.kernels import seconds
+from laboratory.bench.streams import processor_time_s
 
 SIZE = 346, 260
 STEP_S = 1e-3
@@ -94,7 +94,6 @@ class RigStep(NamedTuple):
         return f"{self.rig:12} " + ", ".join(f"{name} {s * 1e3:.1f} ms, {n:.0f} events" for name, s, n in of)
 
 
-
 def parameters(preset: str, size: tuple[int, int], *, noise: bool) -> SensorParameters:
     """Return a preset with another size, with its noise or without."""
     p = dataclasses.replace(PRESETS[preset], width=size[0], height=size[1])
@@ -144,7 +143,7 @@ def started(preset: str, light: float, size: tuple[int, int] = START_SIZE) -> St
     frame, found_s = LightFrame(0, np.full(size[::-1], light, np.float32)), []
     for noise in (True, False):
         reset = partial(Sensor(parameters(preset, size, noise=noise), 1).reset, frame)
-        found_s.append(min([seconds(reset) for _ in range(3)][1:]))
+        found_s.append(min([processor_time_s(reset) for _ in range(3)][1:]))
     return Start(preset, light, *found_s)
 
 

@@ -12,9 +12,9 @@ from scipy import stats
 
 from emulator.sensor.parameters import NoiseParameters
 from laboratory.accuracy.harness import Case
+from laboratory.accuracy.noise import Measured, alike, behaviour, measured, of_pixels, of_reference, sensor
 from laboratory.accuracy.scenes import LogSine, SlowRamp
 from laboratory.accuracy.scores import Stream
-from laboratory.benchmarks.noise import Measured, alike, behaviour, measured, of_pixels, of_reference, sensor
 
 Z = stats.t.isf(1e-4 / 2, 31)
 

@@ -1,6 +1,6 @@
 """Events of a rig at several steps against those at a shorter one: the error of the interpolation alone.
 
-    python -m laboratory.benchmarks.steps RIG SECONDS REFERENCE_US STEP_US ...
+    python -m laboratory.accuracy.steps RIG SECONDS REFERENCE_US STEP_US ...
 
 Leak and noise are off. Light is drawn by the same scene at every step, so its own errors are not in these numbers; see
 `evstim accuracy rendering` for those. False and missed events are those by which the numbers of events of a pixel and

@@ -1,36 +1,30 @@
-"""Images of an external renderer: the events that they give, and how many a second come.
+"""Events of an external renderer's images beside the truth, by rate of images and by the layers beside light.
 
-python -m laboratory.benchmarks.external images [FOLDER]
-python -m laboratory.benchmarks.external rate [IMAGES]
+    python -m laboratory.accuracy.image_layers [FOLDER]
+
+Our own Itokawa turns 40 times as fast as in its rig, so that its surface moves at up to 280 px/s, and is drawn twice:
+as the truth of `evstim accuracy` (point samples, rays for shadows), and as images at 30, 100 and 1000 a second with
+their motion, depth or rate, which are joined as those of a renderer. The truth takes minutes; FOLDER stores it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 import pickle
-import time
+import sys
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from cyclopts import App
 
 from emulator.geometry.camera import Pinhole, Seen
 from emulator.light import Light, OtherLight
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters
-from emulator.scene.external.external import External, compile_kernels
 from emulator.scene.external.joining import Joined, Pair, TimedImage, front_motion
-from emulator.scene.external.table import ExternalParameters
-from evstim.renderer import Renderer
-from firmware_protocol.renderer import Camera
 from laboratory.accuracy.rendering import Look, Stretch, comb_of
 from laboratory.accuracy.scores import Stream, compare
-from transports.renderer import RendererServer
-
-app = App(name="external")
 
 STEP_US = 2000
 STEPS = 48
@@ -103,15 +97,8 @@ def row(name: str, stream: Stream, truth: Stream, period_us: float) -> str:
     return f"| {name} | {scores.wrong_events / 2:.2%} | {times} | {middle:.3f} |"
 
 
-@app.command
-def images(folder: Path | None = None) -> None:
-    """Compare events of an external renderer's images with the truth, by rate of images and by the layers beside light.
-
-    Our own Itokawa turns 40 times as fast as in its rig, so that its surface moves at up to 280 px/s, and is drawn
-    twice: as the truth of `evstim accuracy` (point samples, rays for shadows), and as images at 30, 100 and 1000 a
-    second with their motion, depth or rate, which are joined as those of a renderer. The truth takes minutes; FOLDER
-    stores it.
-    """
+def main(folder: Path | None = None) -> None:
+    """Print the table."""
     shown = fast_look()
     truth = truth_of(shown, folder)
     print(f"{len(truth)} true events; middle share of them at 30, 100, 1000 Hz:", end=" ")
@@ -127,57 +114,5 @@ def images(folder: Path | None = None) -> None:
             print(row(f"{hz} Hz, {' and '.join(layers) or 'images alone'}", stream, truth, 1e6 / hz), flush=True)
 
 
-SIZE = (1280, 720)
-PERIOD_NS = 10_000_000
-
-
-def draw(port: int, *, shared: bool) -> None:
-    """Draw until the end."""
-    ready = np.random.default_rng(1).random(SIZE[::-1], np.float32)
-    with Renderer(f"127.0.0.1:{port}", shared=shared) as renderer:
-        for image in renderer:
-            image.light[:] = ready
-            image.send()
-
-
-def images_a_second(count: int, *, shared: bool, lit: bool) -> float:
-    """Return the rate of `count` images."""
-    p = ExternalParameters(period_ms=PERIOD_NS * 1e-6, white_w_m2_sr=1.0)
-    server = RendererServer("127.0.0.1", 0)
-    spawning = multiprocessing.get_context("spawn")
-    drawing = spawning.Process(target=draw, args=(server.address[1],), kwargs={"shared": shared})
-    drawing.start()
-    connection = server.accept(Camera(SIZE, 1000.0, PERIOD_NS, p.slots, 0), 60.0)
-    assert connection is not None
-    scene, out = External(connection, p, Pinhole(*SIZE, 1000.0)), np.zeros(SIZE[::-1], np.float32)
-    scene.around(0)
-    start_s = time.perf_counter()
-    for k in range(1, count + 1):
-        if lit:
-            scene.light(k * PERIOD_NS - PERIOD_NS // 2, out)
-        else:
-            scene.around(k * PERIOD_NS)
-    spent_s = time.perf_counter() - start_s
-    scene.close()
-    drawing.join()
-    return count / spent_s
-
-
-@app.command
-def rate(count: int = 500) -> None:
-    """Measure images a second from a renderer in another process, 1280 x 720 float32, through both carriers.
-
-    The renderer copies a finished image into each slot, and evstim copies it again and checks every number of it.
-    "carrier" receives and checks; "scene" also writes a light frame for each image, half way between two. Each rate is
-    the median of five.
-    """
-    compile_kernels()
-    for shared in (True, False):
-        for lit in (False, True):
-            rates = sorted(images_a_second(count, shared=shared, lit=lit) for _ in range(5))
-            carrier = "shared memory" if shared else "connection"
-            print(f"{carrier}, {'scene' if lit else 'carrier'}: {rates[2]:.0f} images/s")
-
-
 if __name__ == "__main__":
-    app()
+    main(*map(Path, sys.argv[1:2]))

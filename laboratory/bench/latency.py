@@ -1,6 +1,6 @@
 """Latency from an event to its bytes in real time, run by run.
 
-    python -m laboratory.benchmarks.latency [RUNS [SECONDS [BUSY]]]
+    python -m laboratory.bench.latency [RUNS [SECONDS [BUSY]]]
 
 The checkerboard at 346x260, some 1.5 Mev/s and steps of 1 ms, with a USB/IP link and a receiver that decodes every
 word: the run of `evstim bench --only 'latency_*'`, each time in new processes. BUSY programs that never sleep run
@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from laboratory.bench.links import paced_run
-from laboratory.benchmarks.streams import say
+from laboratory.bench.streams import say
 
 _ONE = "--one"
 _NAMES = (

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from laboratory.benchmarks import noise_cost
-from laboratory.benchmarks.noise_cost import frames, openeb
+from laboratory.bench import noise_cost
+from laboratory.bench.noise_cost import frames, openeb
 
 
 @pytest.mark.parametrize("scene", ["grating", "edge"])

@@ -1,6 +1,6 @@
 """Processor time of the process of each kind of link: without a host, and with a host that reads.
 
-    python -m laboratory.benchmarks.link_process [SECONDS [NAME ...]]
+    python -m laboratory.bench.link_process [SECONDS [NAME ...]]
 
 NAME is one or more of usbip, gige, serial, can and file (all by default), SECONDS the length of each measurement (5 by
 default). A rig's link runs in a process of its own, as in a run, and is fed each millisecond with nothing or with the
@@ -32,8 +32,8 @@ from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import Events, empty_events
-from laboratory.bench.streams import saturated_stream
-from laboratory.benchmarks.streams import own_s, say
+from laboratory.bench.streams import saturated_stream, say
+from laboratory.realtime.program import use_of
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
 
@@ -82,9 +82,12 @@ class Used:
     @classmethod
     def by(cls, pid: int | None) -> Used:
         """Return those of a running process."""
+        use = None if pid is None else use_of(pid)
+        if use is None:
+            raise SystemExit("the link's process has ended")
         status = Path(f"/proc/{pid}/status").read_text()
         sleeps = int(status.rpartition("\nvoluntary_ctxt_switches:")[2].split()[0])
-        return cls(own_s(pid), sleeps)
+        return cls(use.cpu_s, sleeps)
 
 
 @dataclass(frozen=True)
@@ -166,8 +169,12 @@ def measured(link: LinkProcess, seconds: float, *, has_events: bool, is_read: bo
     before, delivered, begun_s = Used.by(link.pid), link.listen().delivered, time.monotonic()
     stream.go_on(seconds)
     after, now, wall_s = Used.by(link.pid), link.listen(), time.monotonic() - begun_s
-    used = after.cpu_s - before.cpu_s, after.sleeps - before.sleeps, now.delivered - delivered
-    return Measured(*(value / wall_s for value in used), link.stop(1.0))
+    return Measured(
+        (after.cpu_s - before.cpu_s) / wall_s,
+        (after.sleeps - before.sleeps) / wall_s,
+        (now.delivered - delivered) / wall_s,
+        link.stop(1.0),
+    )
 
 
 def case(name: str, seconds: float, *, has_host: bool, has_events: bool) -> tuple[Measured, str]:
@@ -195,7 +202,7 @@ def _received(process: subprocess.Popen[str]) -> int:
     return int(json.loads(lines[-1])["events"])
 
 
-def main(seconds: float = 5.0, *names: str) -> int:
+def main(seconds: float, *names: str) -> int:
     """Measure each kind of link and print a table."""
     good = True
     say("| link | host | events | % of a core | sleeps a second | delivered, Mev/s |\n|---|---|---|---|---|---|")
@@ -212,4 +219,4 @@ def main(seconds: float = 5.0, *names: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*map(float, sys.argv[1:2]), *sys.argv[2:]))
+    sys.exit(main(float(sys.argv[1]) if sys.argv[1:] else 5.0, *sys.argv[2:]))

@@ -1,6 +1,6 @@
 """Noise of evstim's pixels beside the reference of `laboratory.methods.grid`, which shares no code with it.
 
-    python -m laboratory.benchmarks.noise [CHECK ...] [--scale 1] [--json]
+    python -m laboratory.accuracy.noise [CHECK ...] [--scale 1] [--json]
 
     sines     rates, order and intervals on sines in log light, contrast 0.1 to 2, 0.5 to 10 Hz, light 1 to 0.02
     still     the same in still light, after a reset and after events of a signal, threshold over sigma 1.6 to 7.2

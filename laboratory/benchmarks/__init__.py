@@ -1,1 +1,0 @@
-"""Programs that measure one thing each."""
