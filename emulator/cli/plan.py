@@ -87,7 +87,7 @@ def _lines(planned: Plan, speed: Trial, is_between: bool, rung: dict[str, Any] |
     )
     yield f"chip     {_chip(planned)}"
     method = planned.rig.run.method
-    yield f"method   {method}: {_METHODS.get(method, 'the rule of another simulator')}"
+    yield f"method   {method}: {_METHODS[method]}"
     motion = f", {p.motion_px_s * steps.step_us * 1e-6:.2g} px of motion" if math.isfinite(p.motion_px_s) else ""
     yield (
         f"steps    {'controlled, about' if steps.controlled else 'fixed,'} {steps.step_us:.0f} us{motion}: "

@@ -18,11 +18,6 @@ from firmware_protocol.events import EdgeKind
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from transports.link.edges import EdgeTiming, EdgeTrain
 
-Method = Literal["hermite", "line", "pangu", "v2e", "v2e_exact_filter", "esim", "sikorski", "frame_difference"]
-
-OWN_METHODS = ("hermite", "line")
-"""Methods of evstim's own pixels; the others reproduce other simulators."""
-
 
 @dataclass(frozen=True)
 class Camera:
@@ -108,7 +103,7 @@ class Run:
     fifo_priority : above 0: links run under SCHED_FIFO at this priority, for steady delivery on a busy machine. Needs
         root, or a limit of 'rtprio'.
     method : interpolation of light between two frames: "hermite" (a cubic from value and derivative), "line" (straight
-        in log light), or the rule of another simulator, to reproduce its results.
+        in log light).
     painter : renderer of bodies and terrain: "cpu", the exact mean light of each pixel, the same on every machine;
         "gl", points in each pixel by OpenGL 4.3. The environment variable EVSTIM_RENDERER replaces this key.
     threads : threads of drawing, blur and the pixel step, without effect on events. 0: chosen by the work, at most 4.
@@ -132,7 +127,7 @@ class Run:
     max_late_share: Share = 0.01
     restart_links: bool = False
     fifo_priority: Annotated[int, Meta(ge=0, le=99)] = 0
-    method: Method = "hermite"
+    method: Literal["hermite", "line"] = "hermite"
     painter: Literal["cpu", "gl"] = "cpu"
     threads: Annotated[int, Meta(ge=0, le=64)] = 0
     tolerance_us: Annotated[float, Meta(ge=0, le=1e6)] = 0.0

@@ -32,11 +32,10 @@ from emulator.light import OtherLight, Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.rig.kinds import CAMERA_MODELS, IMU_DRIVERS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
 from emulator.rig.loading import Rig, RigError, carries_second, second_rig
-from emulator.rig.tables import OWN_METHODS, Run, Trigger
+from emulator.rig.tables import Run, Trigger
 from emulator.run.camera import CameraView, ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from firmware_protocol.device.clock import ClockSettings
@@ -93,8 +92,8 @@ _EACH_IS_DRAWN = "each light frame of this scene, path or method is drawn"
 def drawn_seldom(scene: Scene, run: Run) -> Scene:
     """Return a scene whose light frames between exact drawings follow the motion of its surfaces, where that is right.
 
-    Each frame is drawn where poses come from outside, for the rule of another simulator, with a tolerance of times
-    unless the rig gives a period, and where the period is no longer than a step.
+    Each frame is drawn where poses come from outside, for straight lines between frames, with a tolerance of
+    times unless the rig gives a period, and where the period is no longer than a step.
     """
     period_us = run.drawing_us or (0 if not run.tolerance_us else run.step_us)
     is_plain = run.method != "hermite" or 0 < period_us <= run.step_us or min(scene.size) < _LEAST_PX
@@ -345,23 +344,15 @@ def _has_readings(kind: LinkKind[Any]) -> bool:
 def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Sensor) -> EventSource:
     """Return the rig's sensor, of `parameters`, or the recording in its place.
 
-    Raises RigError when the rig's method lacks a required effect, SceneError when a recording cannot be used.
+    Raises RigError when the rig's pixels lack a required effect, SceneError when a recording cannot be used.
     """
     if events := SCENES[rig.scene.kind].events:
         source: EventSource = SCENES.imported(rig.scene.kind, events)(rig.scene, parameters)
         return source
     try:
-        return kind(parameters, rig.run.seed, _pixels(rig.run))
+        return kind(parameters, rig.run.seed, partial(own_pixels, threads=rig.run.threads))
     except ValueError as error:
-        raise RigError(f"{rig.name}: run.method = {rig.run.method!r}: {error}") from error
-
-
-def _pixels(run: Run) -> MakePixels:
-    """Return what makes the pixels of the rig's method: evstim's own, or by the rule of another simulator."""
-    if run.method in OWN_METHODS:
-        return partial(own_pixels, threads=run.threads)
-    rule: MakePixels = imported("laboratory.methods.other_simulators:OTHER_SIMULATORS")[run.method]
-    return rule
+        raise RigError(f"{rig.name}: {error}") from error
 
 
 def build_frames(rig: Rig, scene: Scene) -> SceneFrames:

@@ -5,7 +5,7 @@ A case is a row of pixels under closed-form light, with a sensor. Methods:
     hermite   our own kernel, given the light and its time derivative
     refined   the same, given the light of single pixels between the frames too: it refines undersampled steps
     line      the same kernel without derivatives: a straight line in log light
-    others    the rules of `laboratory.methods.other_simulators`
+    pangu     PANGU's rule, which cannot be run as it is
 
 All get the same float32 frames at the same times, with the same thresholds, leak rates and phases. Time is measured
 on a sensor of 346 x 260 pixels, whose light frame repeats the case's row: the median of some steps, the method's
@@ -38,6 +38,7 @@ from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Float32s, Int64s
+from laboratory.accuracy.peers.pangu import Pangu
 from laboratory.accuracy.scenes import (
     BlurredCheckerboard,
     ClosedLight,
@@ -57,7 +58,6 @@ from laboratory.accuracy.scenes import (
 from laboratory.accuracy.scores import Scores, Stream, compare, compare_samples
 from laboratory.accuracy.truth import true_events
 from laboratory.methods.grid import NoisyPixels
-from laboratory.methods.other_simulators import OTHER_SIMULATORS
 
 SEED = 3
 """Fixes mismatch, leak rates and phases of every case."""
@@ -74,7 +74,7 @@ class Method:
 
     Attributes
     ----------
-    name : as in a rig's `run.method`.
+    name : as above; of evstim's own as in a rig's `run.method`.
     make : factory, for a sensor and a seed.
     rate : True: the method gets the light's time derivative.
     refines : True: the method gets the light of single pixels between the frames.
@@ -115,8 +115,7 @@ REFERENCE = Method("reference", NoisyPixels, rate=True)
 def methods() -> list[Method]:
     """Return all methods, our own first."""
     refined = Method("refined", PixelArray, rate=True, refines=True)
-    ours = Method("hermite", PixelArray, rate=True), refined, Method("line", PixelArray)
-    return [*ours, *(Method(name, rule) for name, rule in OTHER_SIMULATORS.items())]
+    return [Method("hermite", PixelArray, rate=True), refined, Method("line", PixelArray), Method("pangu", Pangu)]
 
 
 @lru_cache(maxsize=64)

@@ -28,12 +28,7 @@ _MARKS = {  # colour and marker
     "hermite": ("#000000", "o"),
     "refined": ("#56b4e9", "P"),
     "line": ("#0072b2", "s"),
-    "v2e_exact_filter": ("#009e73", "v"),
-    "v2e": ("#e69f00", "^"),
     "pangu": ("#d55e00", "D"),
-    "sikorski": ("#cc79a7", "x"),
-    "esim": ("#7f5fa8", "+"),
-    "frame_difference": ("#999999", "."),
 }
 _COLUMNS = 4
 _FLOOR_US = 1e-3
@@ -48,7 +43,6 @@ def _style(name: str) -> dict[str, Any]:
         "label": name.replace("_", " "),
         "markersize": 5,
         "linewidth": 2.0 if name == "hermite" else 1.2,
-        "linestyle": "--" if name in ("esim", "v2e") else "-",  # where it runs over another
     }
 
 

@@ -1,4 +1,4 @@
-"""`evstim accuracy`: our methods and the rules of others against the truth.
+"""`evstim accuracy`: our methods and PANGU's rule against the truth.
 
 `evstim accuracy peers`, `export` and `score`: other simulators as they are, on the same scenes (`accuracy_peers`).
 """
@@ -54,7 +54,7 @@ def accuracy(
     quick: Flag = False,
     json: Json = False,
 ) -> int:
-    """Compare the pixel model, and the rules of other simulators, with the truth; write charts, tables and a page.
+    """Compare the pixel model, and PANGU's rule, with the truth; write charts, tables and a page.
 
     Parameters
     ----------

@@ -142,7 +142,7 @@ def _parts(rig: Rig) -> Iterator[Part]:
     camera, run = rig.camera, rig.run
     yield Part("light", f"scene of kind {rig.scene.kind!r}")
     yield Part("lens", _LENSES[SCENES[rig.scene.kind].lens])
-    yield Part("light between two frames", _METHODS.get(run.method, f"by the rule of another simulator: {run.method}"))
+    yield Part("light between two frames", _METHODS[run.method])
     readout = camera.sensor.readout
     has_delay = bool(readout.event_ns or readout.row_ns or readout.scan_us)
     yield Part("read-out", _switched("", has_delay, "events leave their pixels without delay"))

@@ -196,9 +196,9 @@ def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, json_of)
 
 
 def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, json_of):
-    text = rig.read_text().replace("[run]", '[camera.sensor.defects]\nhot_share = 0.01\n[run]\nmethod = "pangu"')
-    rig.write_text(text)
-    assert "pangu" in json_of(2, "run", rig)["error"]
+    effects = '[camera.sensor]\nphotoreceptor = "circuit"\n[camera.sensor.defects]\nhot_share = 0.01\n[run]'
+    rig.write_text(rig.read_text().replace("[run]", effects))
+    assert "evstim's own pixels" in json_of(2, "run", rig)["error"]
 
 
 def test_a_picture_shows_what_the_rig_models(rig, tmp_path, json_of):

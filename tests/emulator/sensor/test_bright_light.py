@@ -11,9 +11,9 @@ from emulator.sensor.parameters import ComparatorParameters, NoiseParameters, Re
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
+from laboratory.accuracy.peers.pangu import Pangu
 from laboratory.methods.circuit import CircuitPixels
 from laboratory.methods.grid import NoisyPixels, grid_ns
-from laboratory.methods.other_simulators import Pangu
 
 MS = 1_000_000
 WIDTH, HEIGHT = 6, 4

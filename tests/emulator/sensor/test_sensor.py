@@ -30,7 +30,7 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
-from laboratory.methods.other_simulators import Pangu
+from laboratory.accuracy.peers.pangu import Pangu
 
 ALPHA = 1e-4
 MS = 1_000_000

@@ -12,9 +12,9 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.method import ADJUSTABLE
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor, own_pixels
+from laboratory.accuracy.peers.pangu import Pangu
 from laboratory.methods.circuit import CircuitPixels
 from laboratory.methods.grid import NoisyPixels
-from laboratory.methods.other_simulators import OTHER_SIMULATORS
 
 MS = 1_000_000
 WIDTH, HEIGHT = 24, 16
@@ -36,7 +36,7 @@ METHODS = {
     "own": (PixelArray, PLAIN),
     "grid": (NoisyPixels, NOISY),
     "circuit": (CircuitPixels, CIRCUIT),
-    **{name: (rule, PLAIN) for name, rule in OTHER_SIMULATORS.items()},
+    "pangu": (Pangu, PLAIN),
 }
 ALL = pytest.mark.parametrize("method", METHODS)
 
@@ -162,6 +162,6 @@ def test_a_sensor_has_the_method_of_its_effects_unless_one_is_given():
         assert type(own_pixels(parameters, 1)) is make
         assert type(Sensor(parameters, 1).pixels) is make
     for parameters, words in ((NOISY, "noise.grade"), (CIRCUIT, "photoreceptor")):
-        for make in (PixelArray, *OTHER_SIMULATORS.values()):
+        for make in (PixelArray, Pangu):
             with pytest.raises(ValueError, match=f"{words}.*is a method of its own"):
                 Sensor(parameters, 1, make)

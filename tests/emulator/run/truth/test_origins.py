@@ -12,7 +12,7 @@ from emulator.light import LightFrame
 from emulator.run.truth.origins import Origin, TracedSensor
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
-from laboratory.methods.other_simulators import OTHER_SIMULATORS
+from laboratory.accuracy.peers.pangu import Pangu
 
 WIDTH, HEIGHT = 40, 30
 IDEAL = dataclasses.replace(PRESETS["ideal"], width=WIDTH, height=HEIGHT)
@@ -154,8 +154,8 @@ def test_pixels_that_contain_their_noise_tell_nothing():
     assert set(sensor.origins) == {Origin.UNKNOWN}
 
 
-def test_the_rules_of_other_simulators_tell_nothing():
-    events, origins = events_of(TracedSensor(IDEAL, 2, OTHER_SIMULATORS["v2e"]))
+def test_the_rule_of_another_simulator_tells_nothing():
+    events, origins = events_of(TracedSensor(IDEAL, 2, Pangu))
     assert len(events) > 1000
     assert set(origins) == {Origin.UNKNOWN}
 
