@@ -78,6 +78,7 @@ class LightFrame:
     rate : (height, width) float32, time derivative of the light at `t_ns`, per second, not finite where unknown; None
         where all is unknown.
     at : light of single pixels between the last frame and this one; None where there is no such source.
+    at_is_moved : True: `at` moves drawings, with errors of its own; finer steps than these errors would be in vain.
     changed : part of light and rate that may differ from those of the last frame; None: all of it.
     """
 
@@ -86,6 +87,7 @@ class LightFrame:
     rate: Light | None = None
     at: PixelLight | None = None
     changed: Region | None = None
+    at_is_moved: bool = False
 
 
 class SceneError(Exception):
@@ -270,7 +272,7 @@ class SceneFrames:
         self.scene = scene
         self._has_pixel_light = with_rate and with_pixel_light
         at = scene.pixel_light if self._has_pixel_light else None
-        self.last = LightFrame(0, np.zeros(shape, np.float32), rate, at)
+        self.last = LightFrame(0, np.zeros(shape, np.float32), rate, at, None, scene.refines)
         self.count = 0
 
     def draw(self, t_ns: int) -> LightFrame:
@@ -282,5 +284,5 @@ class SceneFrames:
             self.scene.light_and_rate(t_ns, last.light, last.rate)
         self.count += 1
         at = self.scene.pixel_light if self._has_pixel_light else None
-        self.last = LightFrame(t_ns, last.light, last.rate, at, self.scene.changed)
+        self.last = LightFrame(t_ns, last.light, last.rate, at, self.scene.changed, self.scene.refines)
         return self.last

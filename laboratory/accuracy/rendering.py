@@ -217,7 +217,8 @@ class Look:
             if isinstance(scene, LightBetween):  # for drawings that another thread makes ahead
                 scene.wait()
             spent_s.append(time.process_time() - start_s)
-            events.append(sensor.expose(LightFrame(t_ns, frame.light, frame.rate, _since(first_ns, frame.at))))
+            seen = dataclasses.replace(frame, t_ns=t_ns, at=_since(first_ns, frame.at), changed=None)
+            events.append(sensor.expose(seen))
         events.append(sensor.finish())
         return Stream.from_events(np.concatenate(events), *self.rig.camera.size), 1e3 * sum(spent_s) / len(spent_s)
 

@@ -139,7 +139,7 @@ def _events(rig: Rig, scene: Scene, look: Look) -> Stream:
     while t_ns < end_ns:
         t_ns = min(t_ns + steps.step_ns, end_ns)
         frame = frames.draw(first_ns + t_ns)
-        frame = LightFrame(t_ns, frame.light, frame.rate, _shifted(frame.at, first_ns))
+        frame = dataclasses.replace(frame, t_ns=t_ns, at=_shifted(frame.at, first_ns), changed=None)
         events.append(sensor.expose(frame).copy())
         steps.observe(frame)
     events.append(sensor.finish())

@@ -22,6 +22,7 @@ of the whole bandwidth; slower than the grid, the spectrum is that of counting.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -174,7 +175,7 @@ class Imager:
         _see(flat, self._pattern, out)
         rate = None if frame.rate is None else frame.rate * self._pattern.gain.reshape(frame.rate.shape)
         at = None if frame.at is None else partial(_see_pixels, frame.at, self._pattern)
-        return LightFrame(frame.t_ns, self._out, rate, at, frame.changed)
+        return replace(frame, light=self._out, rate=rate, at=at)
 
     def _counting(self, t_ns: int) -> _Counting:
         p, grid = self._parameters, t_ns // self.grid_ns

@@ -388,10 +388,15 @@ class ArbiterReadOut(ReadOut):
         return int(n)
 
 
+_EVENTS, _LEFT_NS = 0, 1
+_AHEAD = 64  # events whose pixels are fetched together
+
+
 class _Delays(NamedTuple):
     """Logarithm of the delay in ns, mean for each polarity and deviation; share and mean delay in ns of late events.
 
-    And of each pixel, the number of events and when the last one left.
+    `last`: number of events of each pixel and the time at which the last one left, (pixels, 2): side by side, because a
+    step's events come in the order of time, and each fetches its pixel from memory.
     """
 
     root: np.uint64
@@ -401,8 +406,7 @@ class _Delays(NamedTuple):
     deviation: float
     late_share: float
     late_ns: float
-    events: Int64s
-    last_ns: Int64s
+    last: Int64s
 
 
 _Arrays = tuple[Int64s, npt.NDArray[np.uint32], Mask]
@@ -412,25 +416,35 @@ _Arrays = tuple[Int64s, npt.NDArray[np.uint32], Mask]
 def _delay(
     crossings: _Arrays, window: Window, d: _Delays, pending: Pending, n: int
 ) -> tuple[tuple[Any, ...], int, npt.NDArray[np.uint64]]:
-    """Add crossings to the pending events; return those that stay pending, and the packed events of the window."""
+    """Add crossings to the pending events; return those that stay pending, and the packed events of the window.
+
+    Fast because the pixels of many events are read before their use: the processor then waits for all at once. One
+    after another, as each event depends on random numbers, they took twice as long as the rest.
+    """
     t_ns, pixels, on = crossings
     pending = reserve(pending, n, t_ns.size)
+    fetched = 0
+    on_ns, off_ns = int(math.exp(d.on)), int(math.exp(d.off))  # an exponential an event only where delays spread
     for k in range(t_ns.size):
         pixel = pixels[k]
-        log_delay = d.on if on[k] else d.off
+        if k % _AHEAD == 0:
+            for later in range(k, min(k + _AHEAD, t_ns.size)):
+                fetched ^= d.last[pixels[later], _EVENTS]
+        event = d.last[pixel, _EVENTS]
+        late_ns = on_ns if on[k] else off_ns
         if d.deviation > 0:
-            log_delay += d.deviation * normal_from(word(stream(d.root, pixel), d.events[pixel]))
-        late_ns = int(math.exp(log_delay))
+            spread = d.deviation * normal_from(word(stream(d.root, pixel), event))
+            late_ns = int(math.exp((d.on if on[k] else d.off) + spread))
         if d.late_share > 0:
-            bits = word(stream(d.late_root, pixel), d.events[pixel])
+            bits = word(stream(d.late_root, pixel), event)
             if unit(high(bits)) < d.late_share:
                 late_ns -= int(d.late_ns * math.log(unit(low(bits))))
-        leaves_ns = max(t_ns[k] + late_ns, d.last_ns[pixel] + 1)
-        d.events[pixel] += 1
-        d.last_ns[pixel] = leaves_ns
+        leaves_ns = max(t_ns[k] + late_ns, d.last[pixel, _LEFT_NS] + 1)
+        d.last[pixel, _EVENTS], d.last[pixel, _LEFT_NS] = event + 1, leaves_ns
         pending.t_ns[n], pending.key[n] = leaves_ns, np.uint64(pixel) << np.uint64(1) | np.uint64(on[k])
         n += 1
     keys = np.empty(n + 1, np.uint64)
+    keys[n] = fetched  # a place that `release` may use: without it the compiler would leave out the reads
     released, remaining = release(window, pending, n, keys)
     return pending[0:], remaining, keys[:released]
 
@@ -456,14 +470,13 @@ class Jitter:
         on, off = (math.log(us * 1000) - deviation**2 / 2 for us in (parameters.latency_us, off_us))
         roots = root_of(seed, Purpose.LATENCY), root_of(seed, Purpose.LATE)
         late = parameters.late_share, parameters.late_us * 1000
-        nothing = np.zeros(pixels, np.int64)
-        self._delays = _Delays(*roots, on, off, deviation, *late, events=nothing, last_ns=nothing.copy())
+        self._delays = _Delays(*roots, on, off, deviation, *late, last=np.zeros((pixels, 2), np.int64))
         self._pixel_bits = max(1, (pixels - 1).bit_length())
         self.reset(0)
 
     def reset(self, t_ns: int) -> None:
         """Start at `t_ns` with nothing waiting and events counted from 0."""
-        self._delays.events[:], self._delays.last_ns[:] = 0, t_ns
+        self._delays.last[:] = 0, t_ns
         self._pending, self.waiting = new_pending(), 0
         self._t_ns = t_ns
 

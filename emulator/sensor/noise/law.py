@@ -22,7 +22,7 @@ import numpy.typing as npt
 from emulator.sensor.noise.hazard import ONE_POLE, integral_tables, pair_factors, rate_of, slice_of
 from emulator.sensor.noise.moments import Noise, moments_over, noise_in, slower_rate
 from emulator.sensor.numerics.columns import Packed
-from emulator.sensor.numerics.compiled import cached_entry, kernel_that_allocates
+from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 from emulator.sensor.presets import SensorParameters
 
 _Floats = npt.NDArray[np.float64]
@@ -79,6 +79,24 @@ class _Chain(NamedTuple):
     rates: _Floats  # from the first to the second, (levels, levels)
 
 
+@kernel
+def _middle(edges: _Floats, i: int) -> float:
+    """Return the reference in the middle of a cell."""
+    return (edges[i + 1] + edges[i]) / 2
+
+
+@kernel
+def _weigh(edges: _Floats, reset: float, spread: float, weights: _Floats) -> None:
+    """Write the weights of the cells, (levels,), for a reset around a reference, with a normal spread."""
+    first = edges[1] - edges[0]
+    for j in range(_LEVELS):
+        step = edges[j + 1] - edges[j]
+        begin = _middle(edges, j) + (step - first) / 2  # of a stay in a coarse cell, which leak crosses as a whole
+        width = max(spread, _BLUR * step)
+        away = (begin - reset) / width
+        weights[j] = math.exp(-0.5 * (away * away)) * step / width
+
+
 @kernel_that_allocates
 def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tables: Packed) -> _Chain:
     """Return the chain of a pixel with thresholds on and off, and a leak in ln units a second.
@@ -88,12 +106,12 @@ def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tabl
     beyond, span = on + noise.sigma, on + off + 2 * noise.sigma
     fine = min(span / 2, _FINE * noise.sigma)
     share = fine / (2 * fine + min(span - 2 * fine, fine))  # of the cells, at each end
-    x = np.linspace(-0.5, 0.5, _LEVELS + 1)
     slope = (span / 2 - fine) / max(0.5 - share, 1e-9)
-    half = np.where(np.abs(x) < 0.5 - share, np.abs(x) * slope, span / 2 - (0.5 - np.abs(x)) * fine / share)
-    edges = np.copysign(half, x) + span / 2 - beyond
-    steps, grid = edges[1:] - edges[:-1], (edges[1:] + edges[:-1]) / 2
-    begins = grid + (steps - steps[0]) / 2  # of a stay in a coarse cell, which leak crosses as a whole
+    edges = np.empty(_LEVELS + 1)
+    for i in range(_LEVELS + 1):
+        x = abs(i / _LEVELS - 0.5)
+        half = x * slope if x < 0.5 - share else span / 2 - (0.5 - x) * fine / share
+        edges[i] = math.copysign(half, i / _LEVELS - 0.5) + span / 2 - beyond
     kept, pushed = math.exp(-noise.rate * dead_s), 0.0
     lost = 1 - kept * kept
     if noise.z < ONE_POLE and dead_s > 0:
@@ -101,11 +119,12 @@ def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tabl
         slope = m.b12  # at a passage it is distributed as Rayleigh's
         kept, pushed = m.p11, math.sqrt(math.pi / 2) * noise.sigma * slope
         lost = m.v + (2 - math.pi / 2) * slope**2
-    width = np.maximum(math.sqrt(lost) * noise.sigma, _BLUR * steps)
-    rates, on_hz = np.zeros((_LEVELS, _LEVELS)), np.empty(_LEVELS)
-    off_hz, slow = on_hz.copy(), slower_rate(noise)
+    rates, weights = np.zeros((_LEVELS, _LEVELS)), np.empty(_LEVELS)
+    on_hz, off_hz, slow = np.empty(_LEVELS), np.empty(_LEVELS), slower_rate(noise)
     k = slice_of(noise.z)
-    for i, level in enumerate(grid):
+    lowest, highest = _middle(edges, 0), _middle(edges, _LEVELS - 1)
+    for i in range(_LEVELS):
+        level = _middle(edges, i)
         c_on, c_off = np.float32((on + level) / noise.sigma), np.float32((off - level) / noise.sigma)
         on_factor, off_factor = pair_factors(tables, c_on, c_off, noise.z, _F1, _NEEDED)
         h_on = np.float64(noise.rate * rate_of(tables, k, noise.apart, c_on, _F0, _NEEDED) * on_factor)
@@ -114,14 +133,18 @@ def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tabl
         decays = math.log(1 + max(min(c_on, c_off), 0.0) * abs(level) / noise.sigma)
         staying = 1 / (1 + (h_on + h_off) * (dead_s + decays / slow))
         h_on, h_off = h_on * staying, h_off * staying
-        is_last = grid[max(i - 1, 0)] <= -on < level  # from there leak comes to the threshold
-        leaving = leak / (on + level if is_last else steps[i])
+        is_last = _middle(edges, max(i - 1, 0)) <= -on < level  # from there leak comes to the threshold
+        leaving = leak / (on + level if is_last else edges[i + 1] - edges[i])
         ended = leaving if is_last else 0.0
         up, down = (level + on) * kept + pushed, (level - off) * kept - pushed
         for hz, reset in ((h_on, up), (h_off, down), (ended, 0.0)):
             if hz > 0:
-                weights = np.exp(-0.5 * ((begins - min(max(reset, grid[0]), grid[-1])) / width) ** 2) * steps / width
-                rates[i] += hz / weights.sum() * weights
+                _weigh(edges, min(max(reset, lowest), highest), math.sqrt(lost) * noise.sigma, weights)
+                total = 0.0
+                for j in range(_LEVELS):
+                    total += weights[j]
+                for j in range(_LEVELS):
+                    rates[i, j] += hz / total * weights[j]
         on_hz[i], off_hz[i] = h_on + ended, h_off
         rates[i, max(i - 1, 0)] += leaving - ended
     return _Chain(edges, on_hz, off_hz, rates)
@@ -134,9 +157,14 @@ def _pass(rates: _Floats, stages: int, stage_hz: float, shares: _Floats) -> None
     References are eliminated one by one, without a subtraction (Grassmann, Taksar and Heyman 1985), because the rates
     at which they are left differ by many orders of magnitude. `rates` is used up.
     """
-    left, ends = np.zeros(_LEVELS), np.full(_LEVELS, stage_hz)
+    left, ends = np.empty(_LEVELS), np.empty(_LEVELS)
+    for i in range(_LEVELS):
+        ends[i] = stage_hz
     for i in range(_LEVELS - 1, -1, -1):
-        left[i] = rates[i, :i].sum() + ends[i]
+        leaving = 0.0
+        for j in range(i):
+            leaving += rates[i, j]
+        left[i] = leaving + ends[i]
         for j in range(i):
             rates[j, i] /= left[i]
             ends[j] += rates[j, i] * ends[i]
@@ -161,9 +189,15 @@ def _rates(  # noqa: PLR0913, PLR0917
     """Return the `Rates` of a pixel with thresholds on and off, from the shares of time that its references have."""
     noise = noise_in(np.float32(rate), np.float32(pole), np.float32(rms), np.float32(high))
     chain = _chain(on, off, leak_hz * on, noise, dead_s, tables)
-    shares = np.full(_LEVELS, 1 / _LEVELS)
+    shares = np.empty(_LEVELS)
+    for k in range(_LEVELS):
+        shares[k] = 1 / _LEVELS
     _pass(chain.rates, _SINGLE, _ENDLESS_HZ, shares)
-    return np.dot(shares, chain.on), np.dot(shares, chain.off)
+    on_hz = off_hz = 0.0
+    for k in range(_LEVELS):
+        on_hz += shares[k] * chain.on[k]
+        off_hz += shares[k] * chain.off[k]
+    return on_hz, off_hz
 
 
 class Before(NamedTuple):
@@ -188,8 +222,11 @@ def solve_start(  # noqa: PLR0913, PLR0917
     """
     noise = noise_in(np.float32(rate), np.float32(before.pole), _F1, np.float32(before.high))
     chain = _chain(on, off, turns * on / before.history_s, noise, before.dead_s, tables)
-    passed = np.minimum(np.maximum(chain.edges, -on * max(before.phases, _AT_ONCE)), 0.0)
-    shares = (passed[1:] - passed[:-1]) / -passed[0]
+    lowest = max(chain.edges[0], -on * max(before.phases, _AT_ONCE))
+    shares = np.empty(_LEVELS)
+    for k in range(_LEVELS):
+        from_, to = max(chain.edges[k], lowest), max(chain.edges[k + 1], lowest)
+        shares[k] = (min(to, 0.0) - min(from_, 0.0)) / -lowest
     _pass(chain.rates, _STAGES, (_STAGES - 1) / before.history_s, shares)
     below, i = 0.0, 0
     for k, share in enumerate(SHARES):

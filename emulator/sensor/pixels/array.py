@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import LightFrame, PixelLight, Region
+from emulator.light import LightFrame, Region
 from emulator.sensor.noise.hazard import integral_tables
 from emulator.sensor.noise.law import SHARES, Before, solve_start
 from emulator.sensor.numerics.compiled import log_compilation
@@ -368,7 +368,7 @@ class PixelArray(PixelMethod):
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._advance(layout.FlatLight(flat, slope), t_ns, n, frame.at, frame.changed)
+            n = self._advance(layout.FlatLight(flat, slope), t_ns, n, frame)
         else:
             self._replacing = layout.FlatLight(flat.copy(), slope.copy())
         events = self._buffers
@@ -391,10 +391,11 @@ class PixelArray(PixelMethod):
             n = self._advance(layout.FlatLight(light, _NO_RATE), state.t_ns + _EPOCH_NS, n)
         return n
 
-    def _advance(
-        self, frame: layout.FlatLight, t_ns: int, n: int, at: PixelLight | None = None, changed: Region | None = None
-    ) -> int:
-        """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
+    def _advance(self, frame: layout.FlatLight, t_ns: int, n: int, whole: LightFrame | None = None) -> int:
+        """Advance by at most an epoch, add the crossings after the first n, and return the new number.
+
+        `whole` is the frame whose light and rate `frame` has; without it the whole light may have changed.
+        """
         state, buffers = self.state, self._buffers
         with_slopes = bool(frame.rate.size)
         self._replace_light()
@@ -408,16 +409,16 @@ class PixelArray(PixelMethod):
         state.slopes_known = with_slopes
         t0_ns, pixels = state.t_ns, self._flat_state()
         c = self._constants(t0_ns, t_ns, not with_slopes)
-        touched = self._touched(changed)
+        touched = self._touched(None if whole is None else whole.changed)
         refine: MoveShare | None = None
-        if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
+        if whole is not None and whole.at is not None and with_slopes and t_ns - t0_ns >= SHORTEST_NS:
             from emulator.sensor.pixels.refinement import Refinement  # which few arrays need
 
             def refine_share(thread: int, share: Share, keys: Keys) -> tuple[Keys, int, Tally]:
                 if thread not in self._refinements:
                     blocks = len(state.fields)
                     self._refinements[thread] = Refinement(blocks, self._resting(), new_table(), self._constants)
-                moved: tuple[Keys, int, Tally] = self._refinements[thread].step(frame, pixels, share, keys, c, at)
+                moved: tuple[Keys, int, Tally] = self._refinements[thread].step(frame, pixels, share, keys, c, whole)
                 return moved
 
             refine = refine_share

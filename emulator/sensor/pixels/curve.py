@@ -6,7 +6,7 @@ the contrast itself when an edge passed between the frames.
 
     smooth         the cubic is used as it is, in one piece
     undersampled   that error is more than a share of a threshold, or the light turns by more: the frames are too far
-                   apart here. The share is a half; a twentieth where `refinement` has the light in between
+                   apart here. The share is a half; a twentieth or tenth where `refinement` has the light in between
     jump           undersampled, with small slopes at both ends: the change happened in between, and is put at mid-step
     limited        monotone with slopes that no monotone cubic has (Fritsch and Carlson): these are scaled down. Slopes
                    stay where the light turns: a turning point inside a step is real, and its slopes decide its events
@@ -65,6 +65,9 @@ UNSEEN_SHARE = np.float32(0.5)
 
 REFINED_UNSEEN_SHARE = np.float32(0.05)
 """The same share where undersampled steps can be refined."""
+
+MOVED_UNSEEN_SHARE = np.float32(0.1)
+"""The same share where they are refined with light moved between drawings, whose own errors are larger."""
 
 WORTH_BENDING = np.float32(0.05)
 """Share of a threshold that the trapezium rule may miss before the cubic is replaced by a bend."""

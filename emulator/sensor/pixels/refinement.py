@@ -2,7 +2,8 @@
 
     t0 ---------------- t1     a pixel is undersampled between two frames: its state is copied to a subset,
     t0 ------ m ------- t1     its light at m is computed, and the same kernels solve both halves;
-         ... m' ...            a half that is still undersampled is divided again, up to three times
+         ... m' ...            a half that is still undersampled is divided again, up to three times; light that is
+                               moved between drawings is worth two
 
 All pixels of a subset form an array of their own. The arithmetic of a pixel is that of the whole array, and does not
 depend on which other pixels are refined. A refinement costs the scene the light of one pixel, and no further frame:
@@ -17,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import LightFrame
 from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels.candidate_table import Table
 from emulator.sensor.pixels.crossings import Keys
-from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
+from emulator.sensor.pixels.curve import MOVED_UNSEEN_SHARE, REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
 from emulator.sensor.pixels.method import STOP
 from emulator.sensor.pixels.state import BLOCK, FIELDS, MEMORY, Field, FlatLight, Memory, Pixels, StepConstants, slot
@@ -29,6 +30,8 @@ from emulator.sensor.pixels.step import SHORTEST_NS, Buffers, Share, Subset, Tal
 
 LEVELS = 3
 """Most refinements of a step."""
+
+_LEVELS_OF_MOVED = 2
 
 _Int64s = npt.NDArray[np.int64]
 
@@ -116,15 +119,20 @@ class Refinement:
         self._tallies: list[Tally] = []
 
     def step(
-        self, frame: FlatLight, pixels: Pixels, share: Share, keys: Keys, c: StepConstants, at: PixelLight
+        self, frame: FlatLight, pixels: Pixels, share: Share, keys: Keys, c: StepConstants, whole: LightFrame
     ) -> tuple[Keys, int, Tally]:
-        """Move a share of the array as `advance` does, and refine; `at` gives the light of single pixels in between."""
-        c = c._replace(refine=True, unseen_share=REFINED_UNSEEN_SHARE)
+        """Move a share of the array as `advance` does, and refine with the light of single pixels of `whole`."""
+        assert whole.at is not None
+        self._at = whole.at
+        self._levels, self._unseen_share = LEVELS, REFINED_UNSEEN_SHARE
+        if whole.at_is_moved:
+            self._levels, self._unseen_share = _LEVELS_OF_MOVED, MOVED_UNSEEN_SHARE
+        c = c._replace(refine=True, unseen_share=self._unseen_share)
         keys, n_keys, counts = advance(frame, pixels, self._buffers[0], keys, share, c)
         self._lists, self._tallies = [keys[:n_keys]], [Tally(*counts)]
         if not (refined := self._tallies[0].refined):
             return keys, n_keys, self._tallies[0]
-        self._step, self._at = c, at
+        self._step = c
         interval = _Interval(c.t0_ns, c.t0_ns + c.h_ns, frame, np.arange(frame.light.size))
         self._refine(pixels, refined, interval, 0)
         together = np.concatenate(self._lists)
@@ -143,8 +151,8 @@ class Refinement:
 
     def _advance(self, pixels: Pixels, half: _Interval, level: int) -> None:
         """Move an array over a half; pixels that are still undersampled are refined again."""
-        again = level + 1 < LEVELS and half.t1_ns - half.t0_ns >= SHORTEST_NS
-        c = self._constants(half.t0_ns, half.t1_ns)._replace(refine=again, unseen_share=REFINED_UNSEEN_SHARE)
+        again = level + 1 < self._levels and half.t1_ns - half.t0_ns >= SHORTEST_NS
+        c = self._constants(half.t0_ns, half.t1_ns)._replace(refine=again, unseen_share=self._unseen_share)
         wake(self._share.idle)  # these are other pixels each time
         buffers = self._buffers[level + 1]
         self._keys, n_keys, counts = advance(half.end, pixels, buffers, self._keys, self._share, c)
