@@ -120,8 +120,8 @@ def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tabl
         kept, pushed = m.p11, math.sqrt(math.pi / 2) * noise.sigma * slope
         lost = m.v + (2 - math.pi / 2) * slope**2
     rates, weights = np.zeros((_LEVELS, _LEVELS)), np.empty(_LEVELS)
-    on_hz, off_hz, slow = np.empty(_LEVELS), np.empty(_LEVELS), slower_rate(noise)
-    k = slice_of(noise.z)
+    on_hz, off_hz = np.empty(_LEVELS), np.empty(_LEVELS)
+    slow, k = slower_rate(noise), slice_of(noise.z)
     lowest, highest = _middle(edges, 0), _middle(edges, _LEVELS - 1)
     for i in range(_LEVELS):
         level = _middle(edges, i)

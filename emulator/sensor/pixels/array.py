@@ -391,10 +391,10 @@ class PixelArray(PixelMethod):
             n = self._advance(layout.FlatLight(light, _NO_RATE), state.t_ns + _EPOCH_NS, n)
         return n
 
-    def _advance(self, frame: layout.FlatLight, t_ns: int, n: int, whole: LightFrame | None = None) -> int:
+    def _advance(self, frame: layout.FlatLight, t_ns: int, n: int, light_frame: LightFrame | None = None) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number.
 
-        `whole` is the frame whose light and rate `frame` has; without it the whole light may have changed.
+        `light_frame` is the one whose light and rate `frame` has; without it the whole light may have changed.
         """
         state, buffers = self.state, self._buffers
         with_slopes = bool(frame.rate.size)
@@ -409,16 +409,17 @@ class PixelArray(PixelMethod):
         state.slopes_known = with_slopes
         t0_ns, pixels = state.t_ns, self._flat_state()
         c = self._constants(t0_ns, t_ns, not with_slopes)
-        touched = self._touched(None if whole is None else whole.changed)
+        touched = self._touched(None if light_frame is None else light_frame.changed)
         refine: MoveShare | None = None
-        if whole is not None and whole.at is not None and with_slopes and t_ns - t0_ns >= SHORTEST_NS:
+        if light_frame is not None and light_frame.at is not None and with_slopes and t_ns - t0_ns >= SHORTEST_NS:
             from emulator.sensor.pixels.refinement import Refinement  # which few arrays need
 
             def refine_share(thread: int, share: Share, keys: Keys) -> tuple[Keys, int, Tally]:
                 if thread not in self._refinements:
                     blocks = len(state.fields)
                     self._refinements[thread] = Refinement(blocks, self._resting(), new_table(), self._constants)
-                moved: tuple[Keys, int, Tally] = self._refinements[thread].step(frame, pixels, share, keys, c, whole)
+                step = self._refinements[thread].step
+                moved: tuple[Keys, int, Tally] = step(frame, pixels, share, keys, c, light_frame)
                 return moved
 
             refine = refine_share

@@ -119,13 +119,13 @@ class Refinement:
         self._tallies: list[Tally] = []
 
     def step(
-        self, frame: FlatLight, pixels: Pixels, share: Share, keys: Keys, c: StepConstants, whole: LightFrame
+        self, frame: FlatLight, pixels: Pixels, share: Share, keys: Keys, c: StepConstants, light_frame: LightFrame
     ) -> tuple[Keys, int, Tally]:
-        """Move a share of the array as `advance` does, and refine with the light of single pixels of `whole`."""
-        assert whole.at is not None
-        self._at = whole.at
+        """Move a share of the array as `advance` does, and refine with the light of single pixels of `light_frame`."""
+        assert light_frame.at is not None
+        self._at = light_frame.at
         self._levels, self._unseen_share = LEVELS, REFINED_UNSEEN_SHARE
-        if whole.at_is_moved:
+        if light_frame.at_is_moved:
             self._levels, self._unseen_share = _LEVELS_OF_MOVED, MOVED_UNSEEN_SHARE
         c = c._replace(refine=True, unseen_share=self._unseen_share)
         keys, n_keys, counts = advance(frame, pixels, self._buffers[0], keys, share, c)
