@@ -22,7 +22,7 @@ from emulator.sensor.parameters import (
     ResetParameters,
     TemperatureParameters,
 )
-from emulator.sensor.presets import PRESETS, RENAMED, ReadoutParameters, SensorParameters
+from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.tables.typed_table import TableError, convert
 from firmware_protocol.bounds import LAST_NS, whole_number
 from firmware_protocol.events import Events, Float32s
@@ -77,7 +77,7 @@ def sensor_parameters(model: str | SensorParameters, **parameters: Unpack[Sensor
         A name is unknown or a value is not allowed; the message names it.
     """
     if isinstance(model, str) and model not in PRESETS:
-        raise ValueError(f"sensor {unknown(model, RENAMED.get(model, list(PRESETS)))}")
+        raise ValueError(f"sensor {unknown(model, list(PRESETS))}")
     table = dataclasses.asdict(PRESETS[model] if isinstance(model, str) else model)
     for key, value in parameters.items():
         part = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value

@@ -26,7 +26,7 @@ from emulator.rig.kinds import (
 )
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.scene.kind import SceneParameters
-from emulator.sensor.presets import PRESETS, RENAMED, SensorParameters
+from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.tables.toml_text import KeyPath
 from emulator.tables.typed_table import TableError, convert, field_types, item_type, kinds_of, split_kind, table_type
 from firmware_protocol.bounds import bounds_of
@@ -122,7 +122,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
         name: p for name, p in PRESETS.items() if (p.width, p.height) == (record.sensor.width, record.sensor.height)
     }
     if camera.preset and camera.preset not in units:
-        raise TableError(unknown(camera.preset, RENAMED.get(camera.preset, list(units))), (*path, "preset"))
+        raise TableError(unknown(camera.preset, list(units)), (*path, "preset"))
     preset = units[camera.preset] if camera.preset else record.sensor
     camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), preset))
     if camera.bias_slopes is not None and record.bias_slopes is None:

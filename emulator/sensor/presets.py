@@ -375,6 +375,3 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
     }
 )
 """Sensors by name; the module's first lines name the source of each value."""
-
-RENAMED = {"imx636_noisy": ("imx636_noise2params",)}
-"""Names that presets once had, with those of today."""

@@ -86,15 +86,17 @@ def _middle(edges: _Floats, i: int) -> float:
 
 
 @kernel
-def _weigh(edges: _Floats, reset: float, spread: float, weights: _Floats) -> None:
-    """Write the weights of the cells, (levels,), for a reset around a reference, with a normal spread."""
-    first = edges[1] - edges[0]
+def _weigh(edges: _Floats, reset: float, spread: float, weights: _Floats) -> float:
+    """Write the weights of the cells, (levels,), for resets spread around a reference; return their sum."""
+    first, total = edges[1] - edges[0], 0.0
     for j in range(_LEVELS):
         step = edges[j + 1] - edges[j]
         begin = _middle(edges, j) + (step - first) / 2  # of a stay in a coarse cell, which leak crosses as a whole
         width = max(spread, _BLUR * step)
         away = (begin - reset) / width
         weights[j] = math.exp(-0.5 * (away * away)) * step / width
+        total += weights[j]
+    return total
 
 
 @kernel_that_allocates
@@ -139,10 +141,7 @@ def _chain(on: float, off: float, leak: float, noise: Noise, dead_s: float, tabl
         up, down = (level + on) * kept + pushed, (level - off) * kept - pushed
         for hz, reset in ((h_on, up), (h_off, down), (ended, 0.0)):
             if hz > 0:
-                _weigh(edges, min(max(reset, lowest), highest), math.sqrt(lost) * noise.sigma, weights)
-                total = 0.0
-                for j in range(_LEVELS):
-                    total += weights[j]
+                total = _weigh(edges, min(max(reset, lowest), highest), math.sqrt(lost) * noise.sigma, weights)
                 for j in range(_LEVELS):
                     rates[i, j] += hz / total * weights[j]
         on_hz[i], off_hz[i] = h_on + ended, h_off
@@ -157,9 +156,7 @@ def _pass(rates: _Floats, stages: int, stage_hz: float, shares: _Floats) -> None
     References are eliminated one by one, without a subtraction (Grassmann, Taksar and Heyman 1985), because the rates
     at which they are left differ by many orders of magnitude. `rates` is used up.
     """
-    left, ends = np.empty(_LEVELS), np.empty(_LEVELS)
-    for i in range(_LEVELS):
-        ends[i] = stage_hz
+    left, ends = np.empty(_LEVELS), np.full(_LEVELS, stage_hz)
     for i in range(_LEVELS - 1, -1, -1):
         leaving = 0.0
         for j in range(i):
@@ -189,9 +186,7 @@ def _rates(  # noqa: PLR0913, PLR0917
     """Return the `Rates` of a pixel with thresholds on and off, from the shares of time that its references have."""
     noise = noise_in(np.float32(rate), np.float32(pole), np.float32(rms), np.float32(high))
     chain = _chain(on, off, leak_hz * on, noise, dead_s, tables)
-    shares = np.empty(_LEVELS)
-    for k in range(_LEVELS):
-        shares[k] = 1 / _LEVELS
+    shares = np.full(_LEVELS, 1 / _LEVELS)
     _pass(chain.rates, _SINGLE, _ENDLESS_HZ, shares)
     on_hz = off_hz = 0.0
     for k in range(_LEVELS):

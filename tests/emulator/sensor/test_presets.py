@@ -6,10 +6,8 @@ import math
 import numpy as np
 import pytest
 
-import evstim
 from emulator.light import LightFrame
 from emulator.rig.kinds import CAMERA_MODELS
-from emulator.rig.loading import RigError, parse_rig
 from emulator.sensor.parameters import BackgroundParameters, NoiseParameters
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
@@ -159,13 +157,6 @@ def test_the_default_units_are_quiet_in_bright_light(name, hz, on_share):
 def test_the_sensor_of_a_camera_is_a_preset(model):
     assert any(CAMERA_MODELS[model].sensor is p for p in PRESETS.values())
     assert (PRESETS["imx636"], PRESETS["gen31"]) == (PRESETS["imx636_nist"], PRESETS["gen31_nist"])
-
-
-def test_a_preset_that_has_another_name_now_is_refused_with_it():
-    with pytest.raises(ValueError, match=r"imx636_noisy.*did you mean 'imx636_noise2params'"):
-        evstim.Sensor("imx636_noisy")
-    with pytest.raises(RigError, match=r"imx636_noisy.*did you mean 'imx636_noise2params'"):
-        parse_rig('[scene]\nkind = "checkerboard"\n[camera]\nmodel = "evk4"\npreset = "imx636_noisy"\n', "r.toml", "r")
 
 
 def test_the_quiet_imx636_has_the_background_that_was_recorded():
