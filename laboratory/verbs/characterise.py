@@ -8,7 +8,7 @@ from pathlib import Path
 from emulator.cli.checks import failures
 from emulator.cli.output import GOOD, WRONG_USE, Failure, Flag, Json, print_result, status
 from emulator.rig.loading import RigError, load_rig
-from emulator.sensor.presets import PRESETS, RENAMED, SensorParameters
+from emulator.sensor.presets import PRESETS, SensorParameters
 from laboratory.characterise.measurements import figures, measurements
 from laboratory.characterise.recordings import Compared, compare, write_comparison
 from laboratory.characterise.report import reading, write
@@ -96,5 +96,5 @@ def _sensor(camera: str) -> SensorParameters:
     try:
         return load_rig(camera).camera.sensor
     except RigError as error:
-        known = ", ".join(RENAMED.get(camera, PRESETS))
+        known = ", ".join(PRESETS)
         raise RigError(f"{camera!r} is no preset ({known}) and no rig: {error}") from error

@@ -82,7 +82,7 @@ class _Chain(NamedTuple):
 @kernel
 def _middle(edges: _Floats, i: int) -> float:
     """Return the reference in the middle of a cell."""
-    return (edges[i + 1] + edges[i]) / 2
+    return float((edges[i + 1] + edges[i]) / 2)
 
 
 @kernel
