@@ -196,8 +196,8 @@ def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, json_of)
 
 
 def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, json_of):
-    effects = '[camera.sensor]\nphotoreceptor = "circuit"\n[camera.sensor.defects]\nhot_share = 0.01\n[run]'
-    rig.write_text(rig.read_text().replace("[run]", effects))
+    text = rig.read_text().replace("[camera.sensor]", '[camera.sensor]\nphotoreceptor = "circuit"\nhighpass_hz = 1.0')
+    rig.write_text(text)
     assert "evstim's own pixels" in json_of(2, "run", rig)["error"]
 
 
