@@ -106,7 +106,7 @@ def panels(
     columns = min(columns, count)
     bands = math.ceil(count / columns)
     figure, grid = pyplot().subplots(
-        high * bands, columns, figsize=(width_in * columns, height_in * bands), squeeze=False, layout=layout
+        high * bands, columns, figsize=(width_in * columns, height_in * high * bands), squeeze=False, layout=layout
     )
     every = [[grid[high * band + row][k] for row in range(high)] for band in range(bands) for k in range(columns)]
     for unused in every[count:]:
